@@ -184,8 +184,8 @@ class Recording:
         header at every comma, so ``der(x,2)`` is written as ``der(x;2)``. Texts are quoted with doubled quotes inside
         (RFC 4180); fmpy can't read columns of texts. The file is written atomically.
 
-        `fmpy.util.plot_result` can plot at most 17 columns, given by ``names``: without names it takes the first 19,
-        and plotly refuses so many rows at fmpy's spacing (fmpy 0.3.32).
+        `fmpy.util.plot_result` needs plotly (the extra ``plot``). It can plot at most 17 columns, given by ``names``: without
+        names it takes the first 19, and plotly refuses so many rows at fmpy's spacing (fmpy 0.3.32).
 
         Raises:
             ResultsError: the file can't be written, with the system's reason.

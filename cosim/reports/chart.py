@@ -192,7 +192,13 @@ class _Box:
         x, y = self.x.at(curve.x), self.y.at(curve.y)
         extra = f' class="{kind}"{svg.attributes(data)}'
         yield svg.line(
-            svg.path(x, y), curve.colour, curve.width, curve.opacity, cap="round", dashes=curve.dashes, extra=extra
+            svg.path(x, y) if curve.width else "",
+            curve.colour,
+            curve.width,
+            curve.opacity,
+            cap="round",
+            dashes=curve.dashes,
+            extra=extra,
         )
         if curve.dot:
             sign = f' class="{curve.dot}"'
@@ -241,9 +247,8 @@ def _boxes(size: tuple[float, float], panels: Sequence[Panel]) -> Iterator[_Box]
     each = (height - BELOW - PADDING - sum(above) - GAP * (count - 1)) / count
     # horizontal limits, and vertical axes with their places
     is_log = "x" in panels[0].logarithmic
-    low, high = panels[0].limits or _limits(
-        [curve.x for panel in panels for curve in panel.curves], 0.05 if panels[0].is_to_scale else 0.01, is_log
-    )
+    margin = 0.05 if panels[0].is_to_scale or not panels[0].is_function else 0.01
+    low, high = panels[0].limits or _limits([curve.x for panel in panels for curve in panel.curves], margin, is_log)
     verticals, top = [], PADDING
     for panel, space in zip(panels, above, strict=True):
         top += space

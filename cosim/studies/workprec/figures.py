@@ -17,7 +17,10 @@ from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.reports.chart import Curve, Panel
 from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
+from flexfmu.cosim.reports.page import Plot, render_page
+from flexfmu.cosim.reports.svg import PALETTE
 from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 
@@ -135,6 +138,9 @@ class PlainNumbers(LogFormatter):
         return f"{x:g}" if super().__call__(x, pos) else ""
 
 
+PLOT_HEIGHT = 320.0
+"""Of a diagram of the page [pt]."""
+
 FLOOR = 1e-12
 """Errors below are drawn here: the references agree no better."""
 
@@ -208,47 +214,29 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
 
 
 def html(study: WorkPrecisionStudy) -> str:
-    """The page; the drawing library is inside, nothing is fetched."""
-    import plotly.io as pio
-
-    names = [name for name in FAMILIES if study.family(name)]
-    parts = [
-        pio.to_html(_figure(study, name), include_plotlyjs=i == 0, full_html=False) for i, name in enumerate(names)
-    ]
-    title = f"Work and precision: {study.scene.name}"
-    head = f'<meta charset="utf-8"><title>{title}</title><style>body{{font-family:sans-serif;margin:2rem}}</style>'
-    return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1><p>{sentence(study)}</p>{''.join(parts)}</body></html>"
+    """Return the page: a diagram for each family, in which every point shows its setting, error, time and work."""
+    plots = [_plot(study, name) for name in FAMILIES if study.family(name)]
+    return render_page(f"Work and precision: {study.scene.name}", sentence(study), plots)
 
 
-def _figure(study: WorkPrecisionStudy, name: str) -> Any:
-    import plotly.graph_objects as go
-
-    figure = go.Figure()
-    for line, trials in lines_of(study, name).items():
-        # what was measured
-        good = [each for each in trials if not each.failed]
-        figure.add_scatter(
-            x=[max(each.error or 0.0, FLOOR) for each in good],
-            y=[1e3 * (each.time or 0.0) for each in good],
-            text=[each.label for each in good],
-            customdata=[[study.duration / (each.time or 1.0), each.note] for each in good],
-            hovertemplate="%{text}: error %{x:.2e}, %{y:.3g} ms, %{customdata[0]:.3g} x real time<br>%{customdata[1]}",
-            mode="lines+markers",
-            name=line,
-        )
+def _plot(study: WorkPrecisionStudy, name: str) -> Plot:
+    curves = []
+    for number, (line, trials) in enumerate(lines_of(study, name).items()):
+        colour, again = PALETTE[number % len(PALETTE)], number >= len(PALETTE)
+        good, failed = ([each for each in trials if each.failed is wanted] for wanted in (False, True))
+        points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
+        notes = [
+            f"{each.label}: {study.duration / (each.time or 1.0):.3g} times real time. {each.note}" for each in good
+        ]
+        dashes = "5,3" if again else ""
+        curves.append(Curve(points[:, 0], points[:, 1], line, colour, dot="disc", notes=notes, dashes=dashes))
         # what failed, at real time and an error of 1
-        failed = [each for each in trials if each.failed]
         if failed:
-            figure.add_scatter(
-                x=[1.0] * len(failed),
-                y=[1e3 * study.duration] * len(failed),
-                text=[f"{each.label}: {each.note}" for each in failed],
-                hovertemplate="failed: %{text}",
-                mode="markers",
-                marker={"symbol": "x"},
-                name=f"{line}, failed",
+            place, notes = np.ones(len(failed)), [f"{each.label} failed: {each.note}" for each in failed]
+            name_of = f"{line}, failed"
+            curves.append(
+                Curve(place, 1e3 * study.duration * place, name_of, colour, width=0.0, dot="cross", notes=notes)
             )
-    axes = {"xaxis_title": "error, relative to the largest elastic deviation", "yaxis_title": "time [ms]"}
-    figure.update_layout(title=TITLES[name], xaxis_type="log", yaxis_type="log", template="plotly_white", **axes)
-    figure.update_xaxes(exponentformat="e", dtick=1)
-    return figure
+    label = "error, relative to the largest elastic deviation"
+    panel = Panel(label="time [ms]", curves=curves, logarithmic="xy", is_function=False)
+    return Plot(f"workprec-{name}", TITLES[name], "Lower left is better.", (panel,), label, PLOT_HEIGHT)
