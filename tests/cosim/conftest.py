@@ -70,7 +70,7 @@ def record(motion_plan: MotionPlan, step: float, end: float) -> Recording:
     return Recording(time, columns)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_run() -> MakeRun:
     """A function that makes a run: make_run(step=2e-4, outcome=Outcome.COMPLETED, end=inf, changes={})."""
 

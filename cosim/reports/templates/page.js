@@ -36,7 +36,12 @@
     const first = Math.ceil(a.low / step - 1e-9), last = Math.floor(a.high / step + 1e-9);
     return Array.from({ length: last - first + 1 }, (_, i) => (first + i) * step);
   };
-  const short = (value, digits = 6) => String(+value.toPrecision(digits)).replace(/-/g, "−");
+  // a number as Python's format g has it
+  const short = (value, digits = 6) => {
+    const exponent = value ? +value.toExponential(digits - 1).split("e")[1] : 0;
+    const text = exponent < -4 || exponent >= digits ? value.toExponential(digits - 1) : value.toPrecision(digits);
+    return text.replace(/(\.\d*?)0+(e|$)/, "$1$2").replace(/\.(e|$)/, "$1").replace(/e([+-])(\d)$/, "e$10$2").replace(/-/g, "−");
+  };
   const labels = (a, values) => {
     const largest = Math.max(...values.map(Math.abs));
     if (a.log || !(largest >= 1e-4 && largest < 1e6) || values.length < 2) return values.map(v => short(v));
@@ -225,7 +230,9 @@
     });
     // a click on the legend hides a curve
     for (const key of svg.querySelectorAll(".key")) {
+      const { x, y, width, height } = key.getBBox();
       key.setAttribute("role", "button");
+      make("rect", { x, y, width, height, fill: "transparent" }, key);
       key.addEventListener("click", () => {
         const off = key.classList.toggle("off");
         for (const c of panels.flatMap(panel => panel.curves)) if (c.label === key.dataset.label) {

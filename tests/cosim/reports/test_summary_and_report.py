@@ -17,6 +17,7 @@ from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
+from flexfmu.cosim.reports.curve_data import unpacked
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import describe_effects, summarise
@@ -115,6 +116,27 @@ def test_curves_peak_at_the_metrics(make_run: MakeRun) -> None:
         assert f"[{unit}]" in panels[key].label
         for curve, name in zip(peaks[key], names, strict=False):
             assert curve.max() == pytest.approx(factor * metrics[name], rel=2e-3), name
+
+
+def test_numbers_in_the_page_are_recorded(make_run: MakeRun) -> None:
+    """Curves carry the recording's values at communication points, with 24 bits, and the metric is their peak."""
+    run = make_run()
+    text = report_of(run)
+    figure = text[text.index("<h3>Motor torques") :]
+    time = run.recording.time.astype(np.float32)
+    for joint in (1, 2):
+        recorded = run.recording[f"joint{joint}.torque"].values
+        found = re.search(f'data-xy="([^"]*)" data-label="joint {joint}"', figure)
+        assert found is not None
+        x, y = unpacked(found[1], 2)
+        # both sides of a jump are there: the nearer one
+        index = np.stack([np.searchsorted(time, x, side) + shift for side, shift in (("left", 0), ("right", -1))])
+        at_point = time[np.minimum(index[0], time.size - 1)] == x
+        assert np.count_nonzero(at_point) > 300
+        difference = np.abs(recorded[index[:, at_point]] - y[at_point]).min(axis=0)
+        assert difference.max() <= 1e-6 * np.abs(recorded).max()
+        metric = measure_run(run)[f"peak_torque_{joint}"].value
+        assert np.abs(y).max() == pytest.approx(metric, rel=2e-3)
 
 
 def tracking(run: Run) -> Run:
