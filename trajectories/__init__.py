@@ -1,17 +1,25 @@
 """Planned motion: paths, blends, motion profiles, trajectories, and input shapers. Depends on numpy and scipy only."""
 
 from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
+from flexfmu.trajectories.cam_profiles import (
+    Cycloidal,
+    FifthDegreePolynomial,
+    Harmonic,
+    ModifiedSine,
+    ModifiedTrapezoid,
+)
 from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
 from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.polynomial_profile import PolynomialProfile
+from flexfmu.trajectories.profile_pieces import ProfilePiece, SinePiece, SmoothPiece
 from flexfmu.trajectories.profiles import (
     BangBang,
+    DoubleS,
     Profile,
-    ProfilePiece,
     SeventhDegreePolynomial,
-    SmoothPiece,
     Trapezoidal,
     evaluate_profile,
 )
@@ -21,20 +29,28 @@ __all__ = [
     "BangBang",
     "Blend",
     "ClothoidPair",
+    "Cycloidal",
+    "DoubleS",
+    "FifthDegreePolynomial",
+    "Harmonic",
     "InverseKinematics",
     "Jet",
     "JointTrajectory",
     "LameBlend",
     "Margin",
+    "ModifiedSine",
+    "ModifiedTrapezoid",
     "PickAndPlacePath",
     "PiecewiseCurve",
     "PlaneJets",
     "Point",
     "PolarPolynomial",
+    "PolynomialProfile",
     "Profile",
     "ProfilePiece",
     "SeventhDegreePolynomial",
     "Side",
+    "SinePiece",
     "SmoothPiece",
     "TaskTrajectory",
     "Trajectory",

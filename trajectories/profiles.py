@@ -6,70 +6,27 @@ To add a profile, write a class and add it to `PROFILES` with its name in scene 
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from flexfmu.trajectories.cam_profiles import (
+    Cycloidal,
+    FifthDegreePolynomial,
+    Harmonic,
+    ModifiedSine,
+    ModifiedTrapezoid,
+)
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, within
-from flexfmu.trajectories.jets import Jet, RealArray, checked_order
+from flexfmu.trajectories.jets import Jet, checked_order
+from flexfmu.trajectories.polynomial_profile import PolynomialProfile
+from flexfmu.trajectories.profile_pieces import Piece, ProfilePiece, SmoothPiece, joins, symmetric
 from flexfmu.trajectories.roots import root_between
-
-
-class SmoothPiece(Protocol):
-    """A smooth σ(η) for start ≤ η ≤ end, both fractions of the duration."""
-
-    @property
-    def start(self) -> float: ...
-
-    @property
-    def end(self) -> float: ...
-
-    def jet(self, eta: RealArray, order: int) -> Jet:
-        """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
-        ...
-
-    def value(self, eta: float) -> float:
-        """σ at one fraction of the duration."""
-        ...
-
-
-@dataclass(frozen=True)
-class ProfilePiece:
-    """A polynomial σ(η) for start ≤ η ≤ end in powers of η - centre; rounding errors are smallest near ``centre``.
-
-    Attributes:
-        start, end: fractions of the duration.
-        centre: fraction of the duration about which the polynomial is expanded.
-        coefficients: of (η - centre)^k, ascending.
-    """
-
-    start: float
-    end: float
-    centre: float
-    coefficients: tuple[float, ...]
-
-    def jet(self, eta: RealArray, order: int) -> Jet:
-        """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
-        # powers of η - centre, times a matrix of binomial coefficients
-        powers = np.ones((len(self.coefficients), *eta.shape))
-        powers[1:] = eta - self.centre
-        np.multiply.accumulate(powers, axis=0, out=powers)
-        return Jet((_shifted(self.coefficients, order)[:, :, None] * powers).sum(axis=1))
-
-    def value(self, eta: float) -> float:
-        """σ at one fraction of the duration."""
-        # Horner's scheme
-        result, x = 0.0, eta - self.centre
-        for coefficient in reversed(self.coefficients):
-            result = result * x + coefficient
-        return result
 
 
 class Profile(Protocol):
@@ -82,7 +39,7 @@ class Profile(Protocol):
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """Fractions of the duration between 0 and 1, exclusive, at which the acceleration jumps."""
+        """Fractions of the duration between 0 and 1, exclusive, at which the acceleration or a higher derivative jumps."""
         ...
 
 
@@ -91,9 +48,9 @@ class SeventhDegreePolynomial:
     """Seventh-degree polynomial σ = 35 η⁴ - 84 η⁵ + 70 η⁶ - 20 η⁷: velocity, acceleration and jerk are zero at both ends."""
 
     @property
-    def pieces(self) -> tuple[ProfilePiece, ...]:
+    def pieces(self) -> tuple[Piece, ...]:
         """The polynomial twice: expanded about 0 for the first half, about 1 for the second."""
-        return _symmetric((0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0), 0.5)
+        return symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0)))
 
     @property
     def jumps(self) -> tuple[float, ...]:
@@ -106,9 +63,9 @@ class BangBang:
     """Bang-bang: d²σ/dη² = 4 in the first half, -4 in the second; the shortest motion for a given largest acceleration."""
 
     @property
-    def pieces(self) -> tuple[ProfilePiece, ...]:
+    def pieces(self) -> tuple[Piece, ...]:
         """Two parabolas."""
-        return _symmetric((0.0, 0.0, 2.0), 0.5)
+        return symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 2.0)))
 
     @property
     def jumps(self) -> tuple[float, ...]:
@@ -130,9 +87,27 @@ class Parameter:
                 f"{name} must be above {self.above:g} and at most {self.at_most:g} of the duration, got {value:g}"
             )
 
+    def expected(self, name: str) -> str:
+        """What scene files need, for messages."""
+        return f"{self.above:g} < {name} <= {self.at_most:g} (fraction of the duration)"
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """The coefficients of a polynomial, any number from ``at_least``."""
+
+    at_least: int
+
+    def expected(self, name: str) -> str:
+        """What scene files need, for messages."""
+        return f"{name} = [0, 0, c2, c3, ...], of ascending powers of the fraction of the duration"
+
 
 RAMP = Parameter(above=0.0, at_most=0.5)
 """Range of a ramp's duration; at 0.5 two ramps fill the whole duration."""
+
+JERK_PHASE = Parameter(above=0.0, at_most=0.25)
+"""Range of the duration of constant jerk; at 0.25 four of them fill the whole duration."""
 
 
 @dataclass(frozen=True)
@@ -152,18 +127,68 @@ class Trapezoidal:
         RAMP.check("ramp", self.ramp)
 
     @property
-    def pieces(self) -> tuple[ProfilePiece, ...]:
+    def pieces(self) -> tuple[Piece, ...]:
         """Two parabolas, and a straight line between them unless the ramps fill the duration."""
         # velocity from the area under it, which is 1
         velocity = 1.0 / (1.0 - self.ramp)
-        first, last = _symmetric((0.0, 0.0, 0.5 * velocity / self.ramp), self.ramp)
         middle = ProfilePiece(self.ramp, 1.0 - self.ramp, 0.5, (0.5, velocity))
-        return (first, middle, last) if middle.start < middle.end else (first, last)
+        first = ProfilePiece(0.0, self.ramp, 0.0, (0.0, 0.0, 0.5 * velocity / self.ramp))
+        return symmetric(first, middle=middle if middle.start < middle.end else None)
 
     @property
     def jumps(self) -> tuple[float, ...]:
         """The ends of the ramps."""
         return tuple(sorted({self.ramp, 1.0 - self.ramp}))
+
+
+@dataclass(frozen=True)
+class DoubleS:
+    """Double-S velocity: seven phases of constant jerk, so that the acceleration is a trapezoid in each ramp.
+
+    Peak velocity 1/(1 - ramp), peak acceleration that velocity by ramp - jerk_phase, jerk that acceleration by jerk_phase.
+    Source: L. Biagiotti, C. Melchiorri, *Trajectory Planning for Automatic Machines and Robots*, Springer 2008, chapter 3.
+
+    Attributes:
+        ramp: duration of each of the two ramps of the velocity as a fraction of the whole duration, 0 < ramp ≤ 0.5.
+        jerk_phase: duration of each of the four phases of constant jerk as a fraction of the whole duration, at most ramp/2.
+
+    Raises:
+        TrajectoryError: a parameter is out of range, or the phases of a ramp don't fit into it.
+    """
+
+    ramp: float
+    jerk_phase: float
+
+    def __post_init__(self) -> None:
+        RAMP.check("ramp", self.ramp)
+        JERK_PHASE.check("jerk_phase", self.jerk_phase)
+        if self.jerk_phase > 0.5 * self.ramp:
+            raise TrajectoryError(
+                f"jerk_phase must be at most half of ramp = {self.ramp:g}, which is {0.5 * self.ramp:g} of the duration, "
+                f"got {self.jerk_phase:g}"
+            )
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Cubic, parabola, cubic, straight line, and the same backwards; the second and the fourth unless they take no time."""
+        # velocity from the area under it, then acceleration and jerk
+        ramp, phase = self.ramp, self.jerk_phase
+        velocity = 1.0 / (1.0 - ramp)
+        acceleration = velocity / (ramp - phase)
+        jerk = acceleration / phase
+        # the ramp's phases, each about the end at which its coefficients are known
+        first = ProfilePiece(0.0, phase, 0.0, (0.0, 0.0, 0.0, jerk / 6.0))
+        begin = jerk * phase**3 / 6.0, 0.5 * acceleration * phase, 0.5 * acceleration
+        second = ProfilePiece(phase, ramp - phase, phase, begin)
+        third = ProfilePiece(ramp - phase, ramp, ramp, (0.5 * velocity * ramp, velocity, 0.0, -jerk / 6.0))
+        up = (first, second, third) if second.start < second.end else (first, replace(third, start=phase))
+        middle = ProfilePiece(ramp, 1.0 - ramp, 0.5, (0.5, velocity))
+        return symmetric(*up, middle=middle if middle.start < middle.end else None)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The ends of the phases, where the jerk jumps."""
+        return joins(self.pieces)
 
 
 @dataclass(frozen=True)
@@ -178,13 +203,20 @@ class ProfileKind:
 
     label: str
     make: Callable[..., Profile]
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    parameters: Mapping[str, Parameter | Coefficients] = field(default_factory=dict)
 
 
 PROFILES: Mapping[str, ProfileKind] = {
     "poly7": ProfileKind("seventh-degree polynomial", SeventhDegreePolynomial),
+    "poly5": ProfileKind("fifth-degree polynomial", FifthDegreePolynomial),
     "bang-bang": ProfileKind("bang-bang", BangBang),
     "trapezoidal": ProfileKind("trapezoidal", Trapezoidal, {"ramp": RAMP}),
+    "double-s": ProfileKind("double-S", DoubleS, {"ramp": RAMP, "jerk_phase": JERK_PHASE}),
+    "harmonic": ProfileKind("harmonic", Harmonic),
+    "cycloidal": ProfileKind("cycloidal", Cycloidal),
+    "modified-sine": ProfileKind("modified sine", ModifiedSine),
+    "modified-trapezoid": ProfileKind("modified trapezoid", ModifiedTrapezoid),
+    "polynomial": ProfileKind("polynomial", PolynomialProfile, {"coefficients": Coefficients(3)}),
 }
 """Name in the scene file → kind of profile."""
 
@@ -223,22 +255,3 @@ def time_at(profile: Profile, fraction: float) -> float:
     # one Newton step, since Brent's method stops within a few roundings of the root
     value, slope = evaluate_profile(profile, eta, 1).derivatives()[:, 0]
     return eta - float((value - fraction) / slope)
-
-
-@cache
-def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
-    """Return the (order + 1, n) matrix from powers of x to the normalised Taylor coefficients of a polynomial at x."""
-    # (x + t)^j has C(j, k) x^(j-k) as its coefficient of t^k
-    matrix = np.zeros((order + 1, len(coefficients)))
-    for j, coefficient in enumerate(coefficients):
-        for k in range(min(order, j) + 1):
-            matrix[k, j - k] = math.comb(j, k) * coefficient
-    return matrix
-
-
-def _symmetric(coefficients: tuple[float, ...], end: float) -> tuple[ProfilePiece, ProfilePiece]:
-    """Return a piece from 0 to ``end`` expanded about 0, and its point reflection 1 - σ(1 - η), expanded about 1."""
-    # in powers of η - 1, even coefficients change sign
-    reflected = [-c * (-1.0) ** k for k, c in enumerate(coefficients)]
-    reflected[0] += 1.0
-    return ProfilePiece(0.0, end, 0.0, coefficients), ProfilePiece(1.0 - end, 1.0, 1.0, tuple(reflected))

@@ -19,7 +19,8 @@ from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side
 from flexfmu.trajectories.errors import positive, times
 from flexfmu.trajectories.jets import Indices, Jet, RealArray, checked_order, compose, joined, stack
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
+from flexfmu.trajectories.profile_pieces import SmoothPiece
+from flexfmu.trajectories.profiles import Profile, time_at
 
 SAME_TIME = 1e-12
 """Fraction of the duration within which two times count as equal: such breakpoints are merged, and a time so close to a breakpoint

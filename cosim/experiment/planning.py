@@ -25,7 +25,7 @@ from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits
 if TYPE_CHECKING:
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
-Law = tuple[str, tuple[tuple[str, float], ...]]
+Law = tuple[str, tuple[tuple[str, float | tuple[float, ...]], ...]]
 """Kind and parameters of a motion profile."""
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, create_model, model_validator
 
 from flexfmu.model.scene.mechanism import Length
-from flexfmu.model.scene.messages import listed
 from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
 from flexfmu.trajectories.blends import BLENDS
-from flexfmu.trajectories.profiles import PROFILES
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.profiles import PROFILES, Coefficients, Parameter
 
 StartPoint = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
 LiftDirection = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("1")]
@@ -23,7 +23,7 @@ class ProfileSection(Section):
     kind: str
 
     @property
-    def parameters(self) -> dict[str, float]:
+    def parameters(self) -> dict[str, float | tuple[float, ...]]:
         """The values of the parameters by name."""
         return self.model_dump(exclude={"kind"}, exclude_none=True)
 
@@ -31,17 +31,26 @@ class ProfileSection(Section):
     def _parameters_belong_to_the_kind(self) -> Self:
         # all parameters of this kind, and none of another kind
         own = PROFILES[self.kind].parameters
-        for name, range_ in own.items():
+        for name, parameter in own.items():
             if name not in self.parameters:
-                raise ValueError(
-                    f"`{name}` is missing: profile `{self.kind}` needs {range_.above:g} < {name} <= {range_.at_most:g} "
-                    "(fraction of the duration)"
-                )
+                raise ValueError(f"`{name}` is missing: profile `{self.kind}` needs {parameter.expected(name)}")
         for name, value in self.parameters.items():
             if name not in own:
-                owners = listed(kind for kind, profile in PROFILES.items() if name in profile.parameters)
+                owners = " or ".join(f"`{kind}`" for kind, profile in PROFILES.items() if name in profile.parameters)
                 raise ValueError(f"`{name}` = {value} belongs to profile {owners} alone: remove it from `{self.kind}`")
+        # what several values have to fulfil together
+        try:
+            PROFILES[self.kind].make(**self.parameters)
+        except TrajectoryError as error:
+            raise ValueError(str(error)) from None
         return self
+
+
+def _field(parameter: Parameter | Coefficients) -> Any:
+    """The type of a parameter's key."""
+    if isinstance(parameter, Coefficients):
+        return Annotated[tuple[float, ...], BeforeValidator(as_tuple), quantity("1", min_length=parameter.at_least)]
+    return Annotated[float, quantity("1", gt=parameter.above, le=parameter.at_most)]
 
 
 # kinds and keys follow from the tables, which a type checker can't evaluate
@@ -55,9 +64,9 @@ else:
         __base__=ProfileSection,
         kind=(Literal[tuple(PROFILES)], ...),
         **{
-            name: (Annotated[float, quantity("1", gt=range_.above, le=range_.at_most)] | None, None)
+            name: (_field(parameter) | None, None)
             for profile in PROFILES.values()
-            for name, range_ in profile.parameters.items()
+            for name, parameter in profile.parameters.items()
         },
     )
 

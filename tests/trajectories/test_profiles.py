@@ -12,6 +12,13 @@ from hypothesis import strategies as st
 
 from flexfmu.trajectories import (
     BangBang,
+    Cycloidal,
+    DoubleS,
+    FifthDegreePolynomial,
+    Harmonic,
+    ModifiedSine,
+    ModifiedTrapezoid,
+    PolynomialProfile,
     Profile,
     SeventhDegreePolynomial,
     TrajectoryError,
@@ -21,7 +28,21 @@ from flexfmu.trajectories import (
 )
 from flexfmu.trajectories.profiles import time_at
 
-PROFILES = (SeventhDegreePolynomial(), BangBang(), Trapezoidal(0.25), Trapezoidal(0.125), Trapezoidal(0.5))
+PROFILES = (
+    SeventhDegreePolynomial(),
+    FifthDegreePolynomial(),
+    BangBang(),
+    Trapezoidal(0.25),
+    Trapezoidal(0.125),
+    Trapezoidal(0.5),
+    DoubleS(0.25, 0.0625),
+    DoubleS(0.5, 0.25),
+    Harmonic(),
+    Cycloidal(),
+    ModifiedSine(),
+    ModifiedTrapezoid(),
+    PolynomialProfile((0.0, 0.0, 3.0, -2.0)),
+)
 seeded = settings(derandomize=True, deadline=None, max_examples=40)
 
 
@@ -58,11 +79,19 @@ def test_seventh_degree_polynomial_is_exact_to_its_last_derivative() -> None:
         (BangBang(), 2.0, 4.0),
         (Trapezoidal(0.25), 4.0 / 3.0, 16.0 / 3.0),
         (Trapezoidal(0.125), 8.0 / 7.0, 64.0 / 7.0),
+        (FifthDegreePolynomial(), 15.0 / 8.0, 10.0 / math.sqrt(3.0)),
+        (DoubleS(0.3, 0.1), 1.0 / 0.7, 1.0 / 0.7 / 0.2),
+        (DoubleS(0.5, 0.25), 2.0, 8.0),
+        (Harmonic(), math.pi / 2.0, math.pi**2 / 2.0),
+        (Cycloidal(), 2.0, 2.0 * math.pi),
+        (ModifiedSine(), 4.0 * math.pi / (4.0 + math.pi), 4.0 * math.pi**2 / (4.0 + math.pi)),
+        (ModifiedTrapezoid(), 2.0, 8.0 * math.pi / (2.0 + math.pi)),
     ],
 )
 def test_peaks_have_their_closed_forms(profile: Profile, peak_velocity: float, peak_acceleration: float) -> None:
     """Protects velocity and acceleration, which scale every torque."""
-    eta = np.append(np.linspace(0.0, 1.0, 4001), 0.5 - 0.1 * math.sqrt(5.0))  # the polynomial's peak is at the last one
+    # peaks of the polynomials' accelerations are at the last two
+    eta = np.append(np.linspace(0.0, 1.0, 4001), [0.5 - 0.1 * math.sqrt(5.0), 0.5 - math.sqrt(3.0) / 6.0])
     motion = evaluate_profile(profile, eta, 2).derivatives()
     assert motion[1].max() == pytest.approx(peak_velocity, rel=1e-14)
     assert motion[2].max() == pytest.approx(peak_acceleration, rel=1e-13)

@@ -15,7 +15,8 @@ import numpy as np
 
 from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import Jet, RealArray
-from flexfmu.trajectories.profiles import Profile, SmoothPiece
+from flexfmu.trajectories.profile_pieces import SmoothPiece
+from flexfmu.trajectories.profiles import Profile
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import TaskTrajectory, merged
 

@@ -1,4 +1,4 @@
-"""docs/effects.md and the README name every key of a scene's physics and run, and their examples can be read."""
+"""The README and the pages of docs/ name every key of a scene's physics and run, and their examples can be read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.motion import TrajectorySection
 
 ROOT = Path(__file__).parents[3]
-PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("effects.md", "control-loop.md")]
+PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("effects.md", "control-loop.md", "motions.md")]
 TEXT = "\n".join([(ROOT / "README.md").read_text(encoding="utf-8"), *PAGES])
 
 

@@ -28,7 +28,7 @@ WRONG_VALUES = {
         {"effects.damping": {"kind": "foo"}},
         r"`effects\.damping\.kind` must be one of 'none', 'modal', 'stiffness'",
     ),
-    "kind of a profile": ({"trajectory.profile": {"kind": "poly5"}}, r"`trajectory\.profile\.kind` must be 'poly7'"),
+    "kind of a profile": ({"trajectory.profile": {"kind": "sine"}}, r"`trajectory\.profile\.kind` must be 'poly7'"),
     "wrong type": (
         {"mechanism.proximal.length": "a"},
         r"`mechanism\.proximal\.length` must be a valid number in m, got 'a'",
@@ -67,7 +67,7 @@ WRONG_VALUES = {
     ),
     "profile without a kind": (
         {"trajectory.profile": {}},
-        r"`trajectory\.profile\.kind` is missing: add it, one of 'poly7', 'bang-bang', 'trapezoidal'",
+        r"`trajectory\.profile\.kind` is missing: add it, one of 'poly7', 'poly5', 'bang-bang', 'trapezoidal', ",
     ),
     "word for a profile with a number": ({"trajectory.profile": "trapezoidal"}, r"needs 0 < ramp <= 0\.5"),
     "table for a vector": (
@@ -94,7 +94,23 @@ WRONG_VALUES = {
     ),
     "ramp of a polynomial": (
         {"trajectory.profile": {"kind": "poly7", "ramp": 0.2}},
-        r"belongs to profile `trapezoidal` alone",
+        r"`ramp` = 0\.2 belongs to profile `trapezoidal` or `double-s` alone: remove it from `poly7`",
+    ),
+    "phases longer than their ramp": (
+        {"trajectory.profile": {"kind": "double-s", "ramp": 0.2, "jerk_phase": 0.15}},
+        r"in `trajectory\.profile`: jerk_phase must be at most half of ramp = 0\.2, which is 0\.1 of the duration, got 0\.15",
+    ),
+    "polynomial without coefficients": (
+        {"trajectory.profile": "polynomial"},
+        r"`coefficients` is missing: profile `polynomial` needs coefficients = \[0, 0, c2, c3, \.\.\.\]",
+    ),
+    "one coefficient": (
+        {"trajectory.profile": {"kind": "polynomial", "coefficients": 1.0}},
+        r"`trajectory\.profile\.coefficients` must be an array like \[1\.0, 2\.0\], got 1\.0",
+    ),
+    "polynomial that ends elsewhere": (
+        {"trajectory.profile": {"kind": "polynomial", "coefficients": [0, 0, 3, -1]}},
+        r"coefficients \[0\.0, 0\.0, 3\.0, -1\.0\] must end at 1: its coefficients must have the sum 1, got 2",
     ),
     "trapezoid without a ramp": ({"trajectory.profile": {"kind": "trapezoidal"}}, r"needs 0 < ramp <= 0\.5"),
     "ramp too long": (
