@@ -99,6 +99,16 @@ def run(
             show_default=False,
         ),
     ] = None,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help="Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may be repeated. "
+            "Default: csv.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> int:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
@@ -108,6 +118,7 @@ def run(
     """
     from zipfile import is_zipfile
 
+    chosen = tuple(dict.fromkeys(formats or ("csv",)))
     if scene.lower().endswith(".ssp") or is_zipfile(scene):
         if report:
             raise InputError("--report goes with a scene; an SSP file has no report")
@@ -116,7 +127,7 @@ def run(
         from flexfmu.cosim.cli.run_ssp import run_ssp_command
 
         end_loading()
-        return run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order)
+        return run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order, chosen)
     # options that a scene doesn't have
     if stop_time is not None:
         raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
@@ -136,4 +147,5 @@ def run(
         1 if verify is None else 2 * verify,
         not json if report is None else report,
         Recorded(record, record_step, record_order),
+        chosen,
     )

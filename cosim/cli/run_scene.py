@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from flexfmu.cosim.cli.console import FAILURE, print_text, progress, show_note
+from flexfmu.cosim.cli.result_files import check_formats, write_results
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -51,13 +52,16 @@ def run_command(
     companions: int = 1,
     has_report: bool = True,
     recorded: Recorded = BY_SCENE,
+    formats: Sequence[str] = ("csv",),
 ) -> int:
     """Simulate, write, print; the exit status.
 
     What was recorded before a failure is written too. ``companions``: how many more precise runs the errors are taken from.
     ``has_report``: whether report.html is drawn; otherwise that of an earlier run is removed.
+    ``formats``: those of the recorded signals, of `flexfmu.cosim.engine.results.FORMATS`.
     """
-    # the folder is made first: no run is lost because it can't be written
+    # formats and folder come first: no run is lost because it can't be written
+    check_formats(formats)
     scene = load_scene(source)
     folder = OutputFolder(out or RESULTS / scene.name)
     folder.prepare()
@@ -77,7 +81,7 @@ def run_command(
         )
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
-        run.recording.write_csv(folder.path / "results.csv")
+        files = write_results(folder, run.recording, formats, run.about)
         progressing = partial(show, "estimating the errors")
         # metrics and report are of all signals with two derivatives
         is_whole = record.names is None and record.order == EVERYTHING.order
@@ -97,7 +101,12 @@ def run_command(
         from flexfmu.cosim.cli.run_summary import print_summary
         from flexfmu.model.choice_text import choice_sentence
 
-        print_summary(summary, choice_sentence(scene), folder.path, has_report)
+        print_summary(
+            summary,
+            choice_sentence(scene),
+            folder.path,
+            [*files, "summary.json", *(["report.html"] if has_report else [])],
+        )
     if problem is not None:
         show_note(f"{problem}; what was recorded is in {folder.path}")
         return FAILURE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.result_files import check_formats, files_sentence, write_results
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.master import Simulation
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
@@ -32,12 +33,14 @@ def run_ssp_command(
     isolate: bool | None = None,
     ssd: str | None = None,
     output_order: int | None = None,
+    formats: Sequence[str] = ("csv",),
 ) -> int:
     """Simulate an SSP file, write results.csv and summary.json, and print how the run ended; the exit status.
 
     What was recorded before a failure is written too. ``step`` and ``stop_time`` [s] replace the file's own, ``ssd`` names one of
-    several systems in it, ``output_order`` is the highest output derivative of its FMUs that is read.
+    several systems in it, ``output_order`` is the highest output derivative of its FMUs that is read, ``formats`` are those of the recorded signals.
     """
+    check_formats(formats)
     loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
     folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
@@ -45,14 +48,15 @@ def run_ssp_command(
     with progress() as show:
         simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
         show("writing the results", None)
-        simulation.recording.write_csv(folder.path / "results.csv")
+        about = {"system": loaded.structure.name, "outcome": simulation.message}
+        files = [*write_results(folder, simulation.recording, formats, about), "summary.json"]
         summary = _summary(loaded, simulation)
         folder.write("summary.json", to_json(summary))
     # standard output
     if as_json:
         print_text(to_json(summary))
     else:
-        _print(summary, simulation, folder.path)
+        _print(summary, simulation, files_sentence(files, folder.path))
     if simulation.outcome.is_failure:
         show_note(f"{simulation.message}; what was recorded is in {folder.path}")
         return FAILURE
@@ -78,10 +82,11 @@ def _summary(loaded: SspSystem, simulation: Simulation) -> Mapping[str, Any]:
         "connections": [loaded.system.describe(each) for each in loaded.system.connections],
         "ignored_parameters": list(loaded.ignored),
         "remarks": list(loaded.remarks),
+        "units": simulation.recording.units,
     }
 
 
-def _print(summary: Mapping[str, Any], simulation: Simulation, folder: Path) -> None:
+def _print(summary: Mapping[str, Any], simulation: Simulation, where: str) -> None:
     """The outputs' ranges, how the run ended, and where the files are."""
     parts: list[RenderableType] = [_ranges(summary["system"], simulation)]
     parts.append(
@@ -91,7 +96,7 @@ def _print(summary: Mapping[str, Any], simulation: Simulation, folder: Path) -> 
         names = ", ".join(summary["ignored_parameters"])
         parts.append(Text(f"warning: parameters that fit no variable were ignored: {names}", style="yellow"))
     parts += [Text(f"warning: {remark}", style="yellow") for remark in summary["remarks"]]
-    parts.append(Text(f"results.csv and summary.json are in {folder}"))
+    parts.append(Text(where))
     print_rich(*parts)
 
 

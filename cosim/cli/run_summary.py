@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,12 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import print_rich
+from flexfmu.cosim.cli.result_files import files_sentence
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
 from flexfmu.cosim.reports.terminal import titled_table
 
 
-def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, has_report: bool) -> None:
+def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: Sequence[str]) -> None:
     """What was chosen, the metrics of a complete run, the FMU's statistics, warnings, and where the files are."""
     name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
     parts: list[RenderableType] = [Text(choice)] if choice else []
@@ -32,8 +33,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, has_rep
         parts.append(Text(_warning_line(health), style="yellow"))
     sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
-    files = "results.csv, summary.json and report.html" if has_report else "results.csv and summary.json"
-    parts.append(Text(f"{files} are in {folder}"))
+    parts.append(Text(files_sentence(files, folder)))
     print_rich(*parts)
 
 

@@ -79,6 +79,11 @@ class Recording:
         except KeyError:
             raise KeyError(f"no signal {name!r} was recorded; there are: {', '.join(self.columns)}") from None
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Name → unit of the time and of every signal."""
+        return {"time": "s", **{name: column.unit for name, column in self.columns.items()}}
+
     def smooth_pieces(self) -> Iterator[slice]:
         """Yield the index ranges between jumps; within each, time increases strictly and the signals are continuous.
 

@@ -58,6 +58,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         delays: delay of each connection.
         timing: wall times [s].
         versions: name → version.
+        units: recorded signal → unit.
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
         learning: only for a repeated motion: period [s] and tracking errors of both joints in each cycle [rad].
@@ -75,6 +76,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "delays": [_delay(delay) for delay in run.delays],
         "timing": _timing(run),
         "versions": dict(versions(run.fmu_path)),
+        "units": run.recording.units,
     }
 
 

@@ -36,8 +36,10 @@ def write_parquet(path: Path, time: RealArray, columns: Mapping[str, Column], ab
     ]
     schema = pyarrow.schema(fields, metadata={**about, "jumps": TWICE})
     table = pyarrow.table([pyarrow.array(column.listed()) for column in every.values()], schema=schema)
+    # a dictionary pays for texts alone
+    texts = [name for name, column in columns.items() if column.texts is not None]
     with replacing(path) as temporary:
-        parquet.write_table(table, temporary)
+        parquet.write_table(table, temporary, use_dictionary=texts or False)
     return path
 
 

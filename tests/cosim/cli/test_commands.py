@@ -57,6 +57,29 @@ def test_run_writes_three_files_and_prints_the_metrics(simulated: Callable[..., 
     assert result.stderr == ""
 
 
+def test_run_writes_the_formats_that_are_asked_for(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """Every format once, none of an earlier run beside them; units are in summary.json, too."""
+    simulated()
+    for formats in (["csv"], ["mat", "parquet", "mat"], ["mcap"]):
+        options = [word for name in formats for word in ("--format", name)]
+        result = flexfmu("run", SCENE, "--out", str(tmp_path), "--no-report", *options)
+        assert result.exit_code == 0
+        expected = {f"results.{name}" for name in formats}
+        assert {path.name for path in tmp_path.iterdir()} == {*expected, "summary.json"}
+        assert all(name in result.stdout for name in expected)
+    units = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["units"]
+    assert (units["time"], units["joint1.torque"]) == ("s", "N.m")
+
+
+def test_an_unknown_format_is_refused_before_the_run(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """One line that names the formats; nothing is simulated or written."""
+    simulated(error=AssertionError("simulated"))
+    result = flexfmu("run", SCENE, "--out", str(tmp_path / "out"), "--format", "xlsx")
+    assert result.exit_code == 2
+    assert "no format 'xlsx' of results; choose from csv, parquet, mat, mcap" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_run_json_is_the_summary_and_nothing_else(simulated: Callable[..., None], tmp_path: Path) -> None:
     """Standard output holds exactly what summary.json holds."""
     simulated()

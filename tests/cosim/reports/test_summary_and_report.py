@@ -84,6 +84,7 @@ def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:
         "delays",
         "timing",
         "versions",
+        "units",
     ]
     assert list(summary["metrics"]) == list(METRICS)
     assert {"flexfmu", "casadi", "fmpy", "numpy", "python", "platform", "compiler"} <= set(summary["versions"])

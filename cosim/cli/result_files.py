@@ -1,0 +1,40 @@
+"""Files of recorded signals in a folder of results, in the formats that are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.results import FORMATS, Recording, check_format
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Check formats before a run.
+
+    Raises:
+        InputError: there is no such format, or its library isn't installed.
+    """
+    for name in formats:
+        check_format(name)
+
+
+def write_results(
+    folder: OutputFolder, recording: Recording, formats: Sequence[str], about: Mapping[str, str]
+) -> list[str]:
+    """Write the recording in these formats as ``results.<format>``, remove those of an earlier run in others; return their names.
+
+    Raises:
+        ResultsError: a file can't be written, with the system's reason.
+    """
+    for name in FORMATS:
+        if name in formats:
+            recording.write(folder.path / f"results.{name}", about)
+        else:
+            folder.remove(f"results.{name}")
+    return [f"results.{name}" for name in formats]
+
+
+def files_sentence(files: Sequence[str], folder: Path) -> str:
+    """Return where the files are."""
+    return f"{', '.join(files[:-1])} and {files[-1]} are in {folder}"
