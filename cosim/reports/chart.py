@@ -182,29 +182,21 @@ class _Box:
         return f'<g class="panel"{svg.attributes(data)}>'
 
     def _curve(self, curve: Curve, panel: Panel) -> Iterator[str]:
-        """Yield the line and the signs of a curve, with its values."""
+        """Yield the line and the signs of a curve, with its values; of a long curve as many points as a page has."""
         chosen = thinned(curve.y) if panel.is_function else spread(curve.y.size)
-        data = {"xy": packed(*(each[chosen] for each in (curve.x, curve.y, *curve.more.values())))}
+        given_x, given_y = curve.x[chosen], curve.y[chosen]
+        data = {"xy": packed(given_x, given_y, *(each[chosen] for each in curve.more.values()))}
         data |= {"label": curve.label} if curve.label else {}
         data |= {"more": json.dumps(list(curve.more), ensure_ascii=False)} if curve.more else {}
         data |= {"notes": json.dumps([curve.notes[i] for i in chosen], ensure_ascii=False)} if curve.notes else {}
+        # line, then signs
+        x, y, colour = self.x.at(given_x), self.y.at(given_y), curve.colour
         kind = f"{'curve' if curve.is_read else 'shape'} {curve.group}".strip()
-        x, y = self.x.at(curve.x), self.y.at(curve.y)
-        extra = f' class="{kind}"{svg.attributes(data)}'
-        yield svg.line(
-            svg.path(x, y) if curve.width else "",
-            curve.colour,
-            curve.width,
-            curve.opacity,
-            cap="round",
-            dashes=curve.dashes,
-            extra=extra,
-        )
+        extra, path = f' class="{kind}"{svg.attributes(data)}', svg.path(x, y) if curve.width else ""
+        yield svg.line(path, colour, curve.width, curve.opacity, cap="round", dashes=curve.dashes, extra=extra)
         if curve.dot:
-            sign = f' class="{curve.dot}"'
-            yield svg.line(
-                svg.signs(x, y, curve.dot), curve.colour, 1.4 if curve.dot == "cross" else 4.5, cap="round", extra=sign
-            )
+            width, extra = 1.4 if curve.dot == "cross" else 4.5, f' class="{curve.dot}"'
+            yield svg.line(svg.signs(x, y, curve.dot), colour, width, cap="round", extra=extra)
 
     def _at(self, x: float | None, y: float | None, content: str, group: str = "") -> str:
         """Return elements about a point that moves with the axes, or about an axis where a coordinate is None."""

@@ -27,7 +27,8 @@ def thinned(y: RealArray, most: int = MOST_POINTS) -> NDArray[np.intp]:
     least = np.where(np.isfinite(padded), padded, np.inf).argmin(axis=1)
     most = np.where(np.isfinite(padded), padded, -np.inf).argmax(axis=1)
     found = np.concatenate([[0], starts + least, starts + most, [y.size - 1]])
-    return np.asarray(np.unique(found[found < y.size]))
+    found = np.sort(found[found < y.size])
+    return np.asarray(found[np.diff(found, prepend=-1) > 0])  # `np.unique` would load numpy.ma
 
 
 def spread(count: int) -> NDArray[np.intp]:

@@ -91,7 +91,8 @@ def bent_robot(run: Run, most: int = FRAMES) -> BentRobot:
     """
     recording, scene = run.recording, run.robot
     grid = np.linspace(recording.time[0], recording.time[-1], most)
-    index = np.unique(np.minimum(recording.time.searchsorted(grid), recording.time.size - 1))
+    index = np.minimum(recording.time.searchsorted(grid), recording.time.size - 1)
+    index = index[np.diff(index, prepend=-1) > 0]
     time, shapes = recording.time[index], scene_shapes(scene)
     end = np.stack([recording[name].values[index] for name in POSITION], axis=1)
     rigid_end = run.plan.task.evaluate(np.minimum(time, run.plan.duration), 0)[0]

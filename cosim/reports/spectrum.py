@@ -42,7 +42,7 @@ def spectrum(time: RealArray, values: RealArray, begin: float) -> tuple[RealArra
     if steps.size < LEAST or not np.all(np.isfinite(values)):
         return None
     # equal steps, which are those of the recording where that has them
-    count = min(round((time[-1] - time[0]) / float(np.median(steps))), MOST)
+    count = min(round((time[-1] - time[0]) / float(np.sort(steps)[steps.size // 2])), MOST)
     grid = np.linspace(time[0], time[-1], count + 1)
     sampled = np.interp(grid, time, values)
     # the window weighs the mean too, so that none of it leaks
