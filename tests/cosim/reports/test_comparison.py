@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,3 +55,16 @@ def test_many_runs_stay_below_the_limit_of_a_page() -> None:
     """Of 1.5 MB; each run has fewer points then."""
     text = render_comparison([compared(f"run {i}", 1.0 + i) for i in range(30)])
     assert len(text.encode()) < 1.5e6
+
+
+@pytest.mark.slow
+def test_the_documented_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """docs/report.md: a page of two runs."""
+    text = (Path(__file__).parents[3] / "docs" / "report.md").read_text(encoding="utf-8")
+    example = re.search(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert example is not None
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example[1], "docs/report.md", "exec"), {})
+    page = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    assert "Spectra of the residual vibration" in page
+    assert re.search(r"\(−\d+\.\d %\)", page)
