@@ -1,4 +1,4 @@
-"""Repeated forward and reverse motions, for learning controllers."""
+"""Repeated forward and reverse motions, for scenes with a way back and for learning controllers."""
 
 from __future__ import annotations
 
@@ -116,7 +116,15 @@ def _distinct(time: RealArray, left: NDArray[np.bool_], near: float) -> tuple[In
     return first, place
 
 
-def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None) -> MotionPlan:
+def in_cycles(plan: MotionPlan) -> MotionPlan:
+    """The plan of a single motion with the way back, cycles and pauses of its scene; the plan itself if there are none."""
+    section = plan.scene.trajectory
+    if section.way_back == "none" or plan.repetition is not None:
+        return plan
+    return repeated(plan, section.cycles, dwell=section.pause)
+
+
+def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None, dwell: float | None = None) -> MotionPlan:
     """The plan with its motion repeated forward and reverse, with dwells between.
 
     Args:
@@ -124,11 +132,12 @@ def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None) ->
         cycles: number of cycles.
         sample_time: [s]; each dwell is extended so that motion and dwell are a whole number of samples. None keeps the
             dwell.
+        dwell: duration of each dwell between two motions [s]; None for the scene's own dwell.
 
     Raises:
         InputError: the number of cycles isn't a positive whole number.
     """
-    dwell = plan.scene.trajectory.dwell
+    dwell = plan.scene.trajectory.dwell if dwell is None else dwell
     if sample_time is not None:
         samples = ceil((plan.duration + dwell) / sample_time * (1.0 - 1e-9))
         dwell = max(samples * sample_time - plan.duration, 0.0)

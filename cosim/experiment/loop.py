@@ -55,6 +55,7 @@ def make_loop(
     shapers: Iterable[Any] = (),
     imperfections: Iterable[Any] = (),
     connect: Mapping[str, str] | None = None,
+    repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
 ) -> Loop:
     """Make a loop of blocks, slaves, python-control systems and FMU files, see `as_slave`.
 
@@ -64,13 +65,14 @@ def make_loop(
         shapers: `Shaper`, `ImpulseSequence` for the joint references, or slaves in series with references.
         imperfections: slaves in series with signals, in this order, or `PayloadError`.
         connect: ``slave.input`` → source, beyond equal names.
+        repeat: as for `shape`.
 
     Raises:
         InputError: something is of a kind that can't be a slave.
         TrajectoryError: a shaper can't act on this motion.
     """
     names = SlaveNames()
-    return close_loop(shape(motion, list(shapers), names), controllers, imperfections, connect or {}, names)
+    return close_loop(shape(motion, list(shapers), names, repeat), controllers, imperfections, connect or {}, names)
 
 
 def close_loop(
@@ -111,7 +113,7 @@ def shape(
         motion: the planned motion.
         shapers: as for `make_loop`.
         names: names assigned so far.
-        repeat: function that repeats the motion for learning controllers; applied before the sampled shapers.
+        repeat: function that repeats the motion, for cycles or learning controllers; applied before the sampled shapers.
 
     Raises:
         InputError: something is of a kind that can't be a slave.

@@ -156,8 +156,12 @@ def run_loop(
         InputError: an argument can't be made a slave, or the slaves can't be connected.
         BuildError: the FMU can't be built.
     """
-    planned = plan(scene) if motion is None else motion
-    return run_scene(scene, loop=make_loop(planned, controllers, shapers, imperfections, connect), **options)
+    if motion is not None:
+        return run_scene(scene, loop=make_loop(motion, controllers, shapers, imperfections, connect), **options)
+    from flexfmu.cosim.experiment.cycles import in_cycles
+
+    loop = make_loop(plan(scene), controllers, shapers, imperfections, connect, in_cycles)
+    return run_scene(scene, loop=loop, **options)
 
 
 class PreparedScene:
@@ -210,7 +214,7 @@ class PreparedScene:
         record = Selection(section.record, section.record_order, section.record_step) if record is None else record
         self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
         self._step = section.communication_step if fixed is None else fixed
-        _check_step(self._step, self._loop.motion.duration)
+        _check_step(self._step, self._loop.motion.once.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
         self._call_limit = section.call_limit if call_limit is None else call_limit
@@ -299,7 +303,7 @@ class PreparedScene:
         if not (alone and same and scene.trajectory.start == before.trajectory.start):
             return False
         loop = loop_of(scene)
-        _check_step(self._step, loop.motion.duration)
+        _check_step(self._step, loop.motion.once.duration)
         self._loop, self._stop_time = loop, loop.motion.stop_time
         self._again = {**self._again, "scene": scene, "loop": loop}
         self._parts.references.follow(loop.driving)
@@ -347,7 +351,9 @@ class PreparedScene:
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The companion: communication steps that divide those of the run, and tighter tolerances."""
         samples = [slave.sample_time for slave in self._sampled]
-        longest = min(0.5 * self._step, self._loop.motion.duration / COMPANION_STEPS, *(0.5 * each for each in samples))
+        longest = min(
+            0.5 * self._step, self._loop.motion.once.duration / COMPANION_STEPS, *(0.5 * each for each in samples)
+        )
         step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
         tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)
         finer = {**self._again, "communication_step": step, "tolerance": tolerance}

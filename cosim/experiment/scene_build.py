@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from flexfmu.model.scene.schema import Scene
     from flexfmu.model.symbolic import SymbolicModel
 
-_PATH_KEYS = {"lift", "height", "width", "blend", "profile", "duration", "dwell"}
+_PATH_KEYS = {"lift", "height", "width", "blend", "profile", "duration", "dwell", "way_back", "cycles", "pause"}
 _RUN_KEYS = {
     "step",
     "tolerance",
@@ -70,7 +70,7 @@ def build_scene(
         return build_model(scene)
 
     # end of motion and dwell, rounded: 0.43 + 0.25 = 0.68
-    stop_time = float(f"{scene.trajectory.duration + scene.trajectory.dwell:.12g}")
+    stop_time = float(f"{scene.trajectory.moving_time + scene.trajectory.dwell:.12g}")
     return build_fmu(
         make_model,
         key=scene_key(scene),

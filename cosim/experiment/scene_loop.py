@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.engine.errors import InputError
@@ -35,23 +36,29 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
     """
     shapers = scene.shaper if motion is None else ()
     planned = plan(scene) if motion is None else motion
-    if not (scene.controller or shapers or scene.imperfection):
+    # the scene's own motion has its cycles, a given one is what runs
+    with_cycles = motion is None and scene.trajectory.way_back != "none"
+    if not (scene.controller or shapers or scene.imperfection or with_cycles):
         return Loop(planned, planned.joints)
     names = SlaveNames()
     builder = _Builder(scene, planned, names)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
-    course = shape(planned, [builder.shaper(each) for each in shapers], names, lambda shaped: _repeated(scene, shaped))
+    course = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
     controllers = [builder.slave(each, course.motion) for each in scene.controller]
     imperfections = [builder.imperfection(each, controllers) for each in scene.imperfection]
     return close_loop(course, controllers, imperfections, builder.connect, names)
 
 
-def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
-    """The motion, repeated if a controller learns.
+def _repeated(scene: Scene, with_cycles: bool, motion: MotionPlan) -> MotionPlan:
+    """The motion, repeated if a controller learns, or with the scene's cycles.
 
     Raises:
         InputError: controllers learn over different numbers of cycles, or at different sample times.
     """
+    if with_cycles:
+        from flexfmu.cosim.experiment.cycles import in_cycles
+
+        return in_cycles(motion)
     learning = [each for each in scene.controller if isinstance(each, LearningSection)]
     if not learning or motion.repetition is not None:
         return motion

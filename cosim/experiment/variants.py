@@ -31,6 +31,9 @@ FEW = 16
 DURATION = "trajectory.duration"
 """Key of the motion's duration [s]."""
 
+WAY_BACK = "trajectory.way_back"
+"""Key of the way back."""
+
 BAND = 1.25
 """Largest ratio of durations side by side: their communication points are at the same places of the motion."""
 
@@ -206,7 +209,8 @@ class VariantTask(Generic[T]):
         measure = self.measure
         if not isinstance(measure, PeakMeasure | SignalMeasure):
             return
-        scales = isinstance(measure, PeakMeasure) and not self.scene.shaper
+        # shapers and pauses last as long in motions of other durations
+        scales = isinstance(measure, PeakMeasure) and not self.scene.shaper and self._is_single(variants)
         for members in _groups(dict(enumerate(variants)), _shape if scales else lambda variant: variant.scene):
             lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)] if scales else members
             lasting.sort(key=lambda i: -self._duration(variants[i]) if scales else i)
@@ -218,6 +222,11 @@ class VariantTask(Generic[T]):
                 if k - first >= FEW:
                     yield lasting[first:k]
                 first = k
+
+    def _is_single(self, variants: Sequence[Variant]) -> bool:
+        """Whether all variants are one motion without a way back."""
+        usual = self.scene.trajectory.way_back
+        return all(each.scene.get(WAY_BACK, usual) == "none" for each in variants)
 
     def _duration(self, variant: Variant) -> Any:
         """Duration of a variant's motion [s]."""

@@ -76,9 +76,16 @@ def _motion_sentence(scene: Mapping[str, Any]) -> str:
     blend, profile = BLENDS[trajectory["blend"]["kind"]].label, PROFILES[trajectory["profile"]["kind"]].label
     return (
         f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
-        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile, then a dwell of "
+        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile{_cycles(trajectory)}, then a dwell of "
         f"{trajectory['dwell']:g} s; payload {scene['payload']['mass']:g} kg."
     )
+
+
+def _cycles(trajectory: Mapping[str, Any]) -> str:
+    if trajectory.get("way_back", "none") == "none":
+        return ""
+    times = "once" if trajectory["cycles"] == 1 else f"{trajectory['cycles']} times"
+    return f", there and back {times} with pauses of {trajectory['pause']:g} s"
 
 
 def _metric_row(name: str, value: float | None, error: float | None) -> dict[str, str]:

@@ -25,6 +25,7 @@ POSE = "pose"
 
 def scene_panel(plan: MotionPlan, data: Mapping[str, str] | None = None) -> Panel:
     """Return the path and the mechanism, to scale [m]; the poses are hidden where the page's script animates ``data``."""
+    plan = plan.once
     path = plan.task.evaluate(np.linspace(0.0, plan.duration, PATH_POINTS), 0)[0]
     path_curve = Curve(path[:, 0], path[:, 1], colour=SECOND, width=1.8, opacity=0.6, is_read=False)
     curves, markers = [path_curve], list[Marker]()

@@ -61,7 +61,8 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         units: recorded signal → unit.
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
-        learning: only for a repeated motion: period [s] and tracking errors of both joints in each cycle [rad].
+        cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
+        learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad].
     """
     return {
         "scene": run.scene.model_dump(mode="json", exclude_none=True),
@@ -71,7 +72,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "errors": {name: measurement.error for name, measurement in measurements.items()},
         "health": _health(run, measurements),
         **_shaping(run),
-        **_learning(run),
+        **_cycles(run),
         "slaves": [asdict(slave) for slave in run.slaves],
         "delays": [_delay(delay) for delay in run.delays],
         "timing": _timing(run),
@@ -150,13 +151,18 @@ def _shaping(run: Run) -> dict[str, Any]:
     return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
 
 
-def _learning(run: Run) -> dict[str, Any]:
-    """Return RMS and largest tracking error of both joints [rad] in each cycle; empty for a motion without repetition."""
-    if run.plan.repetition is None:
+def _cycles(run: Run) -> dict[str, Any]:
+    """Return number and period [s] of cycles, and RMS and largest tracking error of both joints [rad] in each.
+
+    Empty for a motion without repetition; no errors for a robot whose joints follow exactly.
+    """
+    repetition = run.plan.repetition
+    if repetition is None:
         return {}
 
-    cycles = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
-    return {"learning": {"period": run.plan.repetition.period, "tracking_errors": cycles}}
+    found = {"cycles": {"number": repetition.cycles, "period": repetition.period, "motion": repetition.once.duration}}
+    errors = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
+    return {**found, "learning": {"period": repetition.period, "tracking_errors": errors}} if errors else found
 
 
 def _delay(delay: SignalDelay) -> dict[str, Any]:

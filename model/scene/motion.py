@@ -80,7 +80,10 @@ class BlendSection(Section):
 
 
 class TrajectorySection(Section):
-    """The Adept half cycle: lift, crossing and lowering with blended corners, then a standstill of `dwell`."""
+    """The Adept half cycle: lift, crossing and lowering with blended corners, then a standstill of `dwell`.
+
+    With a way back it is a number of cycles: there, `pause`, the same motion reversed in time, `pause`, and so on.
+    """
 
     start: StartPoint
     lift: LiftDirection
@@ -90,6 +93,22 @@ class TrajectorySection(Section):
     profile: Annotated[Profile, BeforeValidator(named_kind)]
     duration: Seconds
     dwell: SecondsOrZero = 0.0
+    way_back: Literal["none", "same-path"] = "none"
+    cycles: Annotated[int, quantity("1", ge=1)] = 1
+    pause: SecondsOrZero = 0.0
+
+    @property
+    def moving_time(self) -> float:
+        """Time from the start of the first motion to the end of the last one [s], pauses included, without shapers."""
+        motions = 1 if self.way_back == "none" else 2 * self.cycles
+        return motions * self.duration + (motions - 1) * self.pause
+
+    @model_validator(mode="after")
+    def _cycles_come_back(self) -> Self:
+        for key, value, usual in (("cycles", self.cycles, 1), ("pause", self.pause, 0.0)):
+            if self.way_back == "none" and value != usual:
+                raise ValueError(f'`{key}` = {value:g} needs a way back: add `way_back = "same-path"`')
+        return self
 
     @model_validator(mode="after")
     def _blends_fit(self) -> Self:

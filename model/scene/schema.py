@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from flexfmu.model.scene.assembly import check_start_pose
 from flexfmu.model.scene.choice import fill_in
-from flexfmu.model.scene.controllers import ControllerSection
+from flexfmu.model.scene.controllers import ControllerSection, LearningSection
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.effects import LOADS, Effects
 from flexfmu.model.scene.errors import SceneError
@@ -81,6 +81,15 @@ class Scene(Section):
                 name, place = getattr(section, "name", None), f"`{key}[{index}].name`"
                 if name is not None and owners.setdefault(name, place) != place:
                     raise ValueError(f"{owners[name]} and {place} are both {name!r}: give each a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _cycles_are_given_once(self) -> Self:
+        if self.trajectory.way_back != "none" and any(isinstance(each, LearningSection) for each in self.controller):
+            raise ValueError(
+                "controllers that learn repeat the motion there and back by their own `cycles`: leave out "
+                "`trajectory.way_back`, `cycles` and `pause`; the dwell is the pause"
+            )
         return self
 
     @model_validator(mode="after")

@@ -117,9 +117,9 @@ def build(
 
 
 def plan(scene: SceneSource) -> MotionPlan:
-    """Plan a scene's motion without its shapers, and check it along the whole path.
+    """Plan a scene's motion, with its way back and cycles but without its shapers, and check it along the whole path.
 
-    Calls `flexfmu.cosim.experiment.planning.plan`.
+    Calls `flexfmu.cosim.experiment.planning.plan`; ``plan.once`` is the plan of a single motion.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
@@ -134,7 +134,9 @@ def plan(scene: SceneSource) -> MotionPlan:
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
         TypeError: ``scene`` is of another type.
     """
-    return plan_motion(_scene(scene))
+    from flexfmu.cosim.experiment.cycles import in_cycles  # which few scenes need
+
+    return in_cycles(plan_motion(_scene(scene)))
 
 
 def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:

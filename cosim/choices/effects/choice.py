@@ -104,7 +104,7 @@ class Observed:
 def resolved(scene: Scene, show: ShowProgress = quiet) -> Scene:
     """Return the scene with chosen effects if it has ``select = "auto"``, otherwise the scene itself.
 
-    The choice is made for the scene's unshaped motion, which the motors follow exactly.
+    The choice is made for one unshaped motion, without the way back, which the motors follow exactly.
 
     Raises:
         BuildError: an FMU for the verification can't be built.
@@ -217,7 +217,7 @@ def _errors(metrics: MetricValues, other: MetricValues, units: MetricValues) -> 
 def observe(
     scene: Scene, of: tuple[MeasureName, ...], fmu_of: FmuOf | None = None, tolerance: float | None = None
 ) -> Observed:
-    """Run a scene without its controllers, shapers and imperfections, as the estimates assume, and return the metrics.
+    """Run one motion of a scene without controllers, shapers and imperfections, as the estimates assume; return the metrics.
 
     Args:
         scene: with chosen effects.
@@ -228,7 +228,8 @@ def observe(
     Raises:
         ResultsError: the run failed.
     """
-    bare = scene.replace({"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"})
+    alone = {"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"}
+    bare = scene.replace({**alone, "trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0})
     path = (fmu_of or _built)(bare)
     prepared = PreparedScene(bare, fmu_path=path, tolerance=tolerance)
     run = prepared.run()

@@ -1,0 +1,144 @@
+"""Scenes with a way back, cycles and pauses: a duty cycle of pick and place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.control.shapers import Shaper
+from flexfmu.cosim.experiment.cycles import repeated
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_loop
+from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.metrics.chosen import measuring
+from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
+from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.summary import summarise
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.shapers import ImpulseSequence
+
+TWICE = {"trajectory.way_back": "same-path", "trajectory.cycles": 2, "trajectory.pause": 0.05}
+RIGID_LINKS = dict.fromkeys(
+    (f"effects.{link}_{kind}" for link in ("proximal", "distal") for kind in ("bending", "axial")), 0
+)
+BENDING = {**RIGID_LINKS, "effects.proximal_bending": 1}
+NAMES = ("peak_torque_1", "peak_torque_2", "peak_tip_deflection_1")
+
+
+@cache
+def robot(**changes: Any) -> Scene:
+    """One mode of each proximal link, a short motion, coarse steps."""
+    return load_scene("barnard2012-6kg").replace(
+        {**BENDING, "trajectory.duration": 0.3, "trajectory.dwell": 0.1, "cosimulation.step": 2e-3, **changes}
+    )
+
+
+@pytest.fixture(scope="module")
+def cycles() -> flexfmu.Run:
+    """A run of two cycles."""
+    return flexfmu.run(robot().replace(TWICE))
+
+
+def test_a_scene_of_cycles_is_the_repeated_motion() -> None:
+    """Two cycles of 2 (0.3 + 0.05) s, without the last pause; the end effector comes back, and the middle is the place."""
+    motion = flexfmu.plan(robot().replace(TWICE))
+    assert (motion.duration, motion.stop_time) == (pytest.approx(1.35), pytest.approx(1.45))
+    assert motion.duration == pytest.approx(motion.scene.trajectory.moving_time, rel=1e-15)
+    x = motion.task.evaluate([0.0, 0.325, 0.7, 1.025, 1.35], 1)
+    np.testing.assert_allclose(x[0], np.array([[-0.175, 0.32], [0.175, 0.32]] * 2 + [[-0.175, 0.32]]), atol=1e-12)
+    np.testing.assert_array_equal(x[1], 0.0)
+    # the same as the repetition in Python
+    again = repeated(plan(robot()), 2, dwell=0.05)
+    time = np.linspace(0.0, 1.35, 200)
+    np.testing.assert_array_equal(motion.joints.evaluate(time), again.joints.evaluate(time))
+
+
+def test_metrics_are_those_of_the_whole_duty_cycle(cycles: flexfmu.Run) -> None:
+    """Peaks are at least those of one motion, and the residual vibration is that about the pick position at the end."""
+    once, whole = metrics_of(flexfmu.run(robot())), metrics_of(cycles)
+    assert cycles.recording.time[-1] == pytest.approx(1.45)
+    for name in NAMES:
+        assert (whole[name] or 0.0) >= (once[name] or np.inf) * (1.0 - 1e-3)
+    assert {name for name, value in once.items() if value is None} == {
+        name for name, value in whole.items() if value is None
+    }
+    np.testing.assert_allclose(cycles.plan.end_pose[1], [-0.175, 0.32], atol=1e-12)
+
+
+def test_a_rigid_robot_has_the_same_torques_in_all_cycles() -> None:
+    """Inverse dynamics knows no past: torques of the way back mirror those of the way there, cycle after cycle."""
+    run = flexfmu.run(robot().replace({**RIGID_LINKS, **TWICE, "cosimulation.step": 5e-3}))
+    time, torque = run.recording.time, run.recording["joint1.torque"].values
+    first = np.interp([0.1, 0.2, 0.28], time, torque)
+    np.testing.assert_allclose(np.interp([0.8, 0.9, 0.98], time, torque), first, rtol=1e-6)
+    back = np.interp([0.55, 0.45, 0.37], time, torque)
+    np.testing.assert_allclose(back, first, rtol=1e-6)
+
+
+def test_shaped_motions_are_repeated_as_they_are() -> None:
+    """Every motion of the cycles is longer by the shaper's duration, in scripts and in scenes."""
+    sequence = ImpulseSequence((0.0, 0.02), (0.5, 0.5))
+    run = run_loop(robot().replace(TWICE), shapers=[Shaper(sequence)])
+    assert run.plan.duration == pytest.approx(4 * 0.32 + 3 * 0.05)
+    assert run.plan.once.duration == pytest.approx(0.32)
+
+
+def test_summary_and_report_tell_of_the_cycles(cycles: flexfmu.Run) -> None:
+    """flexfmu run writes number and period of the cycles."""
+    summary = summarise(cycles, measure_run(cycles, 0))
+    assert summary["cycles"] == {"number": 2, "period": pytest.approx(0.7), "motion": 0.3}
+    assert "learning" not in summary
+    assert "there and back 2 times with pauses of 0.05 s" in render_report(summary, ())
+
+
+def test_variants_of_cycles_are_their_own_runs() -> None:
+    """Numbers of cycles, pauses and durations vary, side by side or not, and each is what its scene alone gives."""
+    varied: Sequence[dict[str, Any]] = [
+        *({**TWICE, "trajectory.cycles": 1, "trajectory.duration": 0.3 + 0.002 * k} for k in range(17)),
+        {**TWICE, "trajectory.pause": 0.0},
+    ]
+    found = run_variants(robot(), varied, measuring(["peak_torque_1"]))
+    for k in (0, 16, 17):
+        run = flexfmu.run(robot().replace(dict(varied[k])))
+        assert found[k].value == pytest.approx(metrics_of(run, ["peak_torque_1"]), rel=1e-6)
+
+
+def test_variants_of_parameters_run_side_by_side_over_all_cycles() -> None:
+    """Payloads over two cycles in lockstep agree with runs of the FMU."""
+    scene = robot().replace(TWICE)
+    payloads = [{"payload.mass": 1.0 + 0.2 * k} for k in range(16)]
+    found = run_variants(scene, payloads, measuring(["peak_torque_1"]))
+    run = PreparedScene(scene).run({"payload.mass": 4.0})
+    assert found[15].value == pytest.approx(metrics_of(run, ["peak_torque_1"]), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"trajectory.cycles": 3}, '`cycles` = 3 needs a way back: add `way_back = "same-path"`'),
+        ({"trajectory.pause": 0.1}, '`pause` = 0.1 needs a way back: add `way_back = "same-path"`'),
+        ({**TWICE, "trajectory.cycles": 0}, "`trajectory.cycles` must be at least 1"),
+        ({**TWICE, "trajectory.pause": -0.1}, "`trajectory.pause` must be at least 0.0 s, got -0.1 s"),
+        ({"trajectory.way_back": "other"}, "`trajectory.way_back`"),
+    ],
+)
+def test_cycles_without_sense_are_refused(changes: dict[str, Any], message: str) -> None:
+    """What is wrong and what would be right, on one line."""
+    with pytest.raises(SceneError, match=message.replace("(", r"\(")):
+        robot().replace(changes)
+
+
+def test_learning_controllers_have_cycles_of_their_own() -> None:
+    """Both would repeat the motion."""
+    learning = [{"kind": "learning", "gain": 1.0, "cycles": 3, "sample_time": 1e-3}]
+    with pytest.raises(
+        SceneError, match="controllers that learn repeat the motion there and back by their own `cycles`"
+    ):
+        robot().replace({**TWICE, "controller": learning, "cosimulation.drive": "torque"})
