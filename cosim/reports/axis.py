@@ -4,7 +4,8 @@ power of ten, at most nine intervals. `templates/page.js` has the same rules for
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -81,3 +82,25 @@ class Axis:
         exact = 1e-3 * float(ticks[1] - ticks[0])
         decimals = next((d for d in range(12) if np.all(np.abs(ticks - np.round(ticks, d)) < exact)), 12)
         return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in ticks.tolist()]
+
+
+def to_scale(x: Axis, y: Axis) -> tuple[Axis, Axis]:
+    """Return axes of the same scale, as large as these ones allow, in the middle of their top."""
+    across, down = x.high - x.low, y.high - y.low
+    scale = min((x.end - x.begin) / across, (y.begin - y.end) / down)
+    spare = 0.5 * (x.end - x.begin - scale * across)
+    return (replace(x, begin=x.begin + spare, end=x.end - spare), replace(y, begin=y.end + scale * down))
+
+
+def limits(values: Sequence[RealArray], margin: float, is_log: bool = False) -> tuple[float, float]:
+    """Return the smallest and the largest finite value, with a margin in terms of their difference; positive ones on a log axis."""
+    finite = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for each in values)])
+    if is_log:
+        logarithms = np.log10(finite[finite > 0.0])
+        low, high = limits([logarithms if logarithms.size else np.array([-1.0, 0.0])], margin)
+        return 10.0**low, 10.0**high
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    if high - low <= 1e-12 * max(abs(low), abs(high)):
+        span = 0.1 * max(abs(low), abs(high)) or 0.1  # of a constant
+        low, high = low - 0.5 * span, high + 0.5 * span
+    return low - margin * (high - low), high + margin * (high - low)

@@ -10,15 +10,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 from typing import Literal
 
-import numpy as np
-
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports import svg
-from flexfmu.cosim.reports.axis import Axis
+from flexfmu.cosim.reports.axis import Axis, limits, to_scale
 from flexfmu.cosim.reports.curve_data import packed, spread, thinned
 from flexfmu.cosim.reports.svg import FIRST, GREY, INK, PALE
 
@@ -240,11 +238,11 @@ def _boxes(size: tuple[float, float], panels: Sequence[Panel]) -> Iterator[_Box]
     # horizontal limits, and vertical axes with their places
     is_log = "x" in panels[0].logarithmic
     margin = 0.05 if panels[0].is_to_scale or not panels[0].is_function else 0.01
-    low, high = panels[0].limits or _limits([curve.x for panel in panels for curve in panel.curves], margin, is_log)
+    low, high = panels[0].limits or limits([curve.x for panel in panels for curve in panel.curves], margin, is_log)
     verticals, top = [], PADDING
     for panel, space in zip(panels, above, strict=True):
         top += space
-        bottom, top_limit = _limits([curve.y for curve in panel.curves], 0.05, "y" in panel.logarithmic)
+        bottom, top_limit = limits([curve.y for curve in panel.curves], 0.05, "y" in panel.logarithmic)
         bottom = 0.0 if panel.from_zero else bottom if panel.least is None else max(bottom, panel.least)
         verticals.append(Axis(bottom, top_limit, top + each, top, 2.0 * FONT, "y" in panel.logarithmic))
         top += each + GAP
@@ -254,29 +252,7 @@ def _boxes(size: tuple[float, float], panels: Sequence[Panel]) -> Iterator[_Box]
     begin, end = 2 * 8.0 + ROW * lines + FONT * digits + 7.0, width - PADDING
     for panel, axis in zip(panels, verticals, strict=True):
         horizontal = Axis(low, high, begin, end, 3.0 * FONT, is_log)
-        yield _to_scale(horizontal, axis) if panel.is_to_scale else _Box(horizontal, axis)
-
-
-def _to_scale(x: Axis, y: Axis) -> _Box:
-    """Return axes of the same scale, as large as these ones allow, in the middle of their top."""
-    across, down = x.high - x.low, y.high - y.low
-    scale = min((x.end - x.begin) / across, (y.begin - y.end) / down)
-    spare = 0.5 * (x.end - x.begin - scale * across)
-    return _Box(replace(x, begin=x.begin + spare, end=x.end - spare), replace(y, begin=y.end + scale * down))
-
-
-def _limits(values: Sequence[RealArray], margin: float, is_log: bool = False) -> tuple[float, float]:
-    """Return the smallest and the largest finite value, with a margin in terms of their difference; positive ones on a log axis."""
-    finite = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for each in values)])
-    if is_log:
-        logarithms = np.log10(finite[finite > 0.0])
-        low, high = _limits([logarithms if logarithms.size else np.array([-1.0, 0.0])], margin)
-        return 10.0**low, 10.0**high
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    if high - low <= 1e-12 * max(abs(low), abs(high)):
-        span = 0.1 * max(abs(low), abs(high)) or 0.1  # of a constant
-        low, high = low - 0.5 * span, high + 0.5 * span
-    return low - margin * (high - low), high + margin * (high - low)
+        yield _Box(*(to_scale(horizontal, axis) if panel.is_to_scale else (horizontal, axis)))
 
 
 def _marker(marker: Marker) -> str:

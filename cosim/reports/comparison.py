@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement, display
@@ -104,6 +106,15 @@ def _plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
         ]
         if panels:
             yield Plot(f"compared-{number}", title, "As recorded.", tuple(panels), height=_height(panels))
+    deviations = [
+        _curve(number, run, *_thinned(run.recording.time, 1e3 * deviation, runs))
+        for number, run in enumerate(runs)
+        if (deviation := _deviation(run.recording)) is not None
+    ]
+    if deviations:
+        caption = "Distance of the end effector from the rigid robot's at the same time."
+        panel = Panel(label="error [mm]", curves=deviations, from_zero=True, marks=_marks(runs))
+        yield Plot("compared-deviation", "Position error", caption, (panel,))
     panels = [spectrum_panel(f"{label}\n[µm]", _spectra(runs, name)) for name, label in SPECTRA.items()]
     panels = [panel for panel in panels if panel.curves]
     if panels:
@@ -121,10 +132,23 @@ def _curves(runs: Sequence[ComparedRun], name: str, factor: float) -> list[Curve
     curves = []
     for number, run in enumerate(runs):
         if name in run.recording.columns:
-            values = run.recording[name].values
-            chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
-            curves.append(_curve(number, run, run.recording.time[chosen], factor * values[chosen]))
+            values = factor * run.recording[name].values
+            curves.append(_curve(number, run, *_thinned(run.recording.time, values, runs)))
     return curves
+
+
+def _thinned(time: RealArray, values: RealArray, runs: Sequence[ComparedRun]) -> tuple[RealArray, RealArray]:
+    """Return as many points as a run's curve may have."""
+    chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
+    return time[chosen], values[chosen]
+
+
+def _deviation(recording: Recording) -> RealArray | None:
+    """Return the distance of the end effector from the rigid robot's [m]; None where one of them wasn't recorded."""
+    pairs = [(f"end_effector.position.{axis}", f"end_effector.reference.position.{axis}") for axis in "xy"]
+    if not all(name in recording.columns for pair in pairs for name in pair):
+        return None
+    return np.hypot(*(recording[one].values - recording[other].values for one, other in pairs))
 
 
 def _spectra(runs: Sequence[ComparedRun], name: str) -> list[Curve]:

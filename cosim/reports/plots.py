@@ -56,7 +56,9 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     robot = bent_robot(run)
     caption += " With scripts it moves, its deviation from the rigid robot magnified."
     yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot.data()))
-    caption = f"Path of the end effector; its deviation from the rigid robot's at the same time, {robot.magnification:g} times."
+    caption = (
+        f"Path of the end effector; its deviation from the rigid robot's at the same time × {robot.magnification:g}."
+    )
     yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
     yield Plot("references", "Joint references", "What drives the robot.", _references(run), height=REFERENCES_HEIGHT)
     torques = _pair(run, TORQUES, "joint", "torque [N·m]", 1.0)
