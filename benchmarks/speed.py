@@ -30,6 +30,7 @@ from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, 
 from speed_metrics import metric_figures
 from speed_motions import motion_figures
 from speed_recording import recording_figures
+from speed_sweep import sweep_figures
 from speed_variants import lockstep_figures
 
 REPEAT = 30
@@ -159,6 +160,7 @@ def main() -> int:
         motion_figures,
         loop_figures,
         recording_figures,
+        sweep_figures,
         peer_figures,
     )
     for measure in measures:

@@ -177,7 +177,7 @@ class FolderStore:
 
     def has(self, numbers: Sequence[int]) -> bool:
         """Whether all of these cases are finished."""
-        return self.is_complete or bool((self._offsets[np.asarray(numbers)] >= 0).all())
+        return self.is_complete or all(self._offsets.item(number) >= 0 for number in numbers)
 
     def add(self, rows: Iterable[Row]) -> None:
         """Write finished cases at once, each as a line."""

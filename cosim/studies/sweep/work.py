@@ -117,6 +117,10 @@ class Job:
     record: Selection | None = None
     _tasks: dict[int, VariantTask[Any] | Exception] = field(default_factory=dict, init=False, repr=False, compare=False)
 
+    def __reduce__(self) -> tuple[type[Job], tuple[Any, ...]]:
+        """Without what is loaded, for other processes."""
+        return Job, (self.scene, self.cases, self.groups, self.metrics, self.record)
+
     def rows(self, share: Share) -> list[Row]:
         """The results of the cases of a share; those that fail have a message."""
         group, task = self.groups[share.group], self._task(share)

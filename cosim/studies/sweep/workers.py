@@ -5,19 +5,25 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import selectors
 import signal
 import sys
 import warnings
+from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from threading import Lock
-from typing import Any, Protocol, cast
+from time import monotonic
+from typing import Any, Protocol
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.studies.sweep.groups import Share
 from flexfmu.cosim.studies.sweep.work import Job, Row
+
+AHEAD, MOST_AHEAD = 0.05, 8
+"""How long the shares take that a process gets at once [s], and the largest number of them."""
 
 TRIALS = 2
 """How often a case is begun whose process ends, before it counts as failed."""
@@ -33,17 +39,24 @@ class Workers(Protocol):
 
 @dataclass(eq=False)
 class _Process:
-    """A process and its end of the pipe; the share that it works on."""
+    """A process and its end of the pipe; the shares that it works on, each with the number of the trial, and since when."""
 
     process: Any
     pipe: Connection
-    share: Share | None = None
-    trial: int = 0
+    tasks: deque[tuple[Share, int]] = field(default_factory=deque)
+    since: float = 0.0
+
+    def begin(self, tasks: Iterable[tuple[Share, int]]) -> None:
+        """Send shares."""
+        self.tasks.extend(tasks)
+        self.since = monotonic()
+        with contextlib.suppress(OSError):  # it has ended, which its pipe tells next
+            self.pipe.send([share for share, _ in self.tasks])
 
 
 @dataclass
 class LocalWorkers:
-    """Processes of this machine, each of which gets a new share when it has finished one.
+    """Processes of this machine, each of which gets new shares when it has finished its own: several at once where these are quick.
 
     If a process ends, of a slave's crash or because the system needs its memory, another one begins its share again; cases side
     by side are then simulated one by one. A case whose process ends twice counts as failed.
@@ -54,48 +67,63 @@ class LocalWorkers:
 
     count: int
     _retries: list[tuple[Share, int]] = field(default_factory=list, init=False)
+    _ahead: int = field(default=1, init=False)
 
     def results(self, job: Job, shares: Iterable[Share]) -> Generator[list[Row], None, None]:
         """Yield the results of each share, in the order in which they are finished."""
-        left, busy = iter(shares), dict[Connection, _Process]()
-        idle: list[_Process] = []
+        left, workers, idle = iter(shares), list[_Process](), list[_Process]()
         try:
-            while True:
-                # a share for every process that has none
-                while len(busy) < self.count and (task := self._next(left)) is not None:
-                    worker = idle.pop() if idle else _started(job)
-                    worker.share, worker.trial = task
-                    busy[worker.pipe] = worker
-                    with contextlib.suppress(OSError):  # it has ended, which `wait` tells
-                        worker.pipe.send(worker.share)
-                if not busy:
-                    return
-                for pipe in wait([*busy]):
-                    worker = busy.pop(cast(Connection, pipe))
-                    try:
-                        found = worker.pipe.recv()
-                    except (EOFError, OSError):
-                        yield self._lost(job, worker)
-                        continue
-                    idle.append(worker)
-                    if isinstance(found, BaseException):
-                        raise found
-                    yield found
+            with selectors.DefaultSelector() as selector:
+                while True:
+                    # shares for every process that has none
+                    while (idle or len(workers) < self.count) and (tasks := self._next(left)):
+                        if not idle:
+                            workers.append(_started(job))
+                            selector.register(workers[-1].pipe, selectors.EVENT_READ, workers[-1])
+                        (idle.pop() if idle else workers[-1]).begin(tasks)
+                    if len(idle) == len(workers):
+                        return
+                    for key, _ in selector.select():
+                        worker: _Process = key.data
+                        try:
+                            found = worker.pipe.recv()
+                        except (EOFError, OSError):
+                            selector.unregister(worker.pipe)
+                            workers.remove(worker)
+                            idle = [each for each in idle if each is not worker]
+                            yield self._lost(job, worker)
+                            continue
+                        if isinstance(found, BaseException):
+                            raise found
+                        self._finished(worker, idle)
+                        yield found
         finally:
-            _end([*busy.values()], [*idle])
+            _end(workers, idle)
 
-    def _next(self, left: Iterator[Share]) -> tuple[Share, int] | None:
-        """The next share and which trial it is."""
+    def _next(self, left: Iterator[Share]) -> list[tuple[Share, int]]:
+        """The next shares, each with the number of the trial; those that a process has lost alone."""
         if self._retries:
-            return self._retries.pop()
-        share = next(left, None)
-        return None if share is None else (share, 1)
+            return [self._retries.pop()]
+        return [(share, 1) for share in islice(left, self._ahead)]
+
+    def _finished(self, worker: _Process, idle: list[_Process]) -> None:
+        """A process has finished a share. Results are sent one by one, but quick shares several at once."""
+        now = monotonic()
+        self._ahead = max(1, min(MOST_AHEAD, int(AHEAD / max(now - worker.since, 1e-6))))
+        worker.since = now
+        worker.tasks.popleft()
+        if not worker.tasks:
+            idle.append(worker)
 
     def _lost(self, job: Job, worker: _Process) -> list[Row]:
         """Rows of a case whose process has ended for the last time; before, its share is to be begun again."""
         worker.process.join()
-        share, trial = worker.share, worker.trial
-        assert share is not None
+        worker.pipe.close()
+        if not worker.tasks:
+            return []
+        # those behind it have not begun
+        (share, trial), *others = worker.tasks
+        self._retries += others
         if trial < TRIALS:
             self._retries.append((share, trial + 1))
         elif len(share.numbers) > 1:
@@ -134,24 +162,26 @@ def _work(job: Job, pipe: Connection, other: Connection) -> None:
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
     warnings.simplefilter("ignore")
     with contextlib.suppress(EOFError, OSError):
-        while (share := pipe.recv()) is not None:
-            found: Any
-            try:
-                found = job.rows(share)
-            except Exception as error:
-                found = error
-            pipe.send(found)
+        while (shares := pipe.recv()) is not None:
+            for share in shares:
+                found: Any
+                try:
+                    found = job.rows(share)
+                except Exception as error:
+                    found = error
+                pipe.send(found)
     job.forget()
 
 
-def _end(busy: Iterable[_Process], idle: Iterable[_Process]) -> None:
+def _end(workers: Iterable[_Process], idle: Iterable[_Process]) -> None:
     """End processes: at once those that work, which happens after Ctrl-C and errors alone."""
-    for worker in busy:
-        worker.process.terminate()
-    for worker in idle:
-        with contextlib.suppress(OSError):
-            worker.pipe.send(None)
-    for worker in (*busy, *idle):
+    for worker in workers:
+        if worker in idle:
+            with contextlib.suppress(OSError):
+                worker.pipe.send(None)
+        else:
+            worker.process.terminate()
+    for worker in workers:
         worker.process.join()
         worker.pipe.close()
 
@@ -193,7 +223,7 @@ class DaskWorkers:
                 known[future.key] = share
                 return future
 
-            going = as_completed([submit(share) for share in islice(left, ahead)])
+            going = as_completed([submit(share) for share in islice(left, ahead)], loop=client.loop)
             for future in going:
                 share = known.pop(future.key)
                 try:

@@ -1,0 +1,52 @@
+"""A sweep on the workers of a Dask cluster, one of which is killed in the middle."""
+
+from __future__ import annotations
+
+import os
+import signal
+import warnings
+from pathlib import Path
+
+import pytest
+
+import flexfmu
+from flexfmu.cosim.engine.errors import InputError
+
+distributed = pytest.importorskip("distributed")
+
+SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
+    {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "cosimulation.step": 1e-3, "cosimulation.tolerance": 1e-3}
+)
+CASES = {"trajectory.duration": "0.2:0.25:60", "payload.mass": [5.0, 6.0]}
+METRICS = ["end_position_error"]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_lost_worker_costs_nothing(tmp_path: Path) -> None:
+    """The same bytes as by own processes."""
+    flexfmu.sweep(SCENE, CASES, metrics=METRICS, out=tmp_path / "here", processes=2)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        pids = [worker.pid for worker in cluster.workers.values()]
+        killed: list[int] = []
+
+        def kill_one(fraction: float) -> None:
+            if fraction > 0.3 and not killed:
+                killed.append(pids[0])
+                os.kill(pids[0], signal.SIGKILL)
+
+        found = flexfmu.sweep(
+            SCENE, CASES, metrics=METRICS, out=tmp_path / "there", dask=cluster.scheduler_address, progress=kill_one
+        )
+    assert killed
+    assert not found.failed
+    assert (tmp_path / "there" / "sweep.csv").read_bytes() == (tmp_path / "here" / "sweep.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_no_scheduler_is_an_error() -> None:
+    """One line within seconds."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with pytest.raises(InputError, match="no Dask scheduler at"):
+            flexfmu.sweep(SCENE, CASES, metrics=METRICS, dask="tcp://127.0.0.1:9")
