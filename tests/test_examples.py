@@ -48,6 +48,18 @@ def test_run_scene(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_compare_measured(tmp_path: Path) -> None:
+    """The delay is found within a few standard errors; with the right payload the differences are the noise."""
+    late, right, wrong = run_example("compare_measured.py", tmp_path).splitlines()
+    delay, error = numbers(late)
+    assert delay == pytest.approx(12.3456, abs=4.0 * error)
+    assert error < 0.05
+    assert all(each == pytest.approx(0.1, rel=0.1) for each in numbers(right)[-2:])
+    assert min(numbers(wrong)[-2:]) > 0.3
+    assert (tmp_path / "comparison" / "comparison.html").is_file()
+
+
+@pytest.mark.slow
 def test_fmpy_script(tmp_path: Path) -> None:
     """Standing still keeps the static torque; the paper's peak torque comes out of plain fmpy within half a percent."""
     still, *moving = run_example("fmpy_script.py", tmp_path).splitlines()

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from flexfmu.cosim.cli.build import build
+from flexfmu.cosim.cli.compare import compare
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
@@ -96,5 +97,5 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
     return run_command
 
 
-for _command in (build, fmus, export, run, sweep, paper, modes, effects, shaper, workprec, validate):
+for _command in (build, fmus, export, run, compare, sweep, paper, modes, effects, shaper, workprec, validate):
     app.command()(_reporting(_command))

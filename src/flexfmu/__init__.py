@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, linearize, modes, plan, run, sweep
+    from flexfmu.api import build, compare, linearize, modes, plan, run, sweep
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.run_metrics import RunMetrics
@@ -30,6 +30,7 @@ __all__ = [
     "Scene",
     "__version__",
     "build",
+    "compare",
     "display",
     "linearize",
     "load_scene",
@@ -44,6 +45,7 @@ _HOMES = {
     "RunMetrics": "flexfmu.cosim.metrics.run_metrics",
     "Scene": "flexfmu.model.scene.schema",
     "build": "flexfmu.api",
+    "compare": "flexfmu.api",
     "display": "flexfmu.cosim.metrics.metric_table",
     "linearize": "flexfmu.api",
     "load_scene": "flexfmu.model.scene.file",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
-from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.planning import plan as plan_motion
 from flexfmu.cosim.experiment.prepared_scene import run_scene
@@ -22,6 +22,7 @@ from flexfmu.model.scene.schema import Scene
 if TYPE_CHECKING:
     import control
 
+    from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.sweep.result import SweepResult
 
 SceneSource = Scene | Path | str
@@ -79,6 +80,46 @@ def run(
         fmu_path=None if fmu is None else Path(fmu),
         progress=progress,
     )
+
+
+def compare(
+    *runs: Run | SceneSource,
+    measured: str | Path | Recording | None = None,
+    mapping: Mapping[str, str] | None = None,
+    delay: float | None = None,
+) -> Comparison:
+    """Compare runs with each other and with a measurement.
+
+        comparison = flexfmu.compare(run, "scene.toml", measured="log.csv", mapping={"tau1": "joint1.torque*1e-3"})
+        comparison.to_pandas()  # metrics side by side
+        comparison.write("comparison")  # comparison.html and comparison.json
+
+    Calls `flexfmu.cosim.studies.compare.comparison.compare_runs`.
+
+    Args:
+        runs: runs, folders or files of results (.csv, .parquet, .mat), or scenes, which are run now. Differences are relative to
+            the first one.
+        measured: a measurement: a CSV file with a header, or signals in SI units with the names of simulated ones.
+        mapping: column of the file → ``signal*factor+offset``; factor (a number, or a unit such as ``deg``) and offset may be left
+            out, and ``time`` is the time. Other columns are taken where their name is that of a signal.
+        delay: time of an event in the measurement minus that in the simulation [s]; None to estimate it from the first run.
+
+    Returns:
+        The runs with metrics and signals; ``comparison.measured.delay`` with its standard error, and
+        ``comparison.measured.differences[run][signal].root_mean_square`` over the time that measurement and run have in common.
+
+    Raises:
+        SceneError: a scene doesn't exist, or one of its keys or values is invalid.
+        TrajectoryError, BuildError: a scene can't be run.
+        InputError: a folder has no results, a column or signal doesn't exist, or the delay can't be estimated.
+        ResultsError: a file can't be read, or a run failed.
+    """
+    from flexfmu.cosim.studies.compare.comparison import compare_runs
+    from flexfmu.cosim.studies.compare.measured import as_mapped
+    from flexfmu.cosim.studies.compare.sources import compared_runs
+
+    meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
+    return compare_runs(compared_runs(runs), measured, meaning, delay)
 
 
 def build(

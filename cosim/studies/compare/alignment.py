@@ -1,0 +1,244 @@
+"""Delay between measured and simulated signals, and what differs once it is removed.
+
+The delay is the lag of the largest cross-correlation of all signals together, each without its mean and in units of its standard
+deviation (C. Knapp, G. Carter, The generalized correlation method for estimation of time delay, IEEE Trans. ASSP 24, 1976). Around
+it the sum of the squared differences is minimised over a continuous delay, which is the maximum-likelihood estimate for white noise
+and resolves far less than a sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray
+
+MOST = 1 << 18
+"""Largest number of equally spaced samples of a signal that is correlated."""
+
+LEAST = 8
+"""Smallest number of common samples."""
+
+REFINED, PARTS = 0.05, 20
+"""Interval around the correlation's peak that is searched again, relative to the simulation's length; its parts at each level."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A signal at instants.
+
+    Attributes:
+        time: (N,) instants [s], not decreasing.
+        values: (N,) finite values.
+    """
+
+    time: RealArray
+    values: RealArray
+
+    def at(self, time: RealArray) -> RealArray:
+        """Return the values at other instants, interpolated linearly."""
+        return np.interp(time, self.time, self.values)
+
+
+Pair = tuple[Sampled, Sampled]
+"""A measured signal, and the simulated one that it belongs to."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """Time of an event in the measurement minus its time in the simulation.
+
+    Attributes:
+        seconds: the delay [s].
+        error: its standard error [s], if the differences that remain are white noise; 0 for a delay that was given.
+        correlation: correlation coefficient of all signals after alignment, -1 to 1.
+    """
+
+    seconds: float
+    error: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Measured minus simulated signal, over the time that both have.
+
+    Attributes:
+        time: (N,) instants of the measurement in the simulation's time [s].
+        measured, simulated: (N,) values.
+    """
+
+    time: RealArray
+    measured: RealArray
+    simulated: RealArray
+
+    @property
+    def values(self) -> RealArray:
+        """Measured minus simulated values (N,)."""
+        return self.measured - self.simulated
+
+    @property
+    def root_mean_square(self) -> float:
+        """Root mean square over time of the difference, by the trapezoidal rule."""
+        return float(np.sqrt(self._mean(self.values**2)))
+
+    @property
+    def mean(self) -> float:
+        """Mean over time of the difference."""
+        return self._mean(self.values)
+
+    @property
+    def largest(self) -> float:
+        """Largest magnitude of the difference."""
+        return float(np.abs(self.values).max())
+
+    @property
+    def relative(self) -> float | None:
+        """Root mean square relative to the range of the measured values; None for a constant."""
+        span = float(np.ptp(self.measured))
+        return self.root_mean_square / span if span else None
+
+    def _mean(self, values: RealArray) -> float:
+        steps = np.diff(self.time)
+        return float(0.5 * (values[1:] + values[:-1]) @ steps / steps.sum())
+
+
+def difference(measured: Sampled, simulated: Sampled, delay: float) -> Difference:
+    """Return the difference of signals at the measured instants that the simulation covers.
+
+    Raises:
+        InputError: there are fewer than `LEAST` of them.
+    """
+    time = measured.time - delay
+    inside = (time >= simulated.time[0]) & (time <= simulated.time[-1])
+    if np.count_nonzero(inside) < LEAST:
+        raise InputError(
+            f"measurement and simulation overlap in {np.count_nonzero(inside)} samples only: with a delay of {delay:g} s the "
+            f"measurement goes from {time[0]:g} to {time[-1]:g} s of the simulation, which goes from {simulated.time[0]:g} to "
+            f"{simulated.time[-1]:g} s; give the delay"
+        )
+    return Difference(time[inside], measured.values[inside], simulated.at(time[inside]))
+
+
+def estimate_delay(pairs: Sequence[Pair]) -> Delay:
+    """Return the delay of measured signals, from all of them together.
+
+    Args:
+        pairs: at least one; signals of which one side is constant are ignored.
+
+    Raises:
+        InputError: no signal changes in both, or measurement and simulation hardly overlap.
+    """
+    moving = [pair for pair in pairs if min(np.ptp(each.values) for each in pair) > 0.0]
+    if not moving:
+        raise InputError("the delay can't be estimated: no signal changes in both measurement and simulation; give it")
+    centre = _correlated(moving)
+    length = min(float(np.ptp(simulated.time)) for _, simulated in moving)
+    # ever narrower intervals around the least difference, as long as a part is longer than a sample
+    sample = min(float(np.ptp(measured.time)) / measured.time.size for measured, _ in moving)
+    width = REFINED * length
+    while width > sample:
+        lags = centre + np.linspace(-width, width, 2 * PARTS + 1)
+        costs = _Cost(moving, centre, width)
+        centre = float(min(lags, key=costs))
+        width *= 2.0 / PARTS
+    # then over a continuous delay
+    from scipy.optimize import minimize_scalar
+
+    cost = _Cost(moving, centre, sample)
+    bounds = centre - sample, centre + sample
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6 * sample})
+    seconds = float(found.x)
+    return Delay(seconds, cost.standard_error(seconds), correlation(moving, seconds))
+
+
+def correlation(pairs: Sequence[Pair], delay: float) -> float:
+    """Return the correlation coefficient of signals, each without its mean and in units of its own size, after alignment."""
+    products = squares = others = 0.0
+    for measured, simulated in pairs:
+        found = difference(measured, simulated, delay)
+        one, other = (each - each.mean() for each in (found.measured, found.simulated))
+        weight = 1.0 / max(float(other @ other), np.finfo(float).tiny)
+        products, squares = products + weight * float(one @ other), squares + weight * float(one @ one)
+        others += weight * float(other @ other)
+    return products / np.sqrt(squares * others) if squares * others > 0.0 else 0.0
+
+
+def _correlated(pairs: Sequence[Pair]) -> float:
+    """Return the lag of the largest cross-correlation [s], to a sample."""
+    start, end = (min(float(pair[side].time[0]) for pair in pairs) for side in (0, 1))
+    spans = [float(np.ptp(each.time)) for pair in pairs for each in pair]
+    steps = [float(np.median(np.diff(measured.time))) for measured, _ in pairs]
+    step = max(min(steps), max(spans) / MOST)
+    series = [
+        [_standardised(each, begin, step) for each, begin in zip(pair, (start, end), strict=True)] for pair in pairs
+    ]
+    # by fast Fourier transforms with zeros appended, so that nothing wraps around
+    count = max(one.size for one, _ in series), max(other.size for _, other in series)
+    length = 1 << (sum(count) - 1).bit_length()
+    product = sum(np.fft.rfft(one, length) * np.fft.rfft(other, length).conj() for one, other in series)
+    total = np.fft.irfft(product, length)
+    lag = int(np.argmax(total))
+    return float(start - end + step * (lag if lag < count[0] else lag - length))
+
+
+def _standardised(signal: Sampled, begin: float, step: float) -> RealArray:
+    """Return a signal at equal steps from a time on, without its mean and in units of its standard deviation."""
+    grid = begin + step * np.arange(int((signal.time[-1] - begin) / step) + 1, dtype=np.float64)
+    values = signal.at(grid)
+    spread = float(values.std())
+    return np.asarray((values - values.mean()) / (spread or 1.0))
+
+
+class _Cost:
+    """Sum of the squared differences without their means over the delay, at those samples that all delays of an interval share.
+
+    Args:
+        pairs: the signals.
+        centre, width: delays from centre - width to centre + width [s].
+
+    Raises:
+        InputError: there are fewer than `LEAST` such samples.
+    """
+
+    def __init__(self, pairs: Sequence[Pair], centre: float, width: float) -> None:
+        self._pairs: list[Pair] = []
+        for measured, simulated in pairs:
+            inside = measured.time - centre - width >= simulated.time[0]
+            inside &= measured.time - centre + width <= simulated.time[-1]
+            if np.count_nonzero(inside) < LEAST:
+                difference(measured, simulated, centre)  # its error has the figures
+                raise InputError("measurement and simulation hardly overlap where they agree best; give the delay")
+            self._pairs.append((Sampled(measured.time[inside], measured.values[inside]), simulated))
+        self._weights = [1.0 / float(simulated.values.var()) for _, simulated in self._pairs]
+
+    def __call__(self, delay: float) -> float:
+        """Return the sum of the squared differences, each signal in units of its standard deviation."""
+        parts = (
+            weight * (measured.values - simulated.at(measured.time - delay)).var() * measured.time.size
+            for weight, (measured, simulated) in zip(self._weights, self._pairs, strict=True)
+        )
+        return float(sum(parts))
+
+    def standard_error(self, delay: float) -> float:
+        """Return the standard error of the delay [s] that follows from the differences and the signals' slopes."""
+        information = noise = 0.0
+        for weight, (measured, simulated) in zip(self._weights, self._pairs, strict=True):
+            shift = 0.5 * float(np.ptp(measured.time)) / measured.time.size
+            ends = (simulated.at(measured.time - delay + side * shift) for side in (1.0, -1.0))
+            slope = np.subtract(*ends) / (2.0 * shift)
+            steepness = float(slope.var()) * slope.size
+            variance = float((measured.values - simulated.at(measured.time - delay)).var())
+            information += weight * steepness
+            noise += weight**2 * variance * steepness
+        return float(np.sqrt(noise) / information) if information else float("inf")
+
+
+def differences(
+    measured: Mapping[str, Sampled], simulated: Mapping[str, Sampled], delay: float
+) -> dict[str, Difference]:
+    """Return the difference of every measured signal that is simulated."""
+    return {name: difference(each, simulated[name], delay) for name, each in measured.items() if name in simulated}

@@ -1,0 +1,298 @@
+"""Runs side by side, and what a measurement differs from them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import InputError, extra
+from flexfmu.cosim.engine.files import write_whole
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.showing import few_lines, html_table
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
+from flexfmu.cosim.reports.chart import Curve, Panel
+from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, render_comparison
+from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
+from flexfmu.cosim.reports.page import Plot, Table
+from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.cosim.reports.svg import INK, PALETTE
+from flexfmu.cosim.studies.compare.alignment import (
+    Delay,
+    Difference,
+    Pair,
+    Sampled,
+    correlation,
+    differences,
+    estimate_delay,
+)
+from flexfmu.cosim.studies.compare.measured import Mapped, read_log
+
+if TYPE_CHECKING:
+    import pandas
+
+POINTS, FEWEST = 12000, 40
+"""Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""
+
+POORLY = 0.5
+"""Correlation below which measurement and simulation hardly look alike."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measurement, aligned in time with the first run.
+
+    Attributes:
+        name: short name.
+        recording: the measured signals in SI units, over the measurement's own time.
+        delay: time of an event in the measurement minus its time in the simulation.
+        differences: name of a run → name of a signal → measured minus simulated.
+    """
+
+    name: str
+    recording: Recording
+    delay: Delay
+    differences: Mapping[str, Mapping[str, Difference]]
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """Runs side by side.
+
+    Attributes:
+        runs: the runs; `metrics` and `recording` of each.
+        measured: the measurement; None without.
+    """
+
+    runs: tuple[ComparedRun, ...]
+    measured: Measured | None = None
+
+    @property
+    def metric_names(self) -> list[str]:
+        """Names of the metrics that a run has, in the usual order."""
+        return [name for name in ALL_METRICS if any(name in run.metrics for run in self.runs)]
+
+    def as_data(self) -> dict[str, Any]:
+        """Return plain data in SI units, the content of ``comparison.json``.
+
+        Keys:
+            runs: name, duration [s], metrics and errors of each run.
+            measured: name, delay, delay_error [s], correlation, and under signals for each run and signal: rms, mean, largest
+                (magnitude), relative (rms to the measured range), unit, samples; only with a measurement.
+        """
+        runs = [
+            {
+                "name": run.name,
+                "duration": run.duration,
+                "metrics": {name: each.value for name, each in run.metrics.items()},
+                "errors": {name: each.error for name, each in run.metrics.items()},
+            }
+            for run in self.runs
+        ]
+        return {"runs": runs} if self.measured is None else {"runs": runs, "measured": _measured_data(self.measured)}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the metrics as a data frame, a row each, a column for each run; units in ``attrs["units"]``.
+
+        Raises:
+            InputError: pandas isn't installed.
+        """
+        with extra("pandas"):
+            import pandas
+        none = Measurement(None)
+        names = self.metric_names
+        values = {run.name: [run.metrics.get(name, none).value for name in names] for run in self.runs}
+        frame = pandas.DataFrame(values, index=pandas.Index(names, name="metric"), dtype=float)
+        frame.attrs["units"] = {name: ALL_METRICS[name].unit for name in names}
+        return frame
+
+    def page(self) -> str:
+        """Return the page of the comparison as HTML: metrics, signals over each other, spectra."""
+        if self.measured is None:
+            return render_comparison(self.runs)
+        return render_comparison(
+            self.runs, [difference_table(self.measured)], [*_measured_plots(self.runs, self.measured)]
+        )
+
+    def write(self, folder: str | os.PathLike[str]) -> Path:
+        """Write comparison.html and comparison.json into a folder; return its path.
+
+        Raises:
+            ResultsError: a file can't be written, with the system's reason.
+        """
+        target = Path(folder)
+        write_whole(target / "comparison.html", self.page())
+        write_whole(target / "comparison.json", json.dumps(self.as_data(), ensure_ascii=False, indent=2) + "\n")
+        return target
+
+    def __repr__(self) -> str:
+        """Return at most five lines: the runs, and the differences of a measurement."""
+        head = f"Comparison of {', '.join(run.name for run in self.runs)}, {len(self.metric_names)} metrics"
+        if self.measured is None:
+            return head
+        first = self.measured.differences[self.runs[0].name]
+        items = [f"{name}: {each.root_mean_square:.4g} RMS" for name, each in first.items()]
+        return few_lines(f"{head}; {self.measured.name} is {delay_text(self.measured.delay)}:", items)
+
+    def _repr_html_(self) -> str:
+        tables = [metrics_table(self.runs), *([] if self.measured is None else [difference_table(self.measured)])]
+        return "".join(html_table(table.header, table.rows) for table in tables)
+
+
+def compare_runs(
+    runs: Sequence[ComparedRun],
+    log: str | Path | Recording | None = None,
+    mapping: Mapping[str, Mapped] | None = None,
+    delay: float | None = None,
+) -> Comparison:
+    """Compare runs, and a measurement with each of them.
+
+    Args:
+        runs: at least one.
+        log: a measurement: a file for `read_log`, or signals in SI units with the names of simulated ones; None without.
+        mapping: name of a column of the file → what it is.
+        delay: of the measurement [s]; None to estimate it from the first run.
+
+    Raises:
+        ResultsError: the file can't be read.
+        InputError: nothing that was measured is simulated, or the delay can't be estimated.
+    """
+    if log is None:
+        if mapping or delay is not None:
+            raise InputError("a mapping of columns or a delay goes with a measurement")
+        return Comparison(tuple(runs))
+    units = {name: column.unit for run in reversed(runs) for name, column in run.recording.columns.items()}
+    recording = log if isinstance(log, Recording) else read_log(log, mapping or {}, units)
+    name = "measured" if isinstance(log, Recording) else Path(log).stem
+    # the delay from the first run, which all others get: it belongs to the measurement's clock
+    measured = {each: _sampled(recording, each) for each in recording.columns}
+    simulated = [
+        {each: _sampled(run.recording, each) for each in measured if each in run.recording.columns} for run in runs
+    ]
+    pairs: list[Pair] = [(measured[each], simulated[0][each]) for each in simulated[0]]
+    if not pairs:
+        raise InputError(f"no signal of {name} was recorded in {runs[0].name}: {', '.join(measured)}")
+    found = estimate_delay(pairs) if delay is None else Delay(delay, 0.0, correlation(pairs, delay))
+    differing = {
+        run.name: differences(measured, each, found.seconds) for run, each in zip(runs, simulated, strict=True)
+    }
+    return Comparison(tuple(runs), Measured(name, recording, found, differing))
+
+
+def delay_text(delay: Delay) -> str:
+    """Return the delay in words, with its error and a warning where the signals hardly look alike."""
+    factor, unit, digits = (1.0, "s", 7) if abs(delay.seconds) >= 1.0 else (1e3, "ms", 4)
+    what = f"{factor * abs(delay.seconds):.{digits}f} {unit} {'late' if delay.seconds >= 0.0 else 'early'}"
+    margin = f" (± {factor * delay.error:.1g} {unit})" if delay.error else ""
+    return f"{what}{margin}, correlation {delay.correlation:.4f}"
+
+
+def difference_table(measured: Measured) -> Table:
+    """Return RMS, mean and largest difference of each signal from each run."""
+    rows = [
+        [
+            signal,
+            run,
+            *(f"{value:.4g} {unit}".rstrip() for value in (each.root_mean_square, each.mean, each.largest)),
+            "–" if each.relative is None else f"{100.0 * each.relative:.3g} %",
+        ]
+        for run, signals in measured.differences.items()
+        for signal, each in signals.items()
+        for unit in [measured.recording[signal].unit]
+    ]
+    note = f"{measured.name} is {delay_text(measured.delay)}. In the last column: RMS relative to the measured range."
+    return Table(f"{measured.name} minus simulation", ["Signal", "Run", "RMS", "Mean", "Largest", "Range"], rows, note)
+
+
+def _sampled(recording: Recording, name: str) -> Sampled:
+    """Return the finite samples of a signal."""
+    values = recording[name].values
+    known = np.isfinite(values)
+    if not known.any():
+        raise InputError(f"signal {name!r} has no values")
+    return Sampled(recording.time[known], values[known])
+
+
+def _measured_data(measured: Measured) -> dict[str, Any]:
+    return {
+        "name": measured.name,
+        "delay": measured.delay.seconds,
+        "delay_error": measured.delay.error if np.isfinite(measured.delay.error) else None,
+        "correlation": measured.delay.correlation,
+        "signals": {
+            run: {
+                name: {
+                    "rms": each.root_mean_square,
+                    "mean": each.mean,
+                    "largest": each.largest,
+                    "relative": each.relative,
+                    "unit": measured.recording[name].unit,
+                    "samples": each.time.size,
+                }
+                for name, each in signals.items()
+            }
+            for run, signals in measured.differences.items()
+        },
+    }
+
+
+def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator[Plot]:
+    """Yield measured and simulated values, and their difference, of each signal; then the spectra."""
+    spectra = []
+    most = max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST)
+    for number, name in enumerate(measured.recording.columns):
+        unit, values, differing, amplitudes = measured.recording[name].unit, list[Curve](), list[Curve](), list[Curve]()
+        for run, colour in zip(runs, _colours(len(runs)), strict=True):
+            each = measured.differences[run.name].get(name)
+            if each is None:
+                continue
+            if not values:
+                values.append(_curve(each.time, each.measured, measured.name, INK, most))
+                amplitudes += _spectrum(each.time, each.measured, measured.name, INK, most)
+            values.append(_curve(each.time, each.simulated, run.name, colour, most))
+            differing.append(_curve(each.time, each.values, run.name, colour, most))
+            amplitudes += _spectrum(each.time, each.simulated, run.name, colour, most)
+        if values:
+            panels = (
+                Panel(label=f"{name}\n[{unit}]", curves=values),
+                Panel(label=f"difference\n[{unit}]", curves=differing),
+            )
+            yield Plot(
+                f"measured-{number}",
+                name,
+                f"{measured.name}, {delay_text(measured.delay)}, and simulated.",
+                panels,
+                height=260.0,
+            )
+            spectra += [spectrum_panel(f"{name}\n[{unit}]", amplitudes)] if amplitudes else []
+    if spectra:
+        caption = spectrum_caption("Measured and simulated signals")
+        yield Plot(
+            "measured-spectra",
+            "Spectra of measured signals",
+            caption,
+            tuple(spectra),
+            "frequency [Hz]",
+            90.0 + 100.0 * len(spectra),
+        )
+
+
+def _colours(count: int) -> list[str]:
+    return [PALETTE[i % len(PALETTE)] for i in range(count)]
+
+
+def _curve(x: RealArray, y: RealArray, label: str, colour: str, most: int) -> Curve:
+    chosen = thinned(y, min(most, MOST_POINTS))
+    return Curve(x[chosen], y[chosen], label, colour)
+
+
+def _spectrum(time: RealArray, values: RealArray, label: str, colour: str, most: int) -> list[Curve]:
+    """Return the spectrum of a signal; nothing where it is too short."""
+    found = spectrum(time, values, float(time[0]))
+    return [] if found is None else [_curve(*found, label, colour, most)]

@@ -1,0 +1,136 @@
+"""Runs from memory, folders and files side by side, and a measurement of one of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import flexfmu
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.results import Column
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.reports.summary import summarise
+
+MakeRun = Callable[..., Run]
+DELAY = 3.0123456
+
+
+@pytest.fixture
+def run(make_run: MakeRun) -> Run:
+    """A run without a dwell, whose metrics need no equilibrium."""
+    return make_run(changes={"trajectory.dwell": 0.0})
+
+
+@pytest.fixture
+def folder(run: Run, tmp_path: Path) -> Path:
+    """Its folder of results, as `flexfmu run` writes it, called "stored"."""
+    path = tmp_path / "stored"
+    run.recording.write(path / "results.csv")
+    (path / "summary.json").write_text(json.dumps(summarise(run, measure_run(run))), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def log(run: Run, tmp_path: Path) -> Path:
+    """Torque 1 of the run in mN.m, offset by 2 N.m, with noise, late by `DELAY`."""
+    time, torque = run.recording.time, run.recording["joint1.torque"].values
+    sampled = 2.5 + np.arange(1500) * 1e-3
+    values = np.interp(sampled - DELAY, time, torque) + 2.0 + 0.05 * np.random.default_rng(1).standard_normal(1500)
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{t!r},{1e3 * y!r}\n" for t, y in zip(sampled.tolist(), values.tolist(), strict=True))
+    path.write_text(f"time,tau\n{rows}", encoding="utf-8")
+    return path
+
+
+def command(*arguments: object) -> Result:
+    """Run `flexfmu compare`."""
+    return CliRunner().invoke(app, ["compare", *map(str, arguments)])
+
+
+def test_every_kind_of_source_is_the_same_run(run: Run, folder: Path, tmp_path: Path) -> None:
+    """Memory, folder and file have equal signals, and metrics where there is a summary; names differ."""
+    alone = run.write(tmp_path / "alone.parquet")
+    found = flexfmu.compare(run, folder, folder / "results.csv", str(alone))
+    assert [each.name for each in found.runs] == ["barnard2012-6kg", "stored", "stored (2)", "alone"]
+    for each in found.runs:
+        np.testing.assert_array_equal(each.recording["joint1.torque"].values, run.recording["joint1.torque"].values)
+        assert each.recording["joint1.torque"].unit == "N.m"
+    frame = found.to_pandas()
+    np.testing.assert_array_equal(frame["stored"], frame["barnard2012-6kg"])
+    assert frame.loc["peak_torque_1", "stored"] == run.metrics.peak_torque_1
+    assert frame.attrs["units"]["peak_torque_1"] == "N.m"
+    assert found.runs[1].duration == pytest.approx(run.plan.duration)
+    assert not found.runs[3].metrics
+
+
+def test_a_measurement_is_aligned_and_compared(run: Run, log: Path) -> None:
+    """The delay within its stated error, and the offset and noise that were added."""
+    other = replace(
+        run,
+        recording=run.recording.with_columns(
+            {"joint1.torque": Column("N.m", 0.9 * run.recording["joint1.torque"].values)}
+        ),
+    )
+    found = flexfmu.compare(run, other, measured=log, mapping={"tau": "joint1.torque*1e-3"}).measured
+    assert found is not None
+    assert found.delay.error < 2e-5
+    assert found.delay.seconds == pytest.approx(DELAY, abs=4.0 * found.delay.error)
+    mine = found.differences["barnard2012-6kg"]["joint1.torque"]
+    assert mine.mean == pytest.approx(2.0, abs=0.01)
+    assert np.sqrt(mine.root_mean_square**2 - mine.mean**2) == pytest.approx(0.05, rel=0.15)
+    assert found.differences["barnard2012-6kg (2)"]["joint1.torque"].root_mean_square > mine.root_mean_square
+    given = flexfmu.compare(run, measured=log, mapping={"tau": "joint1.torque*1e-3"}, delay=DELAY).measured
+    assert given is not None
+    assert (given.delay.seconds, given.delay.error) == (DELAY, 0.0)
+
+
+def test_the_command_prints_tables_json_and_a_page(folder: Path, log: Path, tmp_path: Path) -> None:
+    """The same figures in the table, the JSON and the page; no line is wider than it must be."""
+    options = "--measured", log, "--map", "tau=joint1.torque*1e-3"
+    shown = command(folder, folder, *options, "--out", tmp_path / "page")
+    assert shown.exit_code == 0, shown.output
+    assert "Peak torque, joint 1" in shown.stdout
+    assert "(+0 %)" in shown.stdout
+    assert f"log is {DELAY:.5f}"[:-1] in shown.stdout
+    assert max(map(len, shown.stdout.splitlines()[:20])) <= 80
+    data = json.loads(command(folder, folder, *options, "--json").stdout)
+    assert data == json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8"))
+    signal = data["measured"]["signals"]["stored"]["joint1.torque"]
+    assert f"{signal['rms']:.4g}" in shown.stdout
+    page = (tmp_path / "page" / "comparison.html").read_text(encoding="utf-8")
+    assert f"{signal['rms']:.4g} N.m" in page
+    assert "Spectra of measured signals" in page
+    assert len(page.encode()) < 1.5e6
+
+
+def test_wrong_input(run: Run, make_run: MakeRun, folder: Path, tmp_path: Path) -> None:
+    """One line each, exit status 2; nothing is compared with a failed run."""
+    for arguments, message in (
+        ((tmp_path,), "has no results.csv"),
+        (("nothing",), "no scene file 'nothing'"),
+        ((folder, "--map", "tau=joint1.torque"), "goes with a measurement"),
+        ((folder, "--map", "tau"), "--map takes MEASURED=SIGNAL"),
+    ):
+        result = command(*arguments)
+        assert (result.exit_code, message in result.stderr, result.stderr.count("\n")) == (2, True, 1), result.stderr
+    with pytest.raises(InputError, match="nothing to compare"):
+        flexfmu.compare()
+    with pytest.raises(ResultsError, match="can't be compared, since its run failed: step failed"):
+        flexfmu.compare(make_run(outcome=Outcome.STEP_FAILED, end=0.2))
+
+
+def test_reprs_are_short(run: Run, log: Path) -> None:
+    """At most five lines; a notebook shows the tables."""
+    found = flexfmu.compare(run, measured=log, mapping={"tau": "joint1.torque*1e-3"})
+    assert len(repr(found).splitlines()) <= 5
+    assert "joint1.torque: " in repr(found)
+    assert "<td>Peak torque, joint 1</td>" in found._repr_html_()
