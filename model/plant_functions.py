@@ -145,7 +145,7 @@ def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
                     f"start.{axis}", "m", f"Start pose, {axis} of the rigid end effector", "parameter", value, -1e3, 1e3
                 )
             )
-            for axis, value in zip("xy", scene.trajectory.start, strict=True)
+            for axis, value in zip("xy", scene.start, strict=True)
         )
     )
 

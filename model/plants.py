@@ -52,7 +52,7 @@ def build_model(scene: Scene) -> SymbolicModel:
 
 def draw_five_bar(scene: Scene) -> Drawing:
     """Drawing of the undeformed robot at the start of the path."""
-    mechanism, end = scene.mechanism, scene.trajectory.start
+    mechanism, end = scene.mechanism, scene.start
     bars: list[Bar] = []
     spots: list[Spot] = []
     for leg, (base, elbow) in enumerate(zip(bases(mechanism), elbows(mechanism, end), strict=True), start=1):
@@ -98,7 +98,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
 
 def _reference_inputs(scene: Scene) -> tuple[Variable, ...]:
     """Inputs for the references of both joints, at rest in the start pose."""
-    joints = motor_angles(scene.mechanism, scene.trajectory.start)
+    joints = motor_angles(scene.mechanism, scene.start)
     return tuple(
         Variable(
             f"joint{leg + 1}.reference.{kind}",
@@ -176,7 +176,7 @@ def _joint_outputs(five_bar: FiveBar, torque: casadi.SX) -> list[OutputRow]:
 
 def _torque_inputs(scene: Scene) -> tuple[Variable, ...]:
     """Inputs for torques, by default those that hold the start pose, and for the force at the end effector."""
-    holding = static_equilibrium(scene, motor_angles(scene.mechanism, scene.trajectory.start)).torque
+    holding = static_equilibrium(scene, motor_angles(scene.mechanism, scene.start)).torque
     torques = [
         Variable(f"joint{i + 1}.torque", "N.m", _TORQUE.format(i + 1), "input", start=float(holding[i]))
         for i in range(2)

@@ -25,6 +25,9 @@ SAMPLES_PER_INTERVAL = 200
 """Initial samples of margins and angles between two breakpoints, so dense that a margin has at most one minimum between two of
 them."""
 
+MOST_SAMPLES, LEAST_SAMPLES = 40_000, 8
+"""Samples of a motion with many breakpoints, such as a spline, and fewest samples between two of them."""
+
 LARGEST_TURN = 1.0
 """Largest rotation of a joint between two samples [rad], far below π, where unwrapping becomes ambiguous. Samples are added where a
 joint turns further, as happens near a base."""
@@ -154,7 +157,8 @@ class JointTrajectory:
 
 def sampled_positions(task: Trajectory) -> tuple[RealArray, RealArray]:
     """Return sample times (N,) [s] from 0 to the duration, breakpoints included, and end-effector positions (N, 2) [m]."""
-    spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
+    count = min(SAMPLES_PER_INTERVAL, max(MOST_SAMPLES // len(task.breakpoints), LEAST_SAMPLES))
+    spans = [np.linspace(a, b, count, endpoint=False) for a, b in pairwise(task.breakpoints)]
     time = np.concatenate([*spans, [task.duration]])
     return time, np.asarray(task.evaluate(time, 0)[0])
 

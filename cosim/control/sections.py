@@ -22,7 +22,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+from flexfmu.trajectories.trajectory import Trajectory
 
 S = TypeVar("S", bound=Section)
 
@@ -33,7 +33,7 @@ class LoopContext:
 
     Attributes:
         scene: the robot that the controllers assume, without payload error.
-        along_path: the planned motion along the path, x, y [m].
+        along_path: the planned motion before shaping, x, y [m].
         joints: the planned joint trajectory q11, q21 [rad], without shapers.
         period: of a repeated motion [s]; None for a motion that isn't repeated.
         name: name of the slave, which also selects its random numbers.
@@ -43,7 +43,7 @@ class LoopContext:
     """
 
     scene: Scene
-    along_path: TaskTrajectory
+    along_path: Trajectory
     joints: Trajectory
     period: float | None
     name: str

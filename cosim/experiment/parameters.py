@@ -47,7 +47,7 @@ def scene_values(scene: Scene) -> dict[str, SceneValue]:
 
     The name is the key without the sections `mechanism` and `effects`; components of vectors end in `.x` and `.y`.
     """
-    x, y = scene.trajectory.start
+    x, y = scene.start
     found = {
         **dict(_section_values(scene.mechanism, "", "mechanism.")),
         **dict(_section_values(scene.payload, "payload.", "payload.")),
@@ -130,5 +130,5 @@ def holding_torques(scene: Scene) -> Mapping[str, float]:
         return {}
     from flexfmu.model.statics import static_equilibrium
 
-    torque = static_equilibrium(scene, motor_angles(scene.mechanism, scene.trajectory.start)).torque
+    torque = static_equilibrium(scene, motor_angles(scene.mechanism, scene.start)).torque
     return {f"joint{joint}.torque": float(value) for joint, value in enumerate(torque, start=1)}

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flexfmu.cosim.experiment.table_motion import table_motion
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point, Side
 from flexfmu.trajectories.errors import TrajectoryError
@@ -83,7 +85,7 @@ class MotionPlan:
 
     Attributes:
         scene: the scene.
-        along_path: the scene's motion along its path, before shaping, in x, y [m].
+        along_path: the scene's motion before shaping, in x, y [m]; a `TaskTrajectory` where the scene has path and profile.
         kinematics: the mechanism's rigid inverse kinematics.
         task: end-effector trajectory of the rigid mechanism in x, y [m].
         joints: joint trajectory in q11, q21 [rad].
@@ -91,7 +93,7 @@ class MotionPlan:
     """
 
     scene: Scene
-    along_path: TaskTrajectory
+    along_path: Trajectory
     kinematics: RigidKinematics
     task: Trajectory
     joints: Trajectory
@@ -109,6 +111,17 @@ class MotionPlan:
     def once(self) -> MotionPlan:
         """The plan of the single motion, without repetitions."""
         return self if self.repetition is None else self.repetition.once
+
+    @property
+    def profiled(self) -> TaskTrajectory:
+        """The scene's motion as path and profile.
+
+        Raises:
+            TrajectoryError: it has none, since it comes from a table.
+        """
+        if not isinstance(self.along_path, TaskTrajectory):
+            raise TrajectoryError("a motion from a table has no profile along a path")
+        return self.along_path
 
     @property
     def duration(self) -> float:
@@ -140,6 +153,9 @@ def plan(scene: Scene) -> MotionPlan:
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
     """
     section = scene.trajectory
+    if isinstance(section, TableSection):
+        task, joints = table_motion(section, scene.mechanism)
+        return MotionPlan(scene, task, RigidKinematics(scene.mechanism), task, joints)
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)
     law = section.profile.kind, tuple(section.profile.parameters.items())
@@ -196,6 +212,8 @@ def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
 
     if not isinstance(motion.task, TaskTrajectory):
+        if motion.task is motion.along_path:
+            raise TrajectoryError("a motion from a table has no profile along a path: shape the joint references")
         raise TrajectoryError("shaped joint references leave the path: shape the motion along the path first")
     task = shape_along_path(motion.task, sequence)
     return replace(motion, task=task, joints=JointTrajectory(task, motion.kinematics))
@@ -212,4 +230,5 @@ def deviation(motion: MotionPlan) -> float:
     """Largest distance [m] of the rigid end effector from the scene's path."""
     from flexfmu.trajectories.shapers.shaped_joints import path_deviation
 
-    return path_deviation(motion.task, motion.along_path.path)
+    reference = motion.along_path
+    return path_deviation(motion.task, reference.path if isinstance(reference, TaskTrajectory) else reference)

@@ -300,7 +300,7 @@ class PreparedScene:
         before, watch = self._again["scene"], Stopwatch()
         alone = self._plans and not self._parts.others and scene.cosimulation.drive == "motion"
         same = scene == before.model_copy(update={"trajectory": scene.trajectory})
-        if not (alone and same and scene.trajectory.start == before.trajectory.start):
+        if not (alone and same and scene.start == before.start):
             return False
         loop = loop_of(scene)
         _check_step(self._step, loop.motion.once.duration)

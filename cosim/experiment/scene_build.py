@@ -7,13 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
+from flexfmu.model.scene.motion import TrajectorySection
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.model.scene.schema import Scene
     from flexfmu.model.symbolic import SymbolicModel
 
-_PATH_KEYS = {"lift", "height", "width", "blend", "profile", "duration", "dwell", "way_back", "cycles", "pause"}
+_TIME_KEYS = {"duration", "dwell", "way_back", "cycles", "pause"}
+_PATH_KEYS = {"kind", "lift", "height", "width", "blend", "profile", "degree", *_TIME_KEYS}
+_START_KEYS = {"file", "coordinates"}
+"""Keys of the motion that the model knows by the start point alone."""
 _RUN_KEYS = {
     "step",
     "tolerance",
@@ -31,7 +35,10 @@ _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, 
 
 def scene_key(scene: Scene) -> str:
     """Text that determines the scene's model: the scene as JSON without the keys that have no influence."""
-    return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE)
+    if isinstance(scene.trajectory, TrajectorySection):
+        return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE)
+    start = f" from {scene.start}"
+    return scene.model_dump_json(exclude={**_WITHOUT_INFLUENCE, "trajectory": _PATH_KEYS | _START_KEYS}) + start
 
 
 def depends_on(key: str) -> bool:

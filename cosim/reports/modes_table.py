@@ -15,6 +15,8 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.trajectories.along_path import positions_along
+from flexfmu.trajectories.jets import Jet
 
 SHOWN_FREQUENCIES = 6
 """Largest number of frequency columns in the table; the JSON has all frequencies."""
@@ -77,10 +79,10 @@ def modes_along_path(
 
 def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, RealArray]:
     """Return positions (N, 2) [m] and unwrapped joint angles (N, 2) [rad] at fractions (N,) of the path's length."""
-    path = plan.along_path.path
-    x, y = path.jets(fractions * path.length, order=0)
+    positions = positions_along(plan.along_path, fractions)
+    x, y = (Jet(coordinate[np.newaxis]) for coordinate in positions.T)
     joints = np.stack([joint.value for joint in plan.kinematics.joints(x, y)], axis=-1)
-    return np.stack([x.value, y.value], axis=-1), np.unwrap(joints, axis=0)
+    return positions, np.unwrap(joints, axis=0)
 
 
 def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:

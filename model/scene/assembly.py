@@ -88,3 +88,44 @@ def check_start_pose(mechanism: Mechanism, start: Point) -> None:
             f"`mechanism.assembly_mode` must be '{actual}' for `working_mode` = '{mechanism.working_mode}' at the start pose "
             f"({start[0]}, {start[1]}) m, got '{mechanism.assembly_mode}'"
         )
+
+
+def end_effector(mechanism: Mechanism, angles: tuple[float, float]) -> Point:
+    """The end-effector position [m] of the assembly mode for motor angles (q11, q21) [rad].
+
+    Raises:
+        ValueError: the elbows are too far apart for the distal links.
+    """
+    (x1, y1), (x2, y2) = (
+        elbow(base, angle, mechanism.proximal.length) for base, angle in zip(bases(mechanism), angles, strict=True)
+    )
+    dx, dy = x2 - x1, y2 - y1
+    apart, reach = math.hypot(dx, dy), 2.0 * mechanism.distal.length
+    if not 0.0 < apart < reach:
+        raise ValueError(
+            f"the elbows are {apart:.6g} m apart at q11 = {angles[0]:g} rad, q21 = {angles[1]:g} rad, but the distal links "
+            f"reach above 0 m and below {reach:.6g} m: move the motion or change the link lengths"
+        )
+    # on the perpendicular bisector of the elbows
+    side = 1.0 if mechanism.assembly_mode == "left" else -1.0
+    height = side * math.sqrt((mechanism.distal.length / apart) ** 2 - 0.25)
+    return 0.5 * (x1 + x2) - height * dy, 0.5 * (y1 + y2) + height * dx
+
+
+def check_working_mode(mechanism: Mechanism, angles: tuple[float, float], position: Point) -> None:
+    """Check that motor angles (q11, q21) [rad] are those of the working mode at an end-effector position [m].
+
+    Raises:
+        ValueError: they are those of another working mode.
+    """
+    # a leg's angle is ahead of that of the line from base to end effector, or behind it
+    signs = []
+    for (base_x, base_y), angle in zip(bases(mechanism), angles, strict=True):
+        line = math.atan2(position[1] - base_y, position[0] - base_x)
+        signs.append(1 if math.sin(angle - line) > 0.0 else -1)
+    actual = next(mode for mode, each in WORKING_MODES.items() if each == tuple(signs))
+    if actual != mechanism.working_mode:
+        raise ValueError(
+            f"`mechanism.working_mode` must be '{actual}' for q11 = {angles[0]:g} rad, q21 = {angles[1]:g} rad at the start, "
+            f"got '{mechanism.working_mode}'"
+        )

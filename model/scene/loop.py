@@ -32,7 +32,7 @@ FOLDER = "folder"
 """Key of the scene file's folder in the validation context."""
 
 
-def _from_scene_file(path: str, info: ValidationInfo) -> str:
+def from_scene_file(path: str, info: ValidationInfo) -> str:
     """The path, made absolute from the scene file's folder; unchanged where the scene doesn't come from a file."""
     folder: Path | None = (info.context or {}).get(FOLDER)
     return path if folder is None else str(folder / path)
@@ -78,7 +78,7 @@ class PythonSection(LoopSection):
 
     kind: Literal["python"]
     source: Annotated[str, Field(pattern=r"^[\w.]+:[\w.]+$")]
-    folder: Annotated[str, AfterValidator(_from_scene_file)] = Field(default=".", validate_default=True)
+    folder: Annotated[str, AfterValidator(from_scene_file)] = Field(default=".", validate_default=True)
     arguments: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -92,7 +92,7 @@ class FmuSection(LoopSection):
     """
 
     kind: Literal["fmu"]
-    path: Annotated[str, AfterValidator(_from_scene_file)]
+    path: Annotated[str, AfterValidator(from_scene_file)]
     parameters: dict[str, ParameterValue] = Field(default_factory=dict)
     sample_time: Annotated[Positive | None, quantity("s")] = None
     offset: SecondsOrZero = 0.0

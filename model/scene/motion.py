@@ -16,6 +16,14 @@ from flexfmu.trajectories.profiles import PROFILES, Coefficients, Parameter
 StartPoint = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
 LiftDirection = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("1")]
 
+PICK_AND_PLACE: Literal["pick-and-place"] = "pick-and-place"
+"""Kind of a motion whose section has no `kind`."""
+
+
+def with_kind(section: Any) -> Any:
+    """The section with the kind that it has by default."""
+    return {"kind": PICK_AND_PLACE, **section} if isinstance(section, dict) else section
+
 
 class ProfileSection(Section):
     """Motion profile along the path: a kind of `PROFILES` with its parameters."""
@@ -79,18 +87,12 @@ class BlendSection(Section):
     width: Length
 
 
-class TrajectorySection(Section):
-    """The Adept half cycle: lift, crossing and lowering with blended corners, then a standstill of `dwell`.
+class MotionSection(Section):
+    """Any motion: how long it takes, the way back, and the standstill after it.
 
     With a way back it is a number of cycles: there, `pause`, the same motion reversed in time, `pause`, and so on.
     """
 
-    start: StartPoint
-    lift: LiftDirection
-    height: Length
-    width: Length
-    blend: BlendSection
-    profile: Annotated[Profile, BeforeValidator(named_kind)]
     duration: Seconds
     dwell: SecondsOrZero = 0.0
     way_back: Literal["none", "same-path"] = "none"
@@ -109,6 +111,18 @@ class TrajectorySection(Section):
             if self.way_back == "none" and value != usual:
                 raise ValueError(f'`{key}` = {value:g} needs a way back: add `way_back = "same-path"`')
         return self
+
+
+class TrajectorySection(MotionSection):
+    """The Adept half cycle: lift, crossing and lowering with blended corners, then a standstill of `dwell`."""
+
+    kind: Literal["pick-and-place"] = PICK_AND_PLACE
+    start: StartPoint
+    lift: LiftDirection
+    height: Length
+    width: Length
+    blend: BlendSection
+    profile: Annotated[Profile, BeforeValidator(named_kind)]
 
     @model_validator(mode="after")
     def _blends_fit(self) -> Self:

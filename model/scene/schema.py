@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from flexfmu.model.scene.assembly import check_start_pose
+from flexfmu.model.scene.assembly import check_start_pose, check_working_mode, end_effector
 from flexfmu.model.scene.choice import fill_in
 from flexfmu.model.scene.controllers import ControllerSection, LearningSection
 from flexfmu.model.scene.cosimulation import Cosimulation
@@ -19,9 +19,13 @@ from flexfmu.model.scene.keys import set_value
 from flexfmu.model.scene.loop import FOLDER
 from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.messages import sentence
-from flexfmu.model.scene.motion import TrajectorySection
+from flexfmu.model.scene.motion import TrajectorySection, with_kind
 from flexfmu.model.scene.section import Section, as_tuple
 from flexfmu.model.scene.shapers import ShaperSection
+from flexfmu.model.scene.table import TableSection
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.curves import Point
 
 LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
 """Limits [m, kg/m3, Pa] of usual robots and structural materials; values beyond them suggest a wrong unit."""
@@ -38,7 +42,7 @@ class Scene(Section):
     mechanism: Mechanism
     payload: Payload
     effects: Effects
-    trajectory: TrajectorySection
+    trajectory: Annotated[TrajectorySection | TableSection, BeforeValidator(with_kind), Field(discriminator="kind")]
     cosimulation: Cosimulation
     controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_tuple)] = ()
     shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
@@ -105,10 +109,21 @@ class Scene(Section):
     @model_validator(mode="after")
     def _modes_agree_with_start_pose(self) -> Self:
         try:
-            check_start_pose(self.mechanism, self.trajectory.start)
+            check_start_pose(self.mechanism, self.start)
+            if isinstance(self.trajectory, TableSection) and self.trajectory.table.coordinates == "joints":
+                check_working_mode(self.mechanism, self.trajectory.table.start, self.start)
         except ValueError as error:
             raise ValueError("; ".join((str(error), *self.unit_hints))) from None
         return self
+
+    @property
+    def start(self) -> Point:
+        """Position x, y of the rigid end effector at the start of the motion [m]."""
+        section = self.trajectory
+        if isinstance(section, TrajectorySection):
+            return section.start
+        start = section.table.start
+        return start if section.table.coordinates == "end-effector" else end_effector(self.mechanism, start)
 
     @property
     def unit_hints(self) -> tuple[str, ...]:
@@ -117,11 +132,14 @@ class Scene(Section):
         These are hints, not errors: soft materials and huge mechanisms may be intended.
         """
         # lengths that suggest millimetres
-        mechanism, path = self.mechanism, self.trajectory
+        mechanism, motion = self.mechanism, self.trajectory
         links = {"proximal": mechanism.proximal, "distal": mechanism.distal}
         lengths = {f"mechanism.{name}.length": link.length for name, link in links.items()}
         lengths |= {"mechanism.base_half_distance": mechanism.base_half_distance}
-        lengths |= {"trajectory.height": path.height, "trajectory.width": path.width}
+        if isinstance(motion, TrajectorySection):
+            lengths |= {"trajectory.height": motion.height, "trajectory.width": motion.width}
+        elif motion.table.coordinates == "end-effector":
+            lengths |= {"trajectory.file": motion.table.largest}
         hints = [
             f"`{key}` = {value:g} m is above {LARGEST_LENGTH:g} m: lengths are in m, millimetres are 1e-3 m"
             for key, value in lengths.items()

@@ -32,7 +32,7 @@ NEWTON_STEPS = 6
 distance of all iterates counts, so that an overshooting step does no harm."""
 
 FLATTEST = 0.1
-"""Lower bound of the slope in Newton's method. The slope is 1 on a straight path and vanishes at a centre of curvature."""
+"""Lower bound of the slope in Newton's method, relative to the slope of a straight path. It vanishes at a centre of curvature."""
 
 REFINEMENTS = 6
 """Rounds of refinement; in each the neighbourhood of the largest distance shrinks to a quarter, at last to about a microsecond. The
@@ -109,32 +109,43 @@ class EndEffectorTrajectory:
         return np.stack([jet.derivatives() for jet in self.kinematics.end_effector(q11, q21)], axis=-1)
 
 
-def path_deviation(motion: Trajectory, path: PickAndPlacePath) -> float:
+def path_deviation(motion: Trajectory, path: PickAndPlacePath | Trajectory) -> float:
     """Return the largest distance [m] between the end effector and the nearest point of the path.
 
     Args:
         motion: motion of the end effector, x and y [m].
-        path: the planned path.
+        path: the planned path, or a motion along it.
     """
     from scipy.spatial import cKDTree  # here, since most motions need no scipy
 
-    arc_lengths = np.linspace(0.0, path.length, POINTS_ON_PATH)
-    tree = cKDTree(np.stack([jet.value for jet in path.jets(arc_lengths, 0)], axis=-1))
+    # points of the path and their derivatives by arc length, or by time
+    if isinstance(path, PickAndPlacePath):
+        places = np.linspace(0.0, path.length, POINTS_ON_PATH)
+    else:
+        places = np.unique(np.concatenate([np.linspace(0.0, path.duration, POINTS_ON_PATH), path.breakpoints]))
+
+    def points(place: RealArray, order: int) -> RealArray:
+        """Return points of the path and their derivatives (order + 1, N, 2) at places (N,)."""
+        if isinstance(path, PickAndPlacePath):
+            return np.stack([jet.derivatives() for jet in path.jets(place, order)], axis=-1)
+        return path.evaluate(place, order)
+
+    tree = cKDTree(points(places, 0)[0])
 
     def distances(positions: RealArray) -> RealArray:
         """Return the distances (N,) [m] of positions (N, 2) [m] from the path, by Newton's method from the nearest sample."""
         distance, index = tree.query(positions)
-        s = arc_lengths[index]
+        place = places[index]
         for _ in range(NEWTON_STEPS):
-            point, tangent, curvature = (
-                np.stack([x, y], axis=-1) for x, y in zip(*(jet.derivatives() for jet in path.jets(s, 2)), strict=True)
-            )
+            point, tangent, curvature = points(place, 2)
             # at the foot of the perpendicular, offset and tangent are orthogonal
             offset = point - positions
             distance = np.minimum(distance, np.linalg.norm(offset, axis=-1))
-            slope = np.sum(tangent**2 + offset * curvature, axis=-1)
-            step = np.sum(offset * tangent, axis=-1) / np.maximum(slope, FLATTEST)
-            s = np.clip(s - step, 0.0, path.length)
+            steepness = np.sum(tangent**2, axis=-1)
+            slope = np.maximum(steepness + np.sum(offset * curvature, axis=-1), FLATTEST * steepness)
+            # at a standstill there is no direction to go
+            step = np.sum(offset * tangent, axis=-1) / np.where(slope > 0.0, slope, np.inf)
+            place = np.clip(place - step, 0.0, places[-1])
         return np.asarray(distance)
 
     # largest distance among the samples

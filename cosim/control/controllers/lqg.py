@@ -27,6 +27,7 @@ from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.controllers import StateFeedbackSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.trajectories.along_path import positions_along
 
 POSITIONS = ("joint1.position", "joint2.position")
 RATES = ("joint1.velocity", "joint2.velocity")
@@ -96,7 +97,7 @@ def lqg(
     point = operating_point(scene, position)
     rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())
     reference = static_feedforward(measured, POSITIONS, rest)
-    start = np.asarray(motor_angles(scene.mechanism, scene.trajectory.start)) - point.coordinates[:2]
+    start = np.asarray(motor_angles(scene.mechanism, scene.start)) - point.coordinates[:2]
     bounds = None
     if limits is not None:
         lower, upper = (np.broadcast_to(np.asarray(each, dtype=float), 2) for each in (limits.lower, limits.upper))
@@ -143,9 +144,7 @@ def _from_section(section: StateFeedbackSection, context: LoopContext) -> Symbol
         section.measurement_noise,
     )
     # end-effector position at the design pose
-    path = context.along_path.path
-    place = np.array([{"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose] * path.length])
-    x, y = (float(coordinate.value[0]) for coordinate in path.jets(place, order=0))
+    x, y = positions_along(context.along_path, {"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose])[0].tolist()
     return lqg(
         context.scene,
         (x, y),

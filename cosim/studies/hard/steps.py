@@ -97,7 +97,7 @@ class StepwiseRun:
 def start_references() -> RealArray:
     """u (6,) of the paper's start pose, locked."""
     robot = paper_robot()
-    return np.concatenate([motor_angles(robot.mechanism, robot.trajectory.start), np.zeros(4)])
+    return np.concatenate([motor_angles(robot.mechanism, robot.start), np.zeros(4)])
 
 
 TINY, TINY_STEPS = 1e-9, 10_000

@@ -96,12 +96,12 @@ def motion_evaluators() -> Mapping[str, EvaluateCell]:
 
 def blend_length(curve: str) -> float:
     """Arc length of one blend [m]; it doesn't depend on the motion profile, so any will do."""
-    return plan(trajectory_scene(next(iter(profiles())), curve)).along_path.path.blend.curve.length
+    return plan(trajectory_scene(next(iter(profiles())), curve)).profiled.path.blend.curve.length
 
 
 def path_length(curve: str) -> float:
     """Arc length of the whole path [m]; it doesn't depend on the motion profile, so any will do."""
-    return plan(trajectory_scene(next(iter(profiles())), curve)).along_path.path.length
+    return plan(trajectory_scene(next(iter(profiles())), curve)).profiled.path.length
 
 
 def peak_task_acceleration(profile: str, curve: str) -> float:

@@ -91,7 +91,7 @@ def motion_profiles() -> Figure:
     drawing = draw(6.4, 6.6)
     panels = drawing.subplots(3, 1, sharex=True)
     for label, colour in PROFILE_COLOURS.items():
-        task = plan(trajectory_scene(label, "Lamé")).along_path
+        task = plan(trajectory_scene(label, "Lamé")).profiled
         # times (N,) [s] and fraction of the path with two derivatives (3, N), jumps with both their sides
         etas = [np.linspace(piece.start, piece.end, PIECE) for piece in task.profile.pieces]
         jets = [
@@ -113,10 +113,10 @@ def _corner(curve: str) -> tuple[RealArray, RealArray]:
     """The path around its first corner, which is the origin: along the crossing and along the lift [mm]."""
     # axes along the lift and the crossing, the corner as origin
     motion = plan(trajectory_scene(POLYNOMIAL, curve))
-    section = motion.scene.trajectory
-    lift = np.array(section.lift) / np.hypot(*section.lift)
-    path = np.concatenate([derivatives[0] for _, derivatives in smooth_pieces(motion.task, PIECE, order=0)])
-    offset = MILLI * (path - np.array(section.start) - section.height * lift)
+    path = motion.profiled.path
+    lift = np.array(path.lift) / np.hypot(*path.lift)
+    points = np.concatenate([derivatives[0] for _, derivatives in smooth_pieces(motion.task, PIECE, order=0)])
+    offset = MILLI * (points - np.array(path.start) - path.height * lift)
     crossing = np.abs(offset @ np.array([-lift[1], lift[0]]))
     near = crossing <= SHOWN
     return crossing[near], (offset @ lift)[near]

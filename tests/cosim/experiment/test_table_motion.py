@@ -1,0 +1,159 @@
+"""Scenes with ``kind = "table"``: the same robot follows the same motion, whatever it comes from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.experiment.planning import MotionPlan, deviation, shape_joints, shape_path
+from flexfmu.cosim.experiment.scene_build import scene_key
+from flexfmu.cosim.reports.modes_table import modes_along_path
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.shapers.sequence import Oscillator
+from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
+from flexfmu.trajectories.table import write_table
+
+SHORT = {"trajectory.dwell": 0.05}
+
+
+@pytest.fixture(scope="module")
+def known() -> MotionPlan:
+    """A motion along a path."""
+    return flexfmu.plan(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
+
+
+@pytest.fixture(scope="module")
+def folder(known: MotionPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same motion as tables of end effector and joints."""
+    place = tmp_path_factory.mktemp("tables")
+    write_table(place / "task.csv", known.task)
+    write_table(place / "joints.csv", known.joints, "joints")
+    return place
+
+
+def tabulated(known: MotionPlan, file: Path, **keys: object) -> Scene:
+    """The scene with a table for its motion."""
+    return known.scene.replace({"trajectory": {"kind": "table", "file": str(file), "dwell": 0.05, **keys}})
+
+
+@pytest.mark.parametrize("name", ["task", "joints"])
+def test_plan_and_run(known: MotionPlan, folder: Path, name: str) -> None:
+    """References and metrics are those of the path; joints by inverse, the end effector by forward kinematics."""
+    scene = tabulated(known, folder / f"{name}.csv")
+    motion = flexfmu.plan(scene)
+    instants = np.linspace(0.0, 0.48, 481)
+    for found, expected in ((motion.task, known.task), (motion.joints, known.joints)):
+        for order, scale in enumerate((1e-11, 1e-8, 1e-4)):
+            a, b = (each.evaluate(instants, 2, "left")[order] for each in (found, expected))
+            np.testing.assert_allclose(a, b, atol=scale)
+    assert (motion.duration, motion.stop_time) == pytest.approx((0.43, 0.48))
+    ours, theirs = (flexfmu.measure_run(flexfmu.run(each)) for each in (scene, known.scene))
+    for metric in ("peak_torque_1", "peak_position_error", "rms_acceleration_error", "residual_vibration_amplitude"):
+        assert ours[metric].value == pytest.approx(theirs[metric].value, rel=1e-5), metric
+
+
+def test_one_fmu_for_all_motions_from_a_start(known: MotionPlan, folder: Path) -> None:
+    """The robot knows of its motion where it starts, nothing else; scenes with a path keep their key."""
+    task = tabulated(known, folder / "task.csv")
+    assert scene_key(task) == scene_key(task.replace({"trajectory.degree": 7, "trajectory.duration": 0.5}))
+    assert '"trajectory":{"start":[-0.175,0.32]}' in scene_key(known.scene)
+    (folder / "elsewhere.csv").write_text("time,x,y\n0,-0.17,0.32\n1,-0.1,0.32\n")
+    assert scene_key(tabulated(known, folder / "elsewhere.csv")) != scene_key(task)
+
+
+@pytest.mark.parametrize("name", ["task", "joints"])
+def test_duration_scales_the_motion(known: MotionPlan, folder: Path, name: str) -> None:
+    """It is that of the file, unless it is given; the scene of another file has that one's."""
+    file = folder / f"{name}.csv"
+    scene = tabulated(known, file)
+    assert scene.trajectory.duration == 0.43
+    slower = flexfmu.plan(scene.replace({"trajectory.duration": 0.86}))
+    instants = np.linspace(0.0, 0.86, 87)
+    expected = known.joints.evaluate(0.5 * instants, 2, "left")
+    for order in range(3):
+        found = slower.joints.evaluate(instants, 2, "left")[order]
+        np.testing.assert_allclose(found, expected[order] * 0.5**order, atol=1e-4)
+    (folder / "long.csv").write_text("time,x,y\n0,-0.175,0.32\n2,-0.1,0.32\n")
+    assert scene.replace({"trajectory.file": str(folder / "long.csv")}).trajectory.duration == 2.0
+    assert scene == tabulated(known, file)
+
+
+def test_modes_and_shapers(known: MotionPlan, folder: Path) -> None:
+    """Poses by arc length as on the path; shaped joints leave it as far; there is no profile to shape."""
+    motion = flexfmu.plan(tabulated(known, folder / "joints.csv"))
+    for found, expected in zip(modes_along_path(motion, 3), modes_along_path(known, 3), strict=True):
+        assert (found.x, found.y, found.q11) == pytest.approx((expected.x, expected.y, expected.q11), abs=1e-6)
+        assert found.frequencies == pytest.approx(expected.frequencies, rel=1e-5)
+    sequence = zero_vibration(Oscillator(30.0, 0.0))
+    shaped, reference = (shape_joints(each, sequence) for each in (motion, known))
+    assert deviation(shaped) == pytest.approx(deviation(reference), rel=1e-5)
+    assert deviation(motion) < 1e-9
+    with pytest.raises(TrajectoryError, match="no profile along a path: shape the joint references"):
+        shape_path(motion, sequence)
+
+
+def test_whole_turns_and_working_modes(known: MotionPlan, folder: Path) -> None:
+    """Angles may count from another turn; the working mode must be that of the scene."""
+    time, angles = np.linspace(0.0, 0.43, 44), known.joints.evaluate(np.linspace(0.0, 0.43, 44), 0)[0]
+    turned, other = folder / "turned.csv", folder / "other.csv"
+    rows = np.column_stack([time, angles + 2.0 * np.pi])
+    np.savetxt(turned, rows, delimiter=",", header="time,q11,q21", comments="", fmt="%.17g")
+    start = flexfmu.plan(tabulated(known, turned)).joints.evaluate(0.0, 0)[0, 0]
+    assert start == pytest.approx(known.joints.evaluate(0.0, 0)[0, 0])
+    other.write_text("time,q11,q21\n0,2.737,3.380\n1,2.322,2.759\n")
+    with pytest.raises(SceneError, match=r"`mechanism.working_mode` must be 'left' for q11 = .* got 'elbows-out'"):
+        tabulated(known, other)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time,x,y\n0,-0.175,0.32\n1,0,0.3\n2,0.9,0.3\n", r"far.csv, line 4: reach of leg 1 is -0.\d+ m at \(x, y\) = \(0.9, 0.3\)"),
+        ("time,q11,q21\n0,2.2,0.9\n1,3.1,0\n", r"far.csv, line 3: the elbows are 0.67\d+ m apart .* below 0.6 m: move"),
+        ("time,x,y\n0,-0.175,0.32\n2,0.175,-0.32\n", "reach of leg 1|type-2 singularity"),
+    ],
+)  # fmt: skip
+def test_out_of_reach(known: MotionPlan, folder: Path, text: str, said: str) -> None:
+    """At a row the message names file and line, between rows the instant."""
+    file = folder / "far.csv"
+    file.write_text(text)
+    with pytest.raises((TrajectoryError, SceneError), match=said):
+        flexfmu.plan(tabulated(known, file).replace({"mechanism.distal.length": 0.3}))
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"degree": 4}, "`trajectory.degree` must be 3, 5 or 7"),
+        ({"degree": 5}, "task.csv gives derivatives up to order 3, which need `degree` = 7, got 5"),
+        ({"start": [0.0, 0.3]}, "`trajectory.start` is not a known key"),
+        ({"duration": 0.0}, "`trajectory.duration` must be above 0.0 s"),
+        ({"kind": "spline"}, "`trajectory.kind` must be one of 'pick-and-place', 'table', got 'spline'"),
+        ({"file": "nowhere.csv"}, "cannot read the motion nowhere.csv: No such file"),
+    ],
+)
+def test_wrong_keys(known: MotionPlan, folder: Path, keys: dict[str, object], said: str) -> None:
+    """Each names the key, the value and what would be right."""
+    section = {"kind": "table", "file": str(folder / "task.csv"), **keys}
+    with pytest.raises(SceneError, match=said):
+        known.scene.replace({"trajectory": section})
+
+
+def test_relative_to_the_scene_file(known: MotionPlan, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the scene is loaded from."""
+    text = (
+        Path(flexfmu.load_scene.__globals__["__file__"])
+        .with_name("scenes")
+        .joinpath("barnard2012-6kg.toml")
+        .read_text()
+    )
+    before, _, rest = text.partition("[trajectory]")
+    table = '[trajectory]\nkind = "table"\nfile = "task.csv"\n\n[cosimulation]'
+    (folder / "scene.toml").write_text(before + table + rest.partition("[cosimulation]")[2])
+    monkeypatch.chdir(folder.parent)
+    assert flexfmu.load_scene(Path(folder.name) / "scene.toml").trajectory.duration == 0.43

@@ -1,0 +1,150 @@
+"""Motions from CSV files: what is read, what is written, and what a wrong file says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from flexfmu.trajectories.blends import LameBlend
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.piecewise import spline
+from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.table import read_table, write_table
+from flexfmu.trajectories.trajectory import TaskTrajectory
+
+Write = Callable[[str], Path]
+
+ROWS = "0,0.1,0.3\n0.1,0.2,0.3\n0.2,0.3,0.3\n"
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Writes a file."""
+
+    def written(text: str) -> Path:
+        path = tmp_path / "motion.csv"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return written
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,x,y\n" + ROWS,
+        "\ufeff# from the controller\n\ntime [s];x [m];y (m)\n" + ROWS.replace(",", ";"),
+        "y\ttorque\ttime\tx\n0.3\t-\t0\t0.1\n0.3\tnan\t0.1\t0.2\r\n0.3\t\t0.2\t0.3\n",
+        '"time","end_effector.position.x","end_effector.position.y"\n' + ROWS,
+        "time,x,y\n7.5,0.1,0.3\n7.6,0.2,0.3\n7.7,0.3,0.3\n",
+    ],
+    ids=["plain", "semicolons", "tabs", "results", "later"],
+)
+def test_forms_of_files(write: Write, text: str) -> None:
+    """Separators, order of columns, units, comments, names of results, and times that don't begin at 0."""
+    table = read_table(write(text))
+    assert table.time == pytest.approx([0.0, 0.1, 0.2])
+    np.testing.assert_array_equal(table.derivatives, [[[0.1, 0.3], [0.2, 0.3], [0.3, 0.3]]])
+    assert table.coordinates == "end-effector"
+
+
+def test_what_of_both_coordinates(write: Write) -> None:
+    """Results of a run have joints and end effector: the reader says which."""
+    path = write("time,joint1.position,joint2.position,x,y\n0,1,2,3,4\n1,5,6,7,8\n")
+    assert read_table(path, "joints").derivatives[0, 1].tolist() == [5.0, 6.0]
+    assert read_table(path, "end-effector").derivatives[0, 1].tolist() == [7.0, 8.0]
+    with pytest.raises(TrajectoryError, match="are both there"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no column time"),
+        ("t,x,y\n" + ROWS, r"line 1: there is no column time \[s\]; columns: t, x, y"),
+        ("time,x,z\n" + ROWS, "line 1: column y is missing; columns: time, x, z"),
+        ("time,a,b\n" + ROWS, "line 1: there are no columns x and y"),
+        ("time,x,y,x\n0,1,2,3\n", "column x is there twice"),
+        ("time,x,y,ax,ay\n0,1,2,3,4\n", "column vx is missing"),
+        ("time,x [mm],y\n" + ROWS, "column x is in mm; convert it to m"),
+        ("time,x,y\n", "needs 2 or more rows below the header, got 0"),
+        ("time,x,y\n0,0,0\n\n# pause\n1,zero,0\n", "line 5, column x: 'zero' is not a finite number"),
+        ("time,x,y\n0,0,0\n1,0,nan\n", "line 3, column y: 'nan' is not a finite number"),
+        ("time,x,y\n0,0,0\n1,0\n", "line 3: 2 values for 3 columns"),
+        ("time,x,y\n0,0,0\n1,1,0\n0.5,2,0\n", "line 4, column time: 0.5 s comes after 1.0 s"),
+        ("time,x,y\n0,0,0\n1,1,0\n1,1,0\n2,2,0\n", "line 4, column time: 1.0 s is there twice; .* accelerations must be given"),
+        ("time,x,y,vx,vy,ax,ay\n0,0,0,0,0,0,0\n0,0,0,0,0,1,0\n1,1,0,0,0,0,0\n", "line 3, .* one row too many"),
+        (
+            "time,x,y,vx,vy,ax,ay\n0,0,0,0,0,0,0\n1,1,0,1,0,0,0\n1,1,0,2,0,1,0\n2,2,0,0,0,0,0\n",
+            "line 4, column vx: 2.0 is another value than 1.0 at the same time 1.0 s",
+        ),
+        ("time,x,y,vx,vy\n0,0,0,0.5,0\n1,1,0,0,0\n", "line 2, column vx: the motion has to start at rest, but is 0.5 m/s there"),
+        (
+            "time,q11,q21\n" + "".join(f"{k},{k},0\n" for k in range(9)),
+            "line 2, column q11: the motion has to start at rest, but suggests 1 rad/s there",
+        ),
+    ],
+)  # fmt: skip
+def test_wrong_files(write: Write, text: str, said: str) -> None:
+    """File, line, column and value of what is wrong."""
+    path = write(text)
+    with pytest.raises(TrajectoryError, match=said) as caught:
+        read_table(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    """A missing file, a folder, bytes that are no text."""
+    binary = tmp_path / "binary.csv"
+    binary.write_bytes(b"time,x,y\n\xff\xfe")
+    for path, said in ((tmp_path / "no.csv", "No such file"), (tmp_path, "directory"), (binary, "not UTF-8")):
+        with pytest.raises(TrajectoryError, match=said):
+            read_table(path)
+
+
+@settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(alphabet="time,xyq12;\n\t.0129-e# \"'nan", max_size=80))
+def test_any_text_is_a_motion_or_an_error(tmp_path: Path, text: str) -> None:
+    """Whatever a file holds, the outcome is a table or one line that names the file."""
+    path = tmp_path / "any.csv"
+    for header in ("", "time,x,y\n"):
+        path.write_text(header + text, encoding="utf-8")
+        said = ""
+        try:
+            assert np.isfinite(read_table(path).trajectory().evaluate(0.0)).all()
+        except TrajectoryError as error:
+            said = str(error)
+        assert not said or (str(path) in said and "\n" not in said)
+
+
+def test_a_changed_file_is_read_again(write: Write) -> None:
+    """What is read before is kept only as long as the file is the same."""
+    first = read_table(write("time,x,y\n" + ROWS))
+    assert read_table(write("time,x,y\n" + ROWS)) == first
+    assert read_table(write("time,x,y\n" + ROWS.replace("0.3\n", "0.4\n"))) != first
+
+
+def test_written_as_it_is_read(tmp_path: Path) -> None:
+    """A spline of degree 5 by its knots, exactly; a bang-bang motion on a curved path to a millionth of its acceleration."""
+    exact = spline([0.0, 0.3, 0.5, 1.1], np.array([[[0.0, 1.0], [0.4, 1.1], [0.5, 1.0], [1.0, 0.7]]]))
+    write_table(tmp_path / "a.csv", exact, "joints")
+    table = read_table(tmp_path / "a.csv")
+    instants = np.linspace(0.0, 1.1, 57)
+    assert (table.coordinates, len(table.time)) == ("joints", 6)
+    np.testing.assert_allclose(table.trajectory().evaluate(instants, 4), exact.evaluate(instants, 4), atol=1e-10)
+    # a motion that is no polynomial, with jumps of the acceleration
+    path = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
+    motion = TaskTrajectory(path, BangBang(), 0.43)
+    write_table(tmp_path / "b.csv", motion)
+    found = read_table(tmp_path / "b.csv").trajectory()
+    instants = np.linspace(0.0, 0.43, 500)
+    for order, scale in enumerate((1e-12, 1e-9, 1e-4)):
+        np.testing.assert_allclose(found.evaluate(instants, 2)[order], motion.evaluate(instants, 2)[order], atol=scale)
+    assert set(np.round(motion.breakpoints, 12)) <= set(np.round(found.breakpoints, 12))
