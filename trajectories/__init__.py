@@ -13,6 +13,7 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
 from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.polynomial_profile import PolynomialProfile
 from flexfmu.trajectories.profile_pieces import ProfilePiece, SinePiece, SmoothPiece
 from flexfmu.trajectories.profiles import (
@@ -23,6 +24,7 @@ from flexfmu.trajectories.profiles import (
     Trapezoidal,
     evaluate_profile,
 )
+from flexfmu.trajectories.table import MotionTable, read_table, write_table
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 __all__ = [
@@ -38,10 +40,12 @@ __all__ = [
     "JointTrajectory",
     "LameBlend",
     "Margin",
+    "MotionTable",
     "ModifiedSine",
     "ModifiedTrapezoid",
     "PickAndPlacePath",
     "PiecewiseCurve",
+    "PiecewisePolynomial",
     "PlaneJets",
     "Point",
     "PolarPolynomial",
@@ -57,4 +61,7 @@ __all__ = [
     "TrajectoryError",
     "Trapezoidal",
     "evaluate_profile",
+    "read_table",
+    "spline",
+    "write_table",
 ]
