@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -225,6 +226,20 @@ class RestPositions:
         except CosimError:
             return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
 
+    def frequencies(self, parameters: Mapping[str, float]) -> RealArray:
+        """Undamped natural frequencies [Hz] about the rest position, ascending, motors locked; arguments as for `at`.
+
+        The FMU linearises its own equations, which takes a millisecond. Empty where it can't, or torques drive the robot:
+        its motors aren't locked.
+        """
+        if self._plan.scene.cosimulation.drive != "motion":
+            return np.empty(0)
+        pose = {f"joint{i}.reference.position": float(q) for i, q in enumerate(self._plan.end_pose[0], start=1)}
+        try:
+            return self._robot.frequencies(parameters, pose)
+        except CosimError:
+            return np.empty(0)
+
 
 class RestingRobot:
     """The FMU of a scene's robot, initialised to find static equilibria; loaded at the first call and kept for others."""
@@ -242,15 +257,37 @@ class RestingRobot:
         Raises:
             CosimError: the FMU can't be loaded, or finds no equilibrium.
         """
-        slave, (known, indices), position = self._slave, self._places, np.empty(2)
+        with self._at_rest(parameters, pose) as slave:
+            position = np.empty(2)
+            slave.get(self._places[1], position)
+        return position
+
+    def frequencies(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> RealArray:
+        """Undamped natural frequencies [Hz] about the rest position of a motion-driven robot, ascending.
+
+        With q'' = -K q for small elastic coordinates q, they are the roots of the eigenvalues of K. Arguments and errors
+        as for `position`; also where the FMU has no directional derivatives.
+        """
+        with self._at_rest(parameters, pose) as slave:
+            names = [variable.name for variable in slave.variables]
+            states = [name for name in names if f"der({name},2)" in names]
+            places = (
+                np.array([names.index(text.format(name)) for name in states], dtype=np.intp)
+                for text in ("der({},2)", "{}")
+            )
+            squares = np.linalg.eigvals(-slave.directional_derivatives(*places))
+        return np.asarray(np.sort(np.sqrt(squares.real[squares.real > 0.0]) / (2.0 * np.pi)))
+
+    @contextmanager
+    def _at_rest(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> Iterator[FmuSlave]:
+        """The FMU, initialised: that finds the equilibrium, without a step."""
+        slave, (known, _) = self._slave, self._places
         slave.vary({**{name: value for name, value in parameters.items() if name in known}, **pose})
-        # initialisation finds the equilibrium, without a step
         slave.initialize(0.0, 1.0, None)
         try:
-            slave.get(indices, position)
+            yield slave
         finally:
             slave.terminate()
-        return position
 
     @cached_property
     def _slave(self) -> FmuSlave:

@@ -82,6 +82,7 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         yield Plot("dwell", "Residual vibration", caption, (_dwell(run, end_equilibrium),))
         caption = spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell")
         panel = _spectrum(run, end_equilibrium)
+        caption += " Dashed: natural frequencies, motors locked." if panel.marks else ""
         if panel.curves:
             yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
 
@@ -134,7 +135,7 @@ def _dwell(run: Run, end_equilibrium: RealArray) -> Panel:
 
 
 def _spectrum(run: Run, end_equilibrium: RealArray) -> Panel:
-    """Return the spectra of both components of the residual vibration [µm], with the frequencies that shapers are made for."""
+    """Return the spectra of both components of the residual vibration [µm], with the natural frequencies where the motors are locked."""
     vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
     time, values = _curve(vibration)
     curves = []
@@ -142,8 +143,9 @@ def _spectrum(run: Run, end_equilibrium: RealArray) -> Panel:
         found = spectrum(time, values[:, axis], run.plan.duration)
         if found is not None:
             curves.append(Curve(found[0], 1e6 * found[1], "xy"[axis], colour))
-    modes = [mode for shaper in run.scene.shaper for mode in getattr(shaper, "modes", None) or ()]
-    return spectrum_panel("amplitude [µm]", curves, [(mode.frequency, "mode of the shaper") for mode in modes])
+    frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
+    marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
+    return spectrum_panel("amplitude [µm]", curves, marks)
 
 
 def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, order: int = 0) -> Panel:

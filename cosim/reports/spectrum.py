@@ -86,6 +86,6 @@ def spectrum_panel(label: str, curves: Sequence[Curve], marks: Sequence[tuple[fl
     last = max(float(curve.x[np.flatnonzero(curve.y > floor)[-1]]) for curve in curves)
     limits = 0.0, max(1.1 * last, 2.0 * frequency)
     curves = [replace(curve, x=curve.x[curve.x <= limits[1]], y=curve.y[curve.x <= limits[1]]) for curve in curves]
-    text = Marker(frequency, height, text=f"{frequency:.4g} Hz", offset=(0.0, -4.0), anchor="middle")
+    text = Marker(frequency, height, text=f"{frequency:.4g} Hz", offset=(5.0, -4.0))
     shown = [mark for mark in marks if limits[0] < mark[0] < limits[1]]
     return Panel(label=label, curves=curves, markers=[text], limits=limits, least=floor, logarithmic="y", marks=shown)

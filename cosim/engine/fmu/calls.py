@@ -41,6 +41,10 @@ FMI2_SIGNATURES: dict[str, Signature] = {
     "fmi2SetString": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
     "fmi2SetRealInputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
     "fmi2GetRealOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
+    "fmi2GetDirectionalDerivative": (
+        *(c_int, c_void_p, c_void_p, c_size_t),
+        *(c_void_p, c_size_t, c_void_p, c_void_p),
+    ),
     "fmi2DoStep": (c_int, c_void_p, c_double, c_double, c_int),
     "fmi2GetStatus": (c_int, c_void_p, c_int, c_void_p),
     "fmi2GetRealStatus": (c_int, c_void_p, c_int, c_void_p),
@@ -91,7 +95,7 @@ FMI3_SIGNATURES: dict[str, Signature] = {
 }
 """Functions of FMI 3.0 → signatures; fmi3Boolean is C's bool."""
 
-_RARE = ("String", "Derivatives", "Status", "FMUstate")
+_RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate")
 """Endings of the names of functions that some libraries lack, although FMI requires all."""
 
 Calls = dict[str, Callable[..., Any]]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.binding import nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.engine.errors import CosimError, InputError, SlaveError
+from flexfmu.cosim.engine.fmu.calls import address, value_references
 from flexfmu.cosim.engine.fmu.capabilities import (
     highest_input_derivative,
     highest_output_derivative,
@@ -290,6 +291,23 @@ class FmuSlave:
         lowest = [self.lacking.get(self.variables[index].name, len(derivatives) + 1) for index in indices]
         call = self._transfers.get_derivatives(handles, derivatives, orders >= np.array(lowest))
         return self._tidied(self._instance.checked(what, call), indices, derivatives)
+
+    def directional_derivatives(self, unknowns: Indices, knowns: Indices) -> RealArray:
+        """Return the partial derivatives (n, m) of n real outputs with respect to m real states or inputs, at this instant.
+
+        Raises:
+            SlaveError: the FMU, one of FMI 2.0, doesn't give them.
+        """
+        references, known = (
+            value_references([handle.reference for handle in self._select(each)]) for each in (unknowns, knowns)
+        )
+        found, seed, instance = np.empty((len(known), len(references))), np.ones(1), self._instance
+        for row, each in zip(found, known, strict=True):
+            one = np.array([each])
+            arguments = address(references), len(references), address(one), 1, address(seed), address(row)
+            function = partial(instance.fmi["fmi2GetDirectionalDerivative"], instance.component, *arguments)
+            instance.check("reading directional derivatives", function)
+        return found.T
 
     def _tidied(self, read: Call, indices: Indices, derivatives: RealArray) -> Call:
         """Return the call with zeros for derivatives that weren't finite before in the run, and for higher orders."""

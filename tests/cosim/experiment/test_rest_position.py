@@ -13,6 +13,7 @@ import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import rest_position
+from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.trajectory import limits
 
@@ -28,6 +29,25 @@ def test_the_fmu_rests_where_the_equations_do(changes: dict[str, Any], parameter
     run = flexfmu.run(flexfmu.load_scene("barnard2012-6kg").replace(SHORT | changes), parameters=parameters)
     joints = run.plan.joints.evaluate(np.array([run.plan.duration]), 0, side="left")[0, 0]
     np.testing.assert_allclose(rest_position(run), static_equilibrium(run.robot, joints).position, rtol=0, atol=1e-15)
+
+
+@pytest.mark.slow
+def test_the_fmu_vibrates_as_the_equations_do() -> None:
+    """Its natural frequencies at rest are those of the mass and stiffness matrices, for each payload; a robot driven by torques
+    has no locked motors, and one that deflects statically or not at all doesn't vibrate."""
+    scene = flexfmu.load_scene("barnard2012-6kg").replace(SHORT)
+    prepared = PreparedScene(scene)
+    for mass in (6.0, 1.0):
+        run = prepared.run({"payload.mass": mass})
+        assert run.rests is not None
+        found = run.rests.frequencies(run.parameters)
+        np.testing.assert_allclose(found, natural_frequencies(run.robot, run.plan.end_pose[0]), rtol=1e-9)
+        assert found.shape == (12,)
+    none = [TORQUES, {"effects.proximal_bending": 0, "effects.distal_axial": 0}]
+    for changes in none:
+        run = flexfmu.run(scene.replace(changes))
+        assert run.rests is not None
+        assert run.rests.frequencies({}).size == 0
 
 
 def test_metrics_of_a_run_load_no_casadi(monkeypatch: pytest.MonkeyPatch) -> None:
