@@ -95,7 +95,8 @@ def _print(found: Comparison, out: Path | None) -> None:
         for table in _metrics_tables(found, console.width):
             console.print(table)
         if found.measured is not None:
-            console.print(_difference_table(found.measured))
+            for table in _difference_tables(found.measured):
+                console.print(table)
             console.print(f"{found.measured.name} is {delay_text(found.measured.delay)}")
             if found.measured.delay.correlation < POORLY:
                 console.print(
@@ -111,16 +112,17 @@ LABEL, VALUE = 38, 19
 
 
 def _metrics_tables(found: Comparison, width: int) -> Iterator[Table]:
-    """Yield the metrics of as many runs as fit beside each other, the first one always among them."""
+    """Yield the metrics of as many runs as fit beside each other, with the first one wherever two do."""
     from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 
     names, runs = found.metric_names, [run for run in found.runs if run.metrics]
     if not names:
         return
     first, *others = runs
-    fitting = max((width - LABEL) // VALUE - 1, 1)
-    for begin in range(0, max(len(others), 1), fitting):
-        shown = [first, *others[begin : begin + fitting]]
+    # where there is no room for two, each has a table of its own
+    beside = (width - LABEL) // VALUE - 1
+    for begin in range(0, max(len(others), 1) if beside > 0 else len(runs), max(beside, 1)):
+        shown = [first, *others[begin : begin + beside]] if beside > 0 else [runs[begin]]
         table = _table("Metrics" if begin == 0 else "", "Metric", "Unit", *(run.name for run in shown))
         for name in names:
             info = ALL_METRICS[name]
@@ -150,14 +152,17 @@ def _cell(name: str, run: ComparedRun, first: ComparedRun) -> str:
     return text if run is first or not base else f"{text} ({100.0 * (value / base - 1.0):+.3g} %)"
 
 
-def _difference_table(measured: Measured) -> Table:
-    """RMS, mean and largest difference of each signal from each run."""
-    table = _table(f"{measured.name} minus simulation", "Signal", "RMS", "Mean", "Largest", "RMS/range", "Unit")
-    several = len(measured.differences) > 1
+def _difference_tables(measured: Measured) -> Iterator[Table]:
+    """Yield RMS, mean and largest difference of each signal from each run; "of range" is RMS to the measured range."""
+    from rich.text import Text
+
     for run, signals in measured.differences.items():
+        table = _table(f"{measured.name} minus {run}", "Signal", "RMS", "Mean", "Largest", "of range")
         for name, each in signals.items():
             figures = (each.root_mean_square, each.mean, each.largest)
             share = "–" if each.relative is None else f"{100.0 * each.relative:.3g} %"
             unit = measured.recording[name].unit
-            table.add_row(f"{name}, {run}" if several else name, *(f"{value:.4g}" for value in figures), share, unit)
-    return table
+            # brackets are no markup here
+            label = Text(f"{name} [{unit}]" if unit else name)
+            table.add_row(label, *(f"{value:.4g}" for value in figures), share)
+        yield table

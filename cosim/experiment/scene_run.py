@@ -75,7 +75,7 @@ class Companion:
 
     communication_step: float
     tolerance: float
-    run: Callable[[Progress | None], Run]
+    run: Callable[[Progress | None], Run] = field(repr=False)
 
 
 @dataclass(frozen=True, repr=False)

@@ -51,8 +51,8 @@ class ComparedRun:
     """
 
     name: str
-    recording: Recording
-    metrics: Mapping[str, Measurement] = field(default_factory=dict)
+    recording: Recording = field(repr=False)
+    metrics: Mapping[str, Measurement] = field(default_factory=dict, repr=False)
     duration: float | None = None
 
 

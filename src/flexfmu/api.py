@@ -61,7 +61,7 @@ def run(
     Returns:
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
         ``run.completed`` whether it reached the stop time. If a slave fails during the run, nothing is raised: the recording
-        ends there, and the outcome gives the reason. For metrics call `measure_run`.
+        ends there, and the outcome gives the reason. ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.

@@ -9,7 +9,7 @@ and resolves far less than a sample.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,8 +35,8 @@ class Sampled:
         values: (N,) finite values.
     """
 
-    time: RealArray
-    values: RealArray
+    time: RealArray = field(repr=False)
+    values: RealArray = field(repr=False)
 
     def at(self, time: RealArray) -> RealArray:
         """Return the values at other instants, interpolated linearly."""
@@ -62,7 +62,7 @@ class Delay:
     correlation: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Difference:
     """Measured minus simulated signal, over the time that both have.
 
@@ -74,6 +74,11 @@ class Difference:
     time: RealArray
     measured: RealArray
     simulated: RealArray
+
+    def __repr__(self) -> str:
+        """Return a line with RMS, mean and largest magnitude."""
+        figures = f"{self.root_mean_square:.6g} RMS, {self.mean:.6g} mean, {self.largest:.6g} largest"
+        return f"Difference at {self.time.size} instants: {figures}"
 
     @property
     def values(self) -> RealArray:

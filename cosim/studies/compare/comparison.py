@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,9 +56,9 @@ class Measured:
     """
 
     name: str
-    recording: Recording
+    recording: Recording = field(repr=False)
     delay: Delay
-    differences: Mapping[str, Mapping[str, Difference]]
+    differences: Mapping[str, Mapping[str, Difference]] = field(repr=False)
 
 
 @dataclass(frozen=True, repr=False)

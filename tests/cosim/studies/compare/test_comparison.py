@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import flexfmu
+from flexfmu.cosim.cli.compare import _metrics_tables
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
@@ -74,12 +77,7 @@ def test_every_kind_of_source_is_the_same_run(run: Run, folder: Path, tmp_path: 
 
 def test_a_measurement_is_aligned_and_compared(run: Run, log: Path) -> None:
     """The delay within its stated error, and the offset and noise that were added."""
-    other = replace(
-        run,
-        recording=run.recording.with_columns(
-            {"joint1.torque": Column("N.m", 0.9 * run.recording["joint1.torque"].values)}
-        ),
-    )
+    other = replace(run, recording=run.recording.with_columns({"joint1.torque": scaled(run, 0.9)}))
     found = flexfmu.compare(run, other, measured=log, mapping={"tau": "joint1.torque*1e-3"}).measured
     assert found is not None
     assert found.delay.error < 2e-5
@@ -110,6 +108,32 @@ def test_the_command_prints_tables_json_and_a_page(folder: Path, log: Path, tmp_
     assert f"{signal['rms']:.4g} N.m" in page
     assert "Spectra of measured signals" in page
     assert len(page.encode()) < 1.5e6
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_no_figure_is_cut_off(run: Run, width: int) -> None:
+    """Runs that don't fit beside each other come in further tables; every value of every run is there in full."""
+    runs = [
+        replace(run, recording=run.recording.with_columns({"joint1.torque": scaled(run, factor)}))
+        for factor in (1.0, 1.2345, 0.012345, -1234.5)
+    ]
+    found = flexfmu.compare(*runs)
+    text = StringIO()
+    for table in _metrics_tables(found, width):
+        Console(file=text, width=width).print(table)
+    lines = text.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    assert "…" not in text.getvalue()
+    for each in found.runs:
+        assert f"{each.metrics['peak_torque_1'].value:.5g}" in text.getvalue()
+
+
+def scaled(run: Run, factor: float) -> Column:
+    """Torque 1 of a run times a factor."""
+    column = run.recording["joint1.torque"]
+    assert column.first is not None
+    assert column.second is not None
+    return Column("N.m", factor * column.values, factor * column.first, factor * column.second)
 
 
 def test_wrong_input(run: Run, make_run: MakeRun, folder: Path, tmp_path: Path) -> None:
