@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from textwrap import shorten
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.groups import Group, Share
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
 from flexfmu.fmu_build.cache import cache_folder, content_hash
-from flexfmu.fmu_build.errors import BuildError
+from flexfmu.fmu_build.errors import BuildError, MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 
@@ -29,6 +30,9 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
+
+LONGEST = 400
+"""Characters of a message; those that list all signals of a robot are longer."""
 
 
 class Row(NamedTuple):
@@ -160,6 +164,9 @@ class Job:
                 if together:
                     with contextlib.suppress(BuildError):
                         batch_library(path, lanes_of_processor())
+        except MissingCompilerError:
+            # no case can have an FMU
+            raise
         except Exception as error:
             return error
         return VariantTask(scene, path, measure)
@@ -183,7 +190,7 @@ class Job:
 
 def _reason(error: Exception) -> str:
     """The message of an error in one line; with its type where it isn't one of ours."""
-    text = " ".join(str(error).split())
+    text = shorten(str(error), LONGEST, placeholder=" ...")
     ours = type(error).__module__.startswith("flexfmu.")
     return text if ours and text else f"{type(error).__name__}: {text}"
 

@@ -54,6 +54,7 @@ class Stop:
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweep", [SINGLY, TOGETHER], ids=["singly", "side by side"])
 def test_interrupted_sweeps_end_in_the_same_bytes(sweep: dict[str, Any], tmp_path: Path) -> None:
     """Stopped twice and continued by other numbers of processes, cases one by one and side by side."""
@@ -96,6 +97,7 @@ def interrupted(folder: Path, number: int, sent: signal.Signals, processes: int)
     return process.returncode, said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="POSIX signals")
 def test_killed_commands_continue(tmp_path: Path) -> None:
     """kill -9, then Ctrl-C, then to the end by another number of processes: at most the cases in flight are lost."""

@@ -16,11 +16,13 @@ import flexfmu
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.studies.sweep import work
 from flexfmu.cosim.studies.sweep.cases import Grid
 from flexfmu.cosim.studies.sweep.groups import groups_of, shares_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
 from flexfmu.cosim.studies.sweep.store import FolderStore
 from flexfmu.cosim.studies.sweep.work import Job, Row
+from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
 
 SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
@@ -40,6 +42,7 @@ def alone(changes: dict[str, Any], names: list[str] = PEAK, scene: flexfmu.Scene
     return metrics_of(flexfmu.run(scene.replace(changes), fmu=flexfmu.build(scene)), names)
 
 
+@pytest.mark.slow
 def test_a_case_is_the_changed_scene() -> None:
     """Parameters of the FMU, geometry that the motion is planned with, texts, other effects: as a scene of its own."""
     varied: dict[str, Any] = {
@@ -54,6 +57,7 @@ def test_a_case_is_the_changed_scene() -> None:
         assert row["peak_torque_1"] == pytest.approx(expected["peak_torque_1"], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_many_cases_side_by_side_are_the_changed_scenes() -> None:
     """Shares in lanes, among them an invalid case, agree with own runs within the tolerance, for peaks and for all metrics."""
     masses = [float(each) for each in np.linspace(0.0, 8.0, 40)]
@@ -70,6 +74,7 @@ def test_many_cases_side_by_side_are_the_changed_scenes() -> None:
                 assert found[number][name] == pytest.approx(expected[name], rel=1e-3, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_keys_of_controllers_by_index_kind_and_name() -> None:
     """The loop changes, the FMU is shared."""
     found = [
@@ -284,3 +289,23 @@ def test_one_sweep_at_a_time_in_a_folder(tmp_path: Path) -> None:
             os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
         assert store.done == 0
+
+
+@pytest.mark.slow
+def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
+    """docs/sweep.md works as it stands: the heaviest payload in the shortest time needs the largest torque."""
+    text = (Path(__file__).parents[4] / "docs" / "sweep.md").read_text(encoding="utf-8")
+    code = text.partition("```python\n")[2].partition("```")[0]
+    exec(compile(code, "sweep.md", "exec"), {})
+    assert capsys.readouterr().out == "6 0.3 N.m\n"
+
+
+def test_without_a_compiler_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One error instead of a table of them."""
+
+    def no_compiler(*_: Any, **__: Any) -> None:
+        raise MissingCompilerError("no C compiler: install one")
+
+    monkeypatch.setattr(work, "build_scene", no_compiler)
+    with pytest.raises(MissingCompilerError, match="install one"):
+        flexfmu.sweep(SCENE, {"payload.mass": [1.0, 2.0]}, metrics=PEAK, processes=1)
