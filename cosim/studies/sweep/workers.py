@@ -25,6 +25,9 @@ from flexfmu.cosim.studies.sweep.work import Job, Row
 AHEAD, MOST_AHEAD = 0.05, 8
 """How long the shares take that a process gets at once [s], and the largest number of them."""
 
+PATIENCE = "10s"
+"""How long a Dask scheduler may take to answer."""
+
 TRIALS = 2
 """How often a case is begun whose process ends, before it counts as failed."""
 
@@ -208,7 +211,7 @@ class DaskWorkers:
         except ImportError:
             raise InputError('a sweep on Dask needs its package: pip install "flexfmu[dask]"') from None
         try:
-            client = Client(self.address, timeout="10s", set_as_default=False)
+            client = Client(self.address, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"there is no Dask scheduler at {self.address}: {error}") from error
         with client:

@@ -11,6 +11,7 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.studies.sweep import workers
 
 distributed = pytest.importorskip("distributed")
 
@@ -44,8 +45,9 @@ def test_a_lost_worker_costs_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_scheduler_is_an_error() -> None:
+def test_no_scheduler_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """One line within seconds."""
+    monkeypatch.setattr(workers, "PATIENCE", "1s")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(InputError, match="no Dask scheduler at"):

@@ -297,7 +297,7 @@ def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
     text = (Path(__file__).parents[4] / "docs" / "sweep.md").read_text(encoding="utf-8")
     code = text.partition("```python\n")[2].partition("```")[0]
     exec(compile(code, "sweep.md", "exec"), {})
-    assert capsys.readouterr().out == "6 0.3 N.m\n"
+    assert capsys.readouterr().out == "8 0.3 N.m\n"
 
 
 def test_without_a_compiler_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> None:
