@@ -118,6 +118,21 @@ def test_own_trajectory(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("library", ["ruckig", "toppra"])
+def test_motions_of_planners(tmp_path: Path, library: str) -> None:
+    """Faster than the scene's motion, with knots of the planner alone, and simulated from the written table."""
+    motion, torque, residual = run_example(
+        {"ruckig": "ruckig_motion.py", "toppra": "toppra_motion.py"}[library], tmp_path
+    ).splitlines()
+    duration, breakpoints = numbers(motion)
+    assert 0.15 < duration < 0.25
+    assert breakpoints <= {"ruckig": 14, "toppra": 200}[library]
+    assert 75.0 < numbers(torque)[0] < 300.0
+    assert 1e-5 < numbers(residual)[0] < 1e-3
+    assert (tmp_path / f"{library}.csv").read_text().startswith("time,q11,q21,dq11")
+
+
+@pytest.mark.slow
 def test_ssp_export(tmp_path: Path) -> None:
     """The file is valid SSP 1.0 with one FMU for each slave, and comes back as the scene."""
     written, difference, ends = run_example("ssp_export.py", tmp_path).splitlines()

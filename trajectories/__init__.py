@@ -24,6 +24,7 @@ from flexfmu.trajectories.profiles import (
     Trapezoidal,
     evaluate_profile,
 )
+from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
 from flexfmu.trajectories.table import MotionTable, read_table, write_table
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
@@ -61,6 +62,9 @@ __all__ = [
     "TrajectoryError",
     "Trapezoidal",
     "evaluate_profile",
+    "from_ruckig",
+    "from_scipy",
+    "from_toppra",
     "read_table",
     "spline",
     "write_table",

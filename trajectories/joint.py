@@ -11,7 +11,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,6 +86,7 @@ class JointTrajectory:
 
     task: Trajectory
     kinematics: InverseKinematics
+    coordinates: ClassVar = "joints"
 
     def __post_init__(self) -> None:
         check_margins(self.task, self.kinematics, self._first_samples)

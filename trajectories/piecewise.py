@@ -10,11 +10,11 @@ Source: C. de Boor, *A Practical Guide to Splines*, Springer 2001, chapters IV (
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
 from math import comb, factorial
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,8 @@ from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, positive, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.trajectory import SAME_TIME
+
+Coordinates: TypeAlias = Literal["end-effector", "joints"]
 
 DEGREES = (3, 5, 7)
 """Degrees of splines."""
@@ -38,6 +40,7 @@ class PiecewisePolynomial:
     Attributes:
         knots: times [s], ascending from 0, shape (K + 1,).
         coefficients: Taylor coefficients about the start of each piece, of the powers 0 to the degree, (degree + 1, K, 2).
+        coordinates: what moves: "end-effector" for x, y [m], or "joints" for q11, q21 [rad].
 
     Raises:
         TrajectoryError: the knots don't ascend from 0, or the shapes don't match.
@@ -45,6 +48,7 @@ class PiecewisePolynomial:
 
     knots: RealArray
     coefficients: RealArray
+    coordinates: Coordinates = "end-effector"
 
     def __post_init__(self) -> None:
         knots, shape = self.knots, self.coefficients.shape
@@ -89,7 +93,7 @@ class PiecewisePolynomial:
             return self
         knots = self.knots / pace
         knots[-1] = duration
-        return PiecewisePolynomial(knots, Jet(self.coefficients).rescale(pace).coefficients)
+        return replace(self, knots=knots, coefficients=Jet(self.coefficients).rescale(pace).coefficients)
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Return the coordinates and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
@@ -129,7 +133,9 @@ def moved(coefficients: RealArray, distance: RealArray) -> RealArray:
     return found
 
 
-def spline(time: ArrayLike, derivatives: ArrayLike, degree: int = 5) -> PiecewisePolynomial:
+def spline(
+    time: ArrayLike, derivatives: ArrayLike, degree: int = 5, coordinates: Coordinates = "end-effector"
+) -> PiecewisePolynomial:
     """Return the spline through positions and given derivatives; it is ``degree`` - 1 - m times continuously differentiable.
 
     The derivatives that aren't given are zero at start and end: the motion starts and ends at rest.
@@ -139,6 +145,7 @@ def spline(time: ArrayLike, derivatives: ArrayLike, degree: int = 5) -> Piecewis
             jump of the highest derivatives: first their left limits, then the right ones.
         derivatives: coordinates and their derivatives up to order m at these times, shape (m + 1, N, 2).
         degree: 3, 5 or 7, at least 2 m + 1.
+        coordinates: what moves.
 
     Raises:
         TrajectoryError: the degree is another or too low, or the shapes don't match.
@@ -163,7 +170,7 @@ def spline(time: ArrayLike, derivatives: ArrayLike, degree: int = 5) -> Piecewis
     begins = np.flatnonzero(np.diff(t) > 0.0)
     widths = np.diff(t)[begins]
     pieces = _pieces(widths, known[:, begins], known[:, begins + 1])
-    return PiecewisePolynomial(np.concatenate([t[begins], t[-1:]]) - t[0], pieces)
+    return PiecewisePolynomial(np.concatenate([t[begins], t[-1:]]) - t[0], pieces, coordinates)
 
 
 def listed_degrees(order: int) -> str:
@@ -231,16 +238,3 @@ def _missing(t: RealArray, known: RealArray, given: int) -> RealArray:
             matrix[band + equation[free] - column, column] = factor[free]
     scaled[given:, 1:-1] = solve_banded((band, band), matrix, right_side).reshape(knots - 2, count, 2).swapaxes(0, 1)
     return np.asarray((scaled / scale)[given:])
-
-
-def joined_pieces(pieces: Sequence[tuple[float, RealArray]]) -> PiecewisePolynomial:
-    """Return the motion of pieces one after the other.
-
-    Args:
-        pieces: of each the length in time [s] and the Taylor coefficients about its start, shape (degree + 1, 2).
-    """
-    degree = max(len(coefficients) for _, coefficients in pieces)
-    stacked = np.zeros((degree, len(pieces), 2))
-    for i, (_, coefficients) in enumerate(pieces):
-        stacked[: len(coefficients), i] = coefficients
-    return PiecewisePolynomial(np.concatenate([[0.0], np.cumsum([width for width, _ in pieces])]), stacked)

@@ -15,17 +15,14 @@ from functools import cached_property, lru_cache
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.piecewise import PiecewisePolynomial, listed_degrees, spline
+from flexfmu.trajectories.piecewise import Coordinates, PiecewisePolynomial, listed_degrees, spline
 from flexfmu.trajectories.trajectory import Trajectory, limits
-
-Coordinates: TypeAlias = Literal["end-effector", "joints"]
 
 COLUMNS: Mapping[Coordinates, tuple[tuple[str, str], ...]] = {
     "end-effector": (("x", "y"), ("vx", "vy"), ("ax", "ay"), ("jx", "jy")),
@@ -133,7 +130,7 @@ class MotionTable:
         Raises:
             TrajectoryError: the degree is too low.
         """
-        return spline(self.time, self.derivatives, self.degree(degree))
+        return spline(self.time, self.derivatives, self.degree(degree), self.coordinates)
 
 
 def read_table(path: str | Path, coordinates: Coordinates | None = None) -> MotionTable:
@@ -323,7 +320,7 @@ MOST_TELLING = 8
 
 
 def write_table(
-    path: str | Path, trajectory: Trajectory, coordinates: Coordinates = "end-effector", rows: int | None = None
+    path: str | Path, trajectory: Trajectory, coordinates: Coordinates | None = None, rows: int | None = None
 ) -> None:
     """Write a motion as a CSV file for ``kind = "table"``: positions, velocities, accelerations and jerks at each knot.
 
@@ -332,7 +329,7 @@ def write_table(
     Args:
         path: file to write.
         trajectory: the motion.
-        coordinates: what its coordinates are.
+        coordinates: what moves; None for the trajectory's own ``coordinates``, or the end effector if it has none.
         rows: number of intervals into which each interval between breakpoints is divided; None for one if the motion is a
             `PiecewisePolynomial`, otherwise for 50.
 
@@ -352,7 +349,8 @@ def write_table(
     # position and velocity don't jump
     after = np.flatnonzero(np.diff(instants) == 0.0) + 1
     values[:2, after] = values[:2, after - 1]
-    header = ["time", *(name for pair in COLUMNS[coordinates] for name in pair)]
+    moving = coordinates or getattr(trajectory, "coordinates", "end-effector")
+    header = ["time", *(name for pair in COLUMNS[moving] for name in pair)]
     table = np.column_stack([instants, *(values[order, :, axis] for order in range(4) for axis in range(2))])
     lines = [",".join(header), *(",".join(map(repr, row)) for row in table.tolist())]
     try:

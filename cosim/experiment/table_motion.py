@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -72,7 +73,7 @@ def _in_turn(joints: PiecewisePolynomial, mechanism: Mechanism) -> PiecewisePoly
         return joints
     coefficients = joints.coefficients.copy()
     coefficients[0] += 2.0 * np.pi * turns
-    return PiecewisePolynomial(joints.knots, coefficients)
+    return replace(joints, coefficients=coefficients)
 
 
 def _from_joints(joints: PiecewisePolynomial, mechanism: Mechanism) -> tuple[Trajectory, Trajectory]:
