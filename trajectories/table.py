@@ -349,7 +349,8 @@ def write_table(
     # position and velocity don't jump
     after = np.flatnonzero(np.diff(instants) == 0.0) + 1
     values[:2, after] = values[:2, after - 1]
-    moving: Coordinates = coordinates or getattr(trajectory, "coordinates", "end-effector")
+    own: Coordinates = getattr(trajectory, "coordinates", "end-effector")
+    moving = own if coordinates is None else coordinates
     header = ["time", *(name for pair in COLUMNS[moving] for name in pair)]
     table = np.column_stack([instants, *(values[order, :, axis] for order in range(4) for axis in range(2))])
     lines = [",".join(header), *(",".join(map(repr, row)) for row in table.tolist())]
