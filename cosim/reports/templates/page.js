@@ -213,7 +213,9 @@
     };
     svg.addEventListener("pointerup", stop);
     svg.addEventListener("pointercancel", stop);
-    svg.addEventListener("pointerleave", () => { if (!began) hide(); });
+    // what a finger has shown stays until it taps elsewhere
+    svg.addEventListener("pointerleave", event => { if (!began && event.pointerType !== "touch") hide(); });
+    document.addEventListener("pointerdown", event => { if (!svg.contains(event.target)) hide(); });
     svg.addEventListener("dblclick", whole);
     reset.addEventListener("click", whole);
     svg.addEventListener("keydown", event => {

@@ -107,23 +107,25 @@ def test_a_page_is_whole_on_a_phone_and_on_a_desk(name: str, browser: Any, folde
     """Neither errors nor requests, at most 1.5 MB, and nothing beyond the window's edge; without scripts too."""
     path = folder / f"{name}.html"
     assert path.stat().st_size < 1.5e6
-    for width, has_scripts in ((1200, True), (390, True), (390, False)):
-        context = browser.new_context(viewport={"width": width, "height": 800}, java_script_enabled=has_scripts)
+    for has_scripts in (True, False):
+        context = browser.new_context(java_script_enabled=has_scripts)
         page, problems = context.new_page(), list[str]()
         page.on("console", lambda message, found=problems: found.append(message.text))
         page.on("pageerror", lambda error, found=problems: found.append(str(error)))
         page.on("request", lambda request, found=problems: found.append(request.url))
         page.goto(f"file://{path}")
-        assert problems == [f"file://{path}"]
-        if has_scripts:
-            assert page.evaluate("document.documentElement.scrollWidth") == width
-        for chart in page.locator("svg.chart").all():
-            box = chart.bounding_box()
-            assert box["x"] >= 0.0
-            assert box["x"] + box["width"] <= width
-            assert box["height"] > 60.0
+        for width in (1200, 390):
+            page.set_viewport_size({"width": width, "height": 800})
+            if has_scripts:
+                assert page.evaluate("document.documentElement.scrollWidth") == width
+            for chart in page.locator("svg.chart").all():
+                box = chart.bounding_box()
+                assert box["x"] >= 0.0
+                assert box["x"] + box["width"] <= width
+                assert box["height"] > 60.0
         assert page.locator("h1").inner_text()
         assert page.locator(".controls").count() == (has_scripts and name in ("report", "failed"))
+        assert problems == [f"file://{path}"]
         context.close()
 
 
@@ -152,6 +154,21 @@ def test_pointing_shows_recorded_values(report: Any, run: Run) -> None:
             # the instant has six digits too, and a point between communication points is the interpolant's
             assert torque == pytest.approx(exact, rel=2e-3, abs=0.05)
         assert len(torques) == 2
+
+
+def test_a_finger_shows_values(browser: Any, folder: Path) -> None:
+    """They stay after the tap, until the next one."""
+    context = browser.new_context(viewport={"width": 390, "height": 800}, has_touch=True)
+    page = context.new_page()
+    page.goto(f"file://{folder / 'report.html'}")
+    figure, other = chart_of(page, "Motor torques"), page.locator("h1")
+    box = figure.locator("svg").bounding_box()
+    page.touchscreen.tap(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    assert len(values_in(figure.locator(".tip").inner_text())) == 3
+    other.scroll_into_view_if_needed()
+    other.tap()
+    assert not figure.locator(".tip").is_visible()
+    context.close()
 
 
 def test_zooming_and_back(report: Any) -> None:
