@@ -52,10 +52,12 @@ def print_text(text: str) -> None:
 
 
 def print_rich(*parts: RenderableType) -> None:
-    """Write tables and styled text to standard output; see `rich_output`."""
+    """Write tables and styled text to standard output; see `rich_output`. Sentences are wrapped in a terminal alone."""
+    from rich.text import Text
+
     with rich_output() as console:
         for part in parts:
-            console.print(part)
+            console.print(part, soft_wrap=isinstance(part, Text) and not console.is_terminal)
 
 
 @contextmanager

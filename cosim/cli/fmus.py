@@ -77,13 +77,11 @@ def _facts(system: ExportedSystem) -> dict[str, object]:
 
 def _table(system: ExportedSystem) -> Table:
     """A line for each slave."""
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("FMU", "what it is", "sample time", "set before the start"):
-        table.add_column(heading)
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    table = titled_table("", "FMU", "what it is", "sample time", "set before the start")
     for each in system.slaves:
         sample_time = "" if each.facts.sample_time is None else f"{each.facts.sample_time:g} s"
         starts = ", ".join(f"{name} = {value}" for name, value in each.parameters.items())

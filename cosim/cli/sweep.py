@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from shutil import get_terminal_size
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, PIPED_WIDTH, load_resolved, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
 from flexfmu.cosim.cli.options import JsonOption, SceneArgument
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
     from flexfmu.cosim.studies.sweep.cases import Cases
     from flexfmu.cosim.studies.sweep.result import SweepResult
-
-ROOMY = 92
-"""Columns of a terminal from which on the summary has all of its columns."""
 
 
 def sweep(
@@ -208,23 +204,12 @@ def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
         )
         return
     table = titled_table(f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}")
-    table.add_column("metric", overflow="fold")
-    # the median where there is room for it
-    columns = {
-        "unit": "unit",
-        "min": "smallest",
-        "min_case": "case",
-        "median": "median",
-        "max": "largest",
-        "max_case": "case",
-    }
-    if get_terminal_size((PIPED_WIDTH, 0)).columns < ROOMY:
-        del columns["median"]
-    for part, head in columns.items():
-        table.add_column(head, justify="left" if part == "unit" else "right", no_wrap=True)
+    table.add_column("metric")
+    for head in ("unit", "smallest", "case", "median", "largest", "case"):
+        table.add_column(head, justify="left" if head == "unit" else "right")
     for name, each in summary.items():
-        shown = (each[part] for part in columns)
-        table.add_row(name, *(f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in shown))
+        low, median, high = (f"{each[part]:.4g}" for part in ("min", "median", "max"))
+        table.add_row(name, each["unit"], low, str(each["min_case"]), median, high, str(each["max_case"]))
     print_rich(table)
     if failed:
         print_rich(Text(f"{len(failed)} failed, the first is case {failed[0]['case']}: {failed[0]['message']}"))

@@ -92,7 +92,7 @@ def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
     headings = "s", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))
     table = titled_table(
         f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium",
-        *(Column(heading, justify="right", no_wrap=True) for heading in headings),
+        *(Column(heading, justify="right") for heading in headings),
     )
     for pose in poses:
         # four decimals without a negative zero

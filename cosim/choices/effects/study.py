@@ -3,7 +3,7 @@ chosen set beside richer sets; as data and as tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -219,8 +219,6 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgr
 SHOWN_FREQUENCIES = 3
 """Number of lowest frequencies of each pose in the table; the JSON file has all."""
 
-LONGEST_WORD = len("foreshortening")
-
 
 def contribution_table(study: EffectStudy) -> Table:
     """Tabulate every effect with its contribution to each metric and its cost."""
@@ -283,12 +281,8 @@ def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:
         yield "  ".join(f"{frequency:.1f}" for frequency in pose.frequencies[:SHOWN_FREQUENCIES]) or "–"
 
 
-def _table(title: str, texts: Iterable[str], numbers: Iterable[str]) -> Table:
-    return titled_table(
-        title,
-        *(Column(each, min_width=LONGEST_WORD) if each == "Change" else Column(each, no_wrap=True) for each in texts),
-        *(Column(each, justify="right") for each in numbers),
-    )
+def _table(title: str, texts: Sequence[str], numbers: Iterable[str]) -> Table:
+    return titled_table(title, *texts, *(Column(each, justify="right") for each in numbers), keys=len(texts))
 
 
 def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:

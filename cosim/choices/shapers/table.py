@@ -43,9 +43,8 @@ QUANTITIES: tuple[tuple[str, Callable[[Trial], str]], ...] = (
 
 def terminal_table(title: str, results: Sequence[CandidateResult], recommended: CandidateResult) -> Table:
     """Return a table with a line for each result, the recommended one in bold."""
-    words = [Column(each, no_wrap=True) for each in COLUMNS[:2]]
-    figures = [Column(each, justify="right", no_wrap=True) for each in COLUMNS[2:]]
-    table = titled_table(title, *words, *figures)
+    figures = [Column(each, justify="right") for each in COLUMNS[2:]]
+    table = titled_table(title, *COLUMNS[:2], *figures, keys=2)
     for result in results:
         table.add_row(*_row(result), style="bold" if result is recommended else None)
     return table

@@ -8,7 +8,7 @@ from itertools import chain
 from math import isfinite
 from typing import Any
 
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.engine.errors import CosimError, InputError
@@ -105,9 +105,7 @@ branch" are instants at which the end effector isn't on the side of the elbows w
 
 def terminal_table(results: Sequence[HardCaseResult]) -> Table:
     """One line for each case."""
-    shares = zip(COLUMNS, (3, 4, 8, 1), strict=True)
-    columns = (Column(name, ratio=ratio, min_width=7, overflow="fold") for name, ratio in shares)
-    table = titled_table("Hard cases", *columns, expand=True)
+    table = titled_table("Hard cases", *COLUMNS)
     for result in results:
         table.add_row(*(Text(cell) for cell in row(result)))
     return table

@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column
 from rich.text import Text
 
+from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
 from flexfmu.cosim.studies.paper.comparison import Cell, ComparisonTable, QuantityComparison, count_agreement
 from flexfmu.cosim.studies.paper.printed import Remark
@@ -162,11 +162,8 @@ def print_page(page: TablePage, console: Console) -> None:
         console.print(Text(remark, style="italic"))
     # a table for each quantity
     for block in page.blocks:
-        title = Text(f"{block.name} [{block.unit}]{block.marks}: paper → computed", style="italic")
-        table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-        table.add_column("")
-        for column in block.columns:
-            table.add_column(column, justify="right")
+        title = f"{block.name} [{block.unit}]{block.marks}: paper → computed"
+        table = titled_table(title, "", *(Column(column, justify="right") for column in block.columns))
         for label, cells in block.rows:
             table.add_row(label, *map(_rich_cell, cells))
         console.print(table)

@@ -203,9 +203,8 @@ COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note
 def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
     title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the largest elastic deviation"
-    texts = [Column(each, no_wrap=True) for each in COLUMNS[:3]]
-    numbers = [Column(each, justify="right", no_wrap=True) for each in COLUMNS[3:6]]
-    table = titled_table(title, *texts, *numbers, *COLUMNS[6:])
+    numbers = [Column(each, justify="right") for each in COLUMNS[3:6]]
+    table = titled_table(title, *COLUMNS[:3], *numbers, *COLUMNS[6:], keys=3)
     for trial in study.trials:
         table.add_row(*row(study, trial))
     return table

@@ -120,11 +120,14 @@ def test_csv_has_one_line_for_each_cell() -> None:
     assert float(lines[0]["paper"]) == 0.3843
 
 
-def test_terminal_shows_every_figure_and_remark() -> None:
-    """What is printed for people lacks nothing of what is written to files."""
-    console = Console(width=140, record=True, file=io.StringIO())
+@pytest.mark.parametrize("width", [60, 80, 120, 140])
+def test_terminal_shows_every_figure_and_remark(width: int) -> None:
+    """What is printed for people lacks nothing of what is written to files, whole at each width of the terminal."""
+    console = Console(width=width, record=True, file=io.StringIO())
     table = compare_with_itself("table-06")
     print_report(PaperReport(source(), (table,)), console)
     text = console.export_text()
-    assert all(f"{cell.printed} →" in text for cell in table.cells)
+    assert all(f"{cell.printed} → {cell.rounded()}" in text for cell in table.cells)
+    assert "…" not in text
+    assert all(len(line) <= width for line in text.splitlines())
     assert "All tables" in text
