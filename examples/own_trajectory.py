@@ -1,24 +1,32 @@
-"""Trajectories on their own, for any robot or drive: they need NumPy and SciPy, no model and no FMU.
+"""An own motion: a class with its duration and its positions, which the robot makes instead of the scene's path.
 
 python own_trajectory.py
 """
 
+from math import pi, sin
+
 import numpy as np
 
-from flexfmu.trajectories import ClothoidPair, PickAndPlacePath, TaskTrajectory, Trapezoidal
+import flexfmu
+from flexfmu.trajectories import as_trajectory
 
-# up 25 mm, 305 mm to the right, down again; corners of 25 mm x 30 mm with continuous curvature
-path = PickAndPlacePath(start=(0.0, 0.0), lift=(0.0, 1.0), height=0.025, width=0.305, blend=ClothoidPair(0.025, 0.030))
-motion = TaskTrajectory(path, Trapezoidal(ramp=0.25), duration=0.4)
-print(f"path of {1e3 * path.length:.3f} mm, from {path.start} to {path.end} m")
 
-# position and derivatives of any order, for all instants at once: (order + 1, instants, 2)
-time = np.linspace(0.0, motion.duration, 1001)
-position, velocity, acceleration, jerk, snap = motion.evaluate(time, order=4)
+class Arch:
+    """From x = -0.1 m to 0.1 m along an arch of 30 mm, with the acceleration of one period of a sine."""
+
+    duration = 0.4  # [s]
+
+    def position(self, time: float) -> tuple[float, float]:
+        """x and y of the end effector [m]."""
+        share = time / self.duration - sin(2.0 * pi * time / self.duration) / (2.0 * pi)
+        return -0.1 + 0.2 * share, 0.32 - 0.03 * sin(pi * share) ** 2
+
+
+run = flexfmu.run("barnard2012-6kg", trajectory=Arch())
+print(
+    f"peak torque {run.metrics.peak_torque_1:.3f} N.m, residual vibration {1e6 * run.metrics.residual_vibration_amplitude:.2f} µm"
+)
+
+# without a robot: derivatives of any order, for all instants at once, (order + 1, instants, 2)
+position, velocity, acceleration, jerk = as_trajectory(Arch()).evaluate(np.linspace(0.0, 0.4, 1001), order=3)
 print(f"top speed {np.linalg.norm(velocity, axis=1).max():.4f} m/s")
-
-# where the motion is not smooth it has two sides
-print("breakpoint    |acceleration| before    after [m/s2]")
-for instant in motion.breakpoints:
-    before, after = (np.linalg.norm(motion.evaluate(instant, 2, side)[2, 0]) for side in ("left", "right"))
-    print(f"{instant:8.5f} s {before:17.4f} {after:17.4f}")

@@ -53,8 +53,14 @@ HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
 SLOW = ("scipy", "concurrent", "html")
 """What takes as long to load as a scene takes to read, or loads `logging`: functions that runs don't need may import it."""
 
-SELDOM = ("trajectories.shapers", "cosim.control", "cosim.experiment.cycles", "model.symbolic")
-"""What a run without shapers, controllers and imperfections doesn't load: functions that need it may import it."""
+SELDOM = (
+    "trajectories.shapers",
+    "cosim.control",
+    "cosim.experiment.cycles",
+    "cosim.experiment.own_motion",
+    "model.symbolic",
+)
+"""What a run without shapers, controllers, imperfections, cycles and own motions doesn't load: functions that need it may import it."""
 
 
 @dataclass(frozen=True)

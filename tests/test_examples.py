@@ -108,13 +108,10 @@ def test_frequencies(tmp_path: Path) -> None:
 
 
 def test_own_trajectory(tmp_path: Path) -> None:
-    """The path has the stated ends, and the acceleration jumps by that of the ramp at its four breakpoints alone."""
-    length, speed, _, *breakpoints = run_example("own_trajectory.py", tmp_path).splitlines()
-    assert length.endswith("to (0.305, 0.0) m")
-    assert numbers(speed)[0] == pytest.approx(numbers(length)[0] * 1e-3 / (0.4 * 0.75), rel=1e-3)
-    table = np.array([numbers(line) for line in breakpoints])
-    jumps = np.abs(table[:, 2] - table[:, 1]) > 1e-3
-    np.testing.assert_allclose(table[jumps, 0], [0.0, 0.1, 0.3, 0.4])
+    """The robot makes the arch of 0.2 m, whose largest speed is twice its mean one: 2 * 0.2 m / 0.4 s, a little more aslant."""
+    torque, speed = run_example("own_trajectory.py", tmp_path).splitlines()
+    assert 20.0 < numbers(torque)[0] < 60.0
+    assert 1.0 < numbers(speed)[0] < 1.05
 
 
 @pytest.mark.slow

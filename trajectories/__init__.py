@@ -12,6 +12,7 @@ from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
+from flexfmu.trajectories.own import OwnMotion, SplineTrajectory, as_trajectory
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.polynomial_profile import PolynomialProfile
@@ -44,6 +45,7 @@ __all__ = [
     "ModifiedSine",
     "ModifiedTrapezoid",
     "MotionTable",
+    "OwnMotion",
     "PickAndPlacePath",
     "PiecewiseCurve",
     "PiecewisePolynomial",
@@ -57,10 +59,12 @@ __all__ = [
     "Side",
     "SinePiece",
     "SmoothPiece",
+    "SplineTrajectory",
     "TaskTrajectory",
     "Trajectory",
     "TrajectoryError",
     "Trapezoidal",
+    "as_trajectory",
     "evaluate_profile",
     "from_ruckig",
     "from_scipy",

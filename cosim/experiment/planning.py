@@ -90,6 +90,7 @@ class MotionPlan:
         task: end-effector trajectory of the rigid mechanism in x, y [m].
         joints: joint trajectory in q11, q21 [rad].
         repetition: single motion and number of cycles; None for a motion without repetition.
+        source: what gives the motion in place of the scene, in a few words; empty for the scene's own.
     """
 
     scene: Scene
@@ -98,6 +99,7 @@ class MotionPlan:
     task: Trajectory
     joints: Trajectory
     repetition: Repetition | None = None
+    source: str = ""
 
     def __repr__(self) -> str:
         """Return a line: whose motion, and how long it and the dwell take."""
@@ -117,10 +119,10 @@ class MotionPlan:
         """The scene's motion as path and profile.
 
         Raises:
-            TrajectoryError: it has none, since it comes from a table.
+            TrajectoryError: it has none, since it comes from a table or from an own class.
         """
         if not isinstance(self.along_path, TaskTrajectory):
-            raise TrajectoryError("a motion from a table has no profile along a path")
+            raise TrajectoryError(f"{self.source or 'a motion from a table'} has no profile along a path")
         return self.along_path
 
     @property
@@ -213,7 +215,9 @@ def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
 
     if not isinstance(motion.task, TaskTrajectory):
         if motion.task is motion.along_path:
-            raise TrajectoryError("a motion from a table has no profile along a path: shape the joint references")
+            raise TrajectoryError(
+                f"{motion.source or 'a motion from a table'} has no profile along a path: shape the joint references"
+            )
         raise TrajectoryError("shaped joint references leave the path: shape the motion along the path first")
     task = shape_along_path(motion.task, sequence)
     return replace(motion, task=task, joints=JointTrajectory(task, motion.kinematics))

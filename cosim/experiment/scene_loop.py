@@ -23,19 +23,20 @@ if TYPE_CHECKING:
     from flexfmu.cosim.control.shapers import Shaper
 
 
-def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
+def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | None = None) -> Loop:
     """Build the loop of a scene.
 
     Args:
         scene: the scene.
-        motion: motion instead of the scene's own with its shapers.
+        motion: motion instead of the scene's own with its shapers and cycles.
+        own: motion in place of that along the scene's path, to which shapers and cycles apply.
 
     Raises:
         InputError: a slave can't be made or connected.
         TrajectoryError: the motion is not feasible, or can't be shaped.
     """
     shapers = scene.shaper if motion is None else ()
-    planned = plan(scene) if motion is None else motion
+    planned = motion or own or plan(scene)
     # the scene's own motion has its cycles, a given one is what runs
     with_cycles = motion is None and scene.trajectory.way_back != "none"
     if not (scene.controller or shapers or scene.imperfection or with_cycles):

@@ -33,7 +33,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Figure]) -> str:
         "report.html.j2",
         scene=summary["scene"],
         effects=summary["effects"],
-        motion=_motion_sentence(summary["scene"]),
+        motion=_motion_sentence(summary["scene"], summary.get("motion")),
         completed=health["outcome"] == "completed",
         health=health,
         coarse=[
@@ -71,13 +71,15 @@ def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     return {title: rows for title, rows in tables.items() if rows}
 
 
-def _motion_sentence(scene: Mapping[str, Any]) -> str:
+def _motion_sentence(scene: Mapping[str, Any], source: str | None) -> str:
     trajectory = scene["trajectory"]
+    after = f"then a dwell of {trajectory['dwell']:g} s; payload {scene['payload']['mass']:g} kg."
+    if source is not None:
+        return f"{source[0].upper()}{source[1:]} in {trajectory['duration']:g} s{_cycles(trajectory)}, {after}"
     blend, profile = BLENDS[trajectory["blend"]["kind"]].label, PROFILES[trajectory["profile"]["kind"]].label
     return (
         f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
-        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile{_cycles(trajectory)}, then a dwell of "
-        f"{trajectory['dwell']:g} s; payload {scene['payload']['mass']:g} kg."
+        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile{_cycles(trajectory)}, {after}"
     )
 
 

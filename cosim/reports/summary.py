@@ -36,6 +36,9 @@ _FAMILIES: Mapping[str, str] = {
     "distal_axial": "Stretching of the distal links",
 }
 
+PATH_KEYS = ("lift", "height", "width", "blend", "profile")
+"""Keys of the scene's trajectory that describe its path and profile."""
+
 _SHAPES = {"assumed-modes": "assumed mode", "craig-bampton": "static or fixed-interface shape"}
 """Basis → name of its shape functions."""
 
@@ -59,18 +62,20 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         timing: wall times [s].
         versions: name → version.
         units: recorded signal → unit.
+        motion: only for an own motion in place of the scene's: what gives it.
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
         cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
         learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad].
     """
     return {
-        "scene": run.scene.model_dump(mode="json", exclude_none=True),
+        "scene": _scene(run),
         "effects": describe_effects(run.scene),
         **({"effect_choice": choice} if (choice := choice_summary(run.scene)) else {}),
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
         "errors": {name: measurement.error for name, measurement in measurements.items()},
         "health": _health(run, measurements),
+        **({"motion": run.plan.source} if run.plan.source else {}),
         **_shaping(run),
         **_cycles(run),
         "slaves": [asdict(slave) for slave in run.slaves],
@@ -139,6 +144,14 @@ def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
         f"{run.communication_step:g} s is too coarse for the highest frequency in this signal; reduce `cosimulation.step`"
     )
     return {"metric": name, "estimated_error": error, "message": sentence}
+
+
+def _scene(run: Run) -> dict[str, Any]:
+    """Return the scene as plain data, without the keys of a path that the motion doesn't take."""
+    data = run.scene.model_dump(mode="json", exclude_none=True)
+    for key in PATH_KEYS if run.plan.source else ():
+        data["trajectory"].pop(key, None)
+    return data
 
 
 def _shaping(run: Run) -> dict[str, Any]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.sweep.result import SweepResult
+    from flexfmu.trajectories.own import OwnMotion
+    from flexfmu.trajectories.trajectory import Trajectory
 
 SceneSource = Scene | Path | str
 """A scene, the path of a scene file, or the name of a shipped scene."""
@@ -37,6 +39,7 @@ def run(
     parameters: Mapping[str, float] | None = None,
     fmu: str | Path | None = None,
     progress: Progress | None = None,
+    trajectory: OwnMotion | Trajectory | None = None,
 ) -> Run:
     """Co-simulate a scene over its motion and the dwell that follows.
 
@@ -57,6 +60,8 @@ def run(
         fmu: path of an existing FMU to simulate instead of building one. It must have the same effects as the scene; its
             parameters are set from the scene.
         progress: function that is called during the run with the simulated fraction, 0 to 1.
+        trajectory: own motion instead of the scene's path and profile: an object with ``duration`` [s] and ``position(time)``,
+            x and y [m], see `flexfmu.trajectories.own`. The scene's shapers, controllers, cycles and dwell apply to it.
 
     Returns:
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
@@ -72,13 +77,20 @@ def run(
         ResultsError: with ``select = "auto"``, a run that verifies the choice of effects failed.
         TypeError: ``scene`` is of another type.
     """
+    robot = _scene(scene)
+    loop = None
+    if trajectory is not None:
+        from flexfmu.cosim.experiment.own_motion import own_loop  # which few runs need
+
+        loop = own_loop(robot, trajectory)
     return run_scene(
-        resolved(_scene(scene)),
+        resolved(robot) if loop is None else loop.motion.scene,
         communication_step=communication_step,
         tolerance=tolerance,
         parameters=parameters,
         fmu_path=None if fmu is None else Path(fmu),
         progress=progress,
+        loop=loop,
     )
 
 
@@ -157,13 +169,14 @@ def build(
     return build_scene(chosen, output=target, platforms=platforms, naming=naming, enumerations=enumerations).path
 
 
-def plan(scene: SceneSource) -> MotionPlan:
+def plan(scene: SceneSource, trajectory: OwnMotion | Trajectory | None = None) -> MotionPlan:
     """Plan a scene's motion, with its way back and cycles but without its shapers, and check it along the whole path.
 
     Calls `flexfmu.cosim.experiment.planning.plan`; ``plan.once`` is the plan of a single motion.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
+        trajectory: own motion instead of the scene's path and profile, as for `run`.
 
     Returns:
         The plan: ``plan.task`` is the trajectory of the rigid end effector, x and y [m], ``plan.joints`` that of the motors,
@@ -172,12 +185,18 @@ def plan(scene: SceneSource) -> MotionPlan:
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
-        TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
+        TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity, or the own motion
+            can't be used.
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.experiment.cycles import in_cycles  # which few scenes need
 
-    return in_cycles(plan_motion(_scene(scene)))
+    robot = _scene(scene)
+    if trajectory is None:
+        return in_cycles(plan_motion(robot))
+    from flexfmu.cosim.experiment.own_motion import plan_own
+
+    return in_cycles(plan_own(robot, trajectory))
 
 
 def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:

@@ -88,18 +88,18 @@ def test_breakpoints_are_the_shifted_ones(motion: MotionPlan) -> None:
 def test_shaping_along_the_path_keeps_the_path(motion: MotionPlan, name: str) -> None:
     """The end effector stays on the geometric path to rounding, and takes longer by the sequence's duration."""
     sequence = design(name, [MODE])
-    shaped = shape_along_path(motion.along_path, sequence)
-    assert path_deviation(shaped, motion.along_path.path) < 1e-15
+    shaped = shape_along_path(motion.profiled, sequence)
+    assert path_deviation(shaped, motion.profiled.path) < 1e-15
     assert shaped.duration == motion.duration + sequence.duration
-    np.testing.assert_allclose(shaped.evaluate(shaped.duration, 0)[0, 0], motion.along_path.path.end, atol=1e-15)
+    np.testing.assert_allclose(shaped.evaluate(shaped.duration, 0)[0, 0], motion.profiled.path.end, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["um-zv", "zv", "zvdd", "3-hump-ei"])
 def test_shaped_profile_is_the_sum_of_shifted_profiles(motion: MotionPlan, name: str) -> None:
     """s(t) and its time derivatives are Σ A_i s(t - T_i)."""
     sequence = design(name, [MODE])
-    profile, duration = motion.along_path.profile, motion.duration
-    shaped = shape_along_path(motion.along_path, sequence)
+    profile, duration = motion.profiled.profile, motion.duration
+    shaped = shape_along_path(motion.profiled, sequence)
     eta = np.random.default_rng(5).uniform(0.0, 1.0, 300)
     found = evaluate_profile(shaped.profile, eta, 4).rescale(1.0 / shaped.duration).derivatives()
     expected = np.zeros_like(found)
@@ -117,16 +117,16 @@ def test_shaped_profile_is_the_sum_of_shifted_profiles(motion: MotionPlan, name:
 def test_shaped_profile_has_all_breakpoints(motion: MotionPlan) -> None:
     """Every instant at which one of the shifted profiles starts, ends or jumps is a breakpoint of the shaped motion."""
     sequence = design("zvd", [MODE])
-    shaped = shape_along_path(motion.along_path, sequence)
+    shaped = shape_along_path(motion.profiled, sequence)
     for delay in sequence.times:
-        for fraction in (0.0, *motion.along_path.profile.jumps, 1.0):
+        for fraction in (0.0, *motion.profiled.profile.jumps, 1.0):
             assert min(abs(delay + fraction * motion.duration - point) for point in shaped.breakpoints) < 1e-12
 
 
 def test_joints_deviate_and_the_path_says_how_far(motion: MotionPlan) -> None:
     """Shaped joints cut the corners by a fraction of the distance travelled in the shaper's duration; unshaped ones don't."""
     kinematics = RigidForwardKinematics(motion.scene.mechanism)
-    path = motion.along_path.path
+    path = motion.profiled.path
     assert path_deviation(EndEffectorTrajectory(motion.joints, kinematics), path) < 1e-14
     found = [
         path_deviation(EndEffectorTrajectory(ShapedTrajectory(motion.joints, design(name, [MODE])), kinematics), path)
@@ -137,9 +137,9 @@ def test_joints_deviate_and_the_path_says_how_far(motion: MotionPlan) -> None:
 
 def test_deviation_is_the_distance_of_a_parallel_motion(motion: MotionPlan) -> None:
     """A path moved upwards by 1 mm is 1 mm away at most, along the crossing."""
-    start, path = motion.along_path.path.start, motion.along_path.path
+    start, path = motion.profiled.path.start, motion.profiled.path
     moved = type(path)((start[0], start[1] + 1e-3), path.lift, path.height, path.width, path.blend)
-    task = TaskTrajectory(moved, motion.along_path.profile, motion.duration)
+    task = TaskTrajectory(moved, motion.profiled.profile, motion.duration)
     assert path_deviation(task, path) == pytest.approx(1e-3, abs=1e-12)
 
 
@@ -157,12 +157,12 @@ def test_a_motion_along_the_path_does_not_go_backwards(motion: MotionPlan) -> No
     """Negative impulses are fine while the speed stays positive, and refused with time and remedy where it doesn't."""
     slow = Oscillator(0.5)
     with pytest.raises(TrajectoryError, match=r"go backwards along its path at t = .* s.*shape the joint references"):
-        shape_along_path(motion.along_path, design("um-zv", [slow]))
+        shape_along_path(motion.profiled, design("um-zv", [slow]))
 
 
 def test_shapers_longer_than_the_motion() -> None:
     """With a gap between the impulses' motions the end effector waits on the way, at rest."""
-    nominal = plan(load_scene("barnard2012-6kg")).along_path
+    nominal = plan(load_scene("barnard2012-6kg")).profiled
     sequence = ImpulseSequence((0.0, 1.0), (0.5, 0.5))
     shaped = shape_along_path(nominal, sequence)
     waiting = shaped.evaluate([0.5, 0.7, 0.9], 3)
@@ -177,7 +177,7 @@ def test_shapers_longer_than_the_motion() -> None:
 def test_shaped_tasks_make_joint_trajectories(profile: BangBang | Trapezoidal) -> None:
     """The shaped motion along the path is a motion like any other: the inverse kinematics takes it, angles stay continuous."""
     nominal = plan(load_scene("barnard2012-6kg"))
-    task = TaskTrajectory(nominal.along_path.path, profile, nominal.duration)
+    task = TaskTrajectory(nominal.profiled.path, profile, nominal.duration)
     joints = JointTrajectory(shape_along_path(task, design("zvd", [MODE])), nominal.kinematics)
     angles = joints.evaluate(np.linspace(0.0, joints.duration, 500), 0)[0]
     assert np.max(np.abs(np.diff(angles, axis=0))) < 0.05
@@ -208,7 +208,7 @@ class _CycloidalProfile:
 def test_any_smooth_profile_is_shaped_along_the_path(name: str) -> None:
     """A profile that is no polynomial is shaped like the others: s(t) = Σ A_i s(t - T_i), by the formula of the cycloid."""
     nominal = plan(load_scene("barnard2012-6kg"))
-    task = TaskTrajectory(nominal.along_path.path, _CycloidalProfile(), nominal.duration)
+    task = TaskTrajectory(nominal.profiled.path, _CycloidalProfile(), nominal.duration)
     sequence = design(name, [MODE])
     shaped = shape_along_path(task, sequence)
     time = np.linspace(0.0, shaped.duration, 333)

@@ -287,7 +287,7 @@ def test_a_slower_motion_takes_the_time_on_the_same_path(motion: MotionPlan) -> 
     """What a shaper's time could have bought: the same path and end, later."""
     found = slower(motion, 0.02)
     assert found.motion.duration == pytest.approx(0.45)
-    assert found.motion.along_path.path == motion.along_path.path
+    assert found.motion.profiled.path == motion.profiled.path
 
 
 def test_rigid_robots_need_no_shaper(scene: Scene) -> None:

@@ -26,7 +26,7 @@ def test_the_papers_motion(scene: Scene) -> None:
     motion = plan(scene)
     ends = motion.task.evaluate([0.0, 0.43], order=0)[0]
     np.testing.assert_allclose(ends, [[-0.175, 0.320], [0.175, 0.320]], atol=1e-12)
-    assert motion.along_path.path.length == pytest.approx(0.38431, abs=5e-6)
+    assert motion.profiled.path.length == pytest.approx(0.38431, abs=5e-6)
     assert (motion.duration, motion.stop_time) == (0.43, 0.43 + 0.25)
 
 

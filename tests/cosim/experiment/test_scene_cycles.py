@@ -110,6 +110,7 @@ def test_variants_of_cycles_are_their_own_runs() -> None:
         assert found[k].value == pytest.approx(metrics_of(run, ["peak_torque_1"]), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_variants_of_parameters_run_side_by_side_over_all_cycles() -> None:
     """Payloads over two cycles in lockstep agree with runs of the FMU."""
     scene = robot().replace(TWICE)

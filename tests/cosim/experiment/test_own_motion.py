@@ -1,0 +1,139 @@
+"""Runs of own motions: the robot does what the class says, with the scene's shapers, cycles and metrics."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import pi, sin
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.own_motion import plan_own
+from flexfmu.cosim.experiment.planning import plan, shape_joints, shape_path
+from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
+from flexfmu.cosim.reports.modes_table import modes_along_path
+from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.summary import summarise
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories import TrajectoryError
+from flexfmu.trajectories.shapers import ImpulseSequence
+
+FAMILIES = (f"effects.{link}_{kind}" for link in ("proximal", "distal") for kind in ("bending", "axial"))
+
+
+@cache
+def robot() -> Scene:
+    """One mode of each proximal link, coarse steps."""
+    few = {**dict.fromkeys(FAMILIES, 0), "effects.proximal_bending": 1}
+    return load_scene("barnard2012-6kg").replace({**few, "trajectory.dwell": 0.05, "cosimulation.step": 2e-3})
+
+
+class Line:
+    """20 cm to the right with the cycloidal profile."""
+
+    duration = 0.4
+
+    def position(self, time: float) -> tuple[float, float]:
+        """x and y [m]."""
+        u = 2.0 * pi * time / self.duration
+        return -0.1 + 0.2 * (u - sin(u)) / (2.0 * pi), 0.33
+
+
+class SamePath:
+    """The positions of the scene's own path, without its derivatives."""
+
+    def __init__(self, scene: Scene, coordinates: str) -> None:
+        motion = plan(scene)
+        self._motion = motion.joints if coordinates == "joints" else motion.task
+        self.coordinates = coordinates
+        self.duration = self._motion.duration
+        self.breakpoints = self._motion.breakpoints
+
+    def position(self, time: float) -> Any:
+        """x and y [m], or the joint angles [rad]."""
+        return self._motion.evaluate(time, 0)[0, 0]
+
+
+@pytest.mark.parametrize("coordinates", ["end-effector", "joints"])
+def test_positions_of_the_scenes_path_give_its_run(coordinates: str) -> None:
+    """Splines through the positions of the path, or the joint angles, give the metrics that the exact derivatives give."""
+    own = flexfmu.run(robot(), trajectory=SamePath(robot(), coordinates))
+    wanted = metrics_of(flexfmu.run(robot()))
+    for name, value in metrics_of(own).items():
+        assert value == pytest.approx(wanted[name], rel=1e-6, abs=1e-12), name
+
+
+def test_summary_and_report_name_the_motion() -> None:
+    """And not the path that the robot doesn't take."""
+    run = flexfmu.run(robot(), trajectory=Line())
+    assert run.completed
+    summary = summarise(run, measure_run(run, 0))
+    assert summary["motion"] == "own motion Line"
+    assert summary["scene"]["trajectory"].keys() == {
+        "kind",
+        "start",
+        "duration",
+        "dwell",
+        "way_back",
+        "cycles",
+        "pause",
+    }
+    page = render_report(summary, ())
+    assert "Own motion Line in 0.4 s, then a dwell of 0.05 s" in page
+
+
+def test_cycles_and_shapers_apply() -> None:
+    """There and back, each motion shaped in the joints; a shaper along the path has no profile to act on."""
+    scene = robot().replace({"trajectory.way_back": "same-path", "trajectory.cycles": 2, "trajectory.pause": 0.1})
+    motion = flexfmu.plan(scene, trajectory=Line())
+    assert motion.duration == pytest.approx(4 * 0.4 + 3 * 0.1)
+    np.testing.assert_allclose(motion.task.evaluate([0.4, 0.9], 0)[0], [[0.1, 0.33], [-0.1, 0.33]], atol=1e-12)
+    own, sequence = plan_own(robot(), Line()), ImpulseSequence((0.0, 0.02), (0.5, 0.5))
+    assert shape_joints(own, sequence).duration == pytest.approx(0.42)
+    with pytest.raises(
+        TrajectoryError, match="own motion Line has no profile along a path: shape the joint references"
+    ):
+        shape_path(own, sequence)
+
+
+def test_modes_are_taken_along_the_motion() -> None:
+    """Places at fractions of its length, in the middle of a straight line here."""
+    poses = modes_along_path(plan_own(robot(), Line()), 3)
+    np.testing.assert_allclose([pose.x for pose in poses], [-0.1, 0.0, 0.1], atol=1e-9)
+    np.testing.assert_allclose([pose.y for pose in poses], 0.33, atol=1e-12)
+
+
+def test_motions_that_the_robot_cannot_make_are_refused() -> None:
+    """Out of reach, joint angles of another working mode, and an open choice of effects."""
+
+    class Far(Line):
+        def position(self, time: float) -> tuple[float, float]:
+            x, y = super().position(time)
+            return x, y + 3.0 * (x + 0.1)
+
+    with pytest.raises(TrajectoryError, match="along the whole path"):
+        flexfmu.plan(robot(), trajectory=Far())
+
+    class Turned(SamePath):
+        def position(self, time: float) -> Any:
+            return super().position(time) + 2.0 * pi
+
+    with pytest.raises(TrajectoryError, match=r"starts at joint angles .* change `mechanism\.working_mode`"):
+        flexfmu.plan(robot(), trajectory=Turned(robot(), "joints"))
+    odd = SamePath(robot(), "tool")
+    with pytest.raises(
+        TrajectoryError, match="`coordinates` of an own motion must be 'end-effector' or 'joints', got 'tool'"
+    ):
+        flexfmu.plan(robot(), trajectory=odd)
+    data = {
+        key: value
+        for key, value in robot().effects.model_dump(exclude_none=True).items()
+        if key in ("gravity", "damping")
+    }
+    choosing = robot().replace({"effects": {**data, "select": "auto", "tolerance": 0.01, "of": ["peak_torque_1"]}})
+    with pytest.raises(InputError, match='has `select = "auto"`, which chooses the effects for the scene\'s own path'):
+        flexfmu.run(choosing, trajectory=Line())

@@ -1,0 +1,118 @@
+"""Own motions as trajectories: exact between breakpoints, refused where they are none."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.trajectories import TaskTrajectory, Trajectory, TrajectoryError, as_trajectory
+
+DURATION = 0.4
+
+
+class Cycloid:
+    """σ of the cycloidal profile along a line of 0.2 m, and a cosine across."""
+
+    duration: Any = DURATION
+
+    def position(self, time: float) -> tuple[float, float]:
+        """x and y [m]."""
+        u = 2.0 * pi * time / DURATION
+        return 0.2 * (u - sin(u)) / (2.0 * pi), 0.01 * cos(u)
+
+
+class BangBang:
+    """Constant acceleration, then constant deceleration."""
+
+    duration = DURATION
+    breakpoints: tuple[float, ...] = (0.2,)
+
+    def position(self, time: float) -> tuple[float, float]:
+        """x and y [m]."""
+        return (time**2, 0.0) if time < 0.2 else (0.08 - (DURATION - time) ** 2, 0.0)
+
+
+def changed(base: type, **members: Any) -> Any:
+    """An instance of the class with other members."""
+    return type(base.__name__, (base,), members)()
+
+
+def test_splines_have_the_derivatives_of_the_formula() -> None:
+    """Acceleration to 1e-9 and the fourth derivative to 1e-5 of their largest values, at both ends too."""
+    motion = as_trajectory(Cycloid())
+    time = np.linspace(0.0, DURATION, 401)[1:-1]
+    w = 2.0 * pi / DURATION
+    u = w * time
+    exact = np.array(
+        [
+            [0.2 * (u - np.sin(u)) / (2.0 * pi), 0.01 * np.cos(u)],
+            [0.2 / DURATION * (1.0 - np.cos(u)), -0.01 * w * np.sin(u)],
+            [0.2 / DURATION * w * np.sin(u), -0.01 * w**2 * np.cos(u)],
+            [0.2 / DURATION * w**2 * np.cos(u), 0.01 * w**3 * np.sin(u)],
+            [-0.2 / DURATION * w**3 * np.sin(u), 0.01 * w**4 * np.cos(u)],
+        ]
+    ).swapaxes(1, 2)
+    found = motion.evaluate(time, 9)
+    for order, tolerance in enumerate((1e-13, 1e-12, 1e-9, 1e-7, 1e-5)):
+        largest = abs(exact[order]).max()
+        np.testing.assert_allclose(found[order], exact[order], rtol=0, atol=tolerance * largest)
+    np.testing.assert_array_equal(found[8:], 0.0)
+
+
+def test_it_stands_still_before_and_after() -> None:
+    """And has both limits at its ends: acceleration within, none outside."""
+    motion = as_trajectory(Cycloid())
+    outside = motion.evaluate([-1.0, DURATION + 1.0], 3)
+    np.testing.assert_allclose(outside[0], [[0.0, 0.01], [0.2, 0.01]], atol=1e-14)
+    np.testing.assert_array_equal(outside[1:], 0.0)
+    np.testing.assert_array_equal(motion.evaluate(0.0, 2, "left")[1:], 0.0)
+    assert motion.evaluate(0.0, 2, "right")[2, 0, 1] == pytest.approx(-0.01 * (2.0 * pi / DURATION) ** 2, rel=1e-8)
+
+
+def test_breakpoints_have_two_limits() -> None:
+    """The acceleration jumps where the class says, and only there."""
+    motion = as_trajectory(BangBang())
+    assert motion.breakpoints == (0.0, 0.2, DURATION)
+    sides = [motion.evaluate(0.2, 2, side)[:, 0, 0] for side in ("left", "right")]  # type: ignore[arg-type]
+    np.testing.assert_allclose(sides, [[0.04, 0.4, 2.0], [0.04, 0.4, -2.0]], rtol=1e-9)
+
+
+def test_trajectories_stay_what_they_are() -> None:
+    """Whoever knows the derivatives gives them."""
+
+    class Known:
+        duration = 1.0
+        breakpoints = (0.0, 1.0)
+
+        def evaluate(self, time: Any, order: int = 2, side: str = "right") -> Any:
+            return np.zeros((order + 1, np.size(time), 2))
+
+    known: Any = Known()
+    assert as_trajectory(known) is known
+    assert not isinstance(as_trajectory(Cycloid()), TaskTrajectory)
+
+
+def test_the_duration_may_be_a_method() -> None:
+    """Both spellings are common."""
+    motion: Trajectory = as_trajectory(changed(Cycloid, duration=lambda self: DURATION))
+    assert motion.duration == DURATION
+
+
+@pytest.mark.parametrize(
+    ("motion", "message"),
+    [
+        (object(), "object has no `duration`: an own motion needs `duration`"),
+        (changed(Cycloid, duration=0.0), "duration of the own motion must be above zero and finite, got 0 s"),
+        (changed(Cycloid, position=lambda self, time: 1.0), r"position\(0\) must return two numbers, got 1\.0"),
+        (changed(Cycloid, position=lambda self, time: (np.nan, 0.0)), r"position\(0\) must return two finite numbers"),
+        (changed(Cycloid, position=lambda self, time: (time, 0.0)), r"velocity of the own motion jumps by 1 per second at 0(\.4)? s"),
+        (changed(BangBang, breakpoints=()), r"isn't smooth near 0\.\d+ s: add this instant to its `breakpoints`"),
+    ],
+)  # fmt: skip
+def test_what_is_no_motion_is_refused(motion: Any, message: str) -> None:
+    """What is wrong, where, and what to do."""
+    with pytest.raises(TrajectoryError, match=message):
+        as_trajectory(motion)
