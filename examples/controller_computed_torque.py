@@ -5,7 +5,7 @@ A gain of w² and damping of 2 w make every joint's error a critically damped os
     python controller_computed_torque.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque
 from flexfmu.cosim.control.imperfections.payload_error import PayloadError
 from flexfmu.cosim.experiment.prepared_scene import run_loop
@@ -18,9 +18,9 @@ for sample_time in (1e-3, 0.25e-3):
     # from the scene's equations, compiled to C
     controller = computed_torque(inverse_dynamics(scene), w**2, 2 * w, sample_time=sample_time)
     for error in (0.0, 0.3):
-        found = measure_run(run_loop(scene, [controller], imperfections=[PayloadError(error)]))
+        found = run_loop(scene, [controller], imperfections=[PayloadError(error)]).metrics
         print(
             f"{1e-3 / sample_time:.0f} kHz, payload {error:+4.0%}: "
-            f"tracking error {1e3 * found['peak_tracking_error_1'].value:6.3f} mrad, "
-            f"residual {1e6 * found['residual_vibration_amplitude'].value:7.2f} µm"
+            f"tracking error {1e3 * found.peak_tracking_error_1:6.3f} mrad, "
+            f"residual {1e6 * found.residual_vibration_amplitude:7.2f} µm"
         )

@@ -3,7 +3,7 @@
 python controller_pd.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.computed_torque import inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.experiment.prepared_scene import run_loop
@@ -17,6 +17,6 @@ feedforward = inverse_dynamics_feedforward(inverse_dynamics(scene), sample_time=
 
 for label, controllers in (("PD", [feedback]), ("PD and feedforward", [feedback, feedforward])):
     run = run_loop(scene, controllers)
-    found = measure_run(run)
-    tracking, torque = found["peak_tracking_error_1"].value, found["peak_torque_1"].value
+    found = run.metrics
+    tracking, torque = found.peak_tracking_error_1, found.peak_torque_1
     print(f"{label:20} tracking error {1e3 * tracking:.3f} mrad, peak torque {torque:.2f} N.m")

@@ -19,5 +19,5 @@ variants = {
 
 METRICS = ("peak_torque_1", "peak_tracking_error_1", "rms_acceleration_error", "residual_vibration_amplitude")
 for label, variant in variants.items():
-    found = flexfmu.measure_run(flexfmu.run(variant))
-    print(f"{label:24}", *(f"{flexfmu.display(name, found[name].value, 4):>14}" for name in METRICS))
+    found = flexfmu.run(variant).metrics
+    print(f"{label:24}", *(f"{flexfmu.display(name, found[name], 4):>14}" for name in METRICS))

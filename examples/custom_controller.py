@@ -7,7 +7,7 @@ This one ties the joints to their references by springs and dampers.
 
 import numpy as np
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
 
@@ -54,4 +54,4 @@ if __name__ == "__main__":
     }
     scene_file = run_scene(robot.replace({"controller": [section]}))
     for label, run in (("Python", python), ("scene file", scene_file)):
-        print(f"{label:12} tracking error {1e3 * measure_run(run)['peak_tracking_error_1'].value:.4f} mrad")
+        print(f"{label:12} tracking error {1e3 * run.metrics.peak_tracking_error_1:.4f} mrad")

@@ -5,7 +5,7 @@ python custom_transfer_function.py
 
 import control
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.experiment.prepared_scene import run_loop
 
@@ -30,5 +30,5 @@ connect |= {f"lead.angle{joint}": f"joint{joint}.position" for joint in (1, 2)}
 connect |= {f"plant.joint{joint}.torque": f"lead.motor{joint}" for joint in (1, 2)}
 
 run = run_loop(scene, [block], connect=connect)
-found = measure_run(run)
-print(f"{run.slaves[2].description}: tracking error {1e3 * found['peak_tracking_error_1'].value:.3f} mrad")
+found = run.metrics
+print(f"{run.slaves[2].description}: tracking error {1e3 * found.peak_tracking_error_1:.3f} mrad")

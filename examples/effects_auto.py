@@ -21,7 +21,7 @@ for row in study.rows:
 
 # the chosen scene is a scene like any other; flexfmu.run(scene) would choose by itself
 run = flexfmu.run(study.scene)
-measured = flexfmu.measure_run(run)
+measured = run.metrics
 print(f"FMU with {study.cost.states} elastic coordinates, tolerance {run.tolerance:g}:")
 for metric in study.choice.of:
-    print(f"  {metric} {measured[metric].value:.4g}")
+    print(f"  {metric} {measured[metric]:.4g}")

@@ -3,7 +3,7 @@
 python imperfection_actuator.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 CONTROLLER = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
@@ -18,8 +18,8 @@ imperfections = {
     "lag, 0.2 ms": [{"kind": "lag", "time_constant": 0.2e-3}],
 }
 for label, sections in imperfections.items():
-    found = measure_run(run_scene(scene.replace({"imperfection": sections})))
+    found = run_scene(scene.replace({"imperfection": sections})).metrics
     print(
-        f"{label:22} peak torque {found['peak_torque_1'].value:6.2f} N.m, "
-        f"tracking error {1e3 * found['peak_tracking_error_1'].value:7.3f} mrad"
+        f"{label:22} peak torque {found.peak_torque_1:6.2f} N.m, "
+        f"tracking error {1e3 * found.peak_tracking_error_1:7.3f} mrad"
     )

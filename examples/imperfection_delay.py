@@ -3,7 +3,7 @@
 python imperfection_delay.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 CONTROLLER = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
@@ -14,7 +14,7 @@ scene = load_scene("barnard2012-6kg").replace(
 for delay in (0.0, 0.25e-3, 0.5e-3, 1e-3, 2e-3):
     run = run_scene(scene.replace({"imperfection": [{"kind": "delay", "time": delay, "signal": "torque"}]}))
     if run.completed:
-        error = measure_run(run)["peak_tracking_error_1"].value
+        error = run.metrics.peak_tracking_error_1
         print(f"{1e3 * delay:.2f} ms late: tracking error {1e3 * error:.3f} mrad")
     else:  # what was recorded until then is kept
         print(f"{1e3 * delay:.2f} ms late: unstable, {run.recording.time[-1]:.3f} s simulated")

@@ -5,7 +5,7 @@ The same seed gives the same numbers in every run, in Python and in exported FMU
     python imperfection_sensor.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 CONTROLLER = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
@@ -21,8 +21,8 @@ imperfections = {
     "encoder, 1e6 counts": [{"kind": "encoder", "counts_per_turn": 1e6}],
 }
 for label, sections in imperfections.items():
-    found = measure_run(run_scene(scene.replace({"imperfection": sections})))
+    found = run_scene(scene.replace({"imperfection": sections})).metrics
     print(
-        f"{label:27} RMS tracking error {1e6 * found['rms_tracking_error_1'].value:7.2f} µrad, "
-        f"RMS residual {1e6 * found['residual_vibration_rms'].value:6.2f} µm"
+        f"{label:27} RMS tracking error {1e6 * found.rms_tracking_error_1:7.2f} µrad, "
+        f"RMS residual {1e6 * found.residual_vibration_rms:6.2f} µm"
     )

@@ -17,9 +17,7 @@ thick = scene.replace({"mechanism.distal.diameter": 0.036, "mechanism.distal.inn
 first = flexfmu.run(scene)
 second = flexfmu.run(thick, fmu=first.fmu_path)
 
-before, after = flexfmu.measure_run(first), flexfmu.measure_run(second)
+before, after = first.metrics, second.metrics
 print(f"{'':32} {'30 mm tubes':>18} {'36 mm tubes':>18}")
 for name, info in METRICS.items():
-    print(
-        f"{info.label:32} {flexfmu.display(name, before[name].value):>18} {flexfmu.display(name, after[name].value):>18}"
-    )
+    print(f"{info.label:32} {flexfmu.display(name, before[name]):>18} {flexfmu.display(name, after[name]):>18}")

@@ -11,8 +11,8 @@ fmu = flexfmu.build(scene)
 print("payload   peak torque   peak deviation   residual vibration")
 for mass in (0.0, 1.0, 2.0, 4.0, 6.0, 8.0):
     run = flexfmu.run(scene.replace({"payload.mass": mass}), fmu=fmu, communication_step=1e-3)
-    metrics = {name: measurement.value or 0.0 for name, measurement in flexfmu.measure_run(run).items()}
+    metrics = run.metrics
     print(
-        f"{mass:4.1f} kg {metrics['peak_torque_1']:9.2f} N.m {1e3 * metrics['peak_position_error']:12.4f} mm"
-        f" {1e6 * metrics['residual_vibration_amplitude']:14.2f} µm"
+        f"{mass:4.1f} kg {metrics.peak_torque_1:9.2f} N.m {1e3 * metrics.peak_position_error:12.4f} mm"
+        f" {1e6 * metrics.residual_vibration_amplitude:14.2f} µm"
     )

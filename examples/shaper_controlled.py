@@ -3,7 +3,7 @@
 python shaper_controlled.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 CONTROLLER = {"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0, "sample_time": 0.25e-3}
@@ -20,7 +20,7 @@ for kind in (None, "zv", "zvd", "ei"):
     }
     for label, variant in variants.items():
         run = run_scene(variant)
-        found = measure_run(run)
-        residual, torque = found["residual_vibration_amplitude"].value, found["peak_torque_1"].value
+        found = run.metrics
+        residual, torque = found.residual_vibration_amplitude, found.peak_torque_1
         added = run.plan.duration - scene.trajectory.duration
         print(f"{kind or 'none':6}   {label:22}   {1e3 * added:10.2f}   {1e6 * residual:13.2f}   {torque:17.2f}")

@@ -6,7 +6,7 @@ sampled shaper is what runs in a real controller.
     python shaper_three_ways.py
 """
 
-from flexfmu import load_scene, measure_run
+from flexfmu import load_scene
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.experiment.planning import deviation, plan
 from flexfmu.cosim.experiment.prepared_scene import run_loop
@@ -34,7 +34,7 @@ ways = {
 }
 for label, shapers in ways.items():
     run = run_loop(scene, shapers=shapers)
-    residual = measure_run(run)["residual_vibration_amplitude"].value
+    residual = run.metrics.residual_vibration_amplitude
     added = run.plan.duration - motion.duration
     print(
         f"{label:16} residual {1e6 * residual:8.3f} µm, {1e3 * added:5.2f} ms longer, off the path by {1e3 * deviation(run.plan):.4f} mm"

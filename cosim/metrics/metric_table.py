@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import ceil, floor, log10
+from math import ceil, floor, isnan, log10
 from operator import methodcaller
 from typing import Protocol
 
@@ -274,7 +274,7 @@ def display(name: str, value: float | None, digits: int = 6, error: float | None
 
     Args:
         name: of the metric, as in ``summary.json``.
-        value: in the metric's SI unit; None where the run doesn't have it.
+        value: in the metric's SI unit; None or NaN where the run doesn't have it.
         digits: largest number of significant digits of the value.
         error: in the same unit; None or zero isn't shown.
 
@@ -282,7 +282,7 @@ def display(name: str, value: float | None, digits: int = 6, error: float | None
         KeyError: there is no such metric.
     """
     info = ALL_METRICS[name]
-    if value is None:
+    if value is None or isnan(value):
         return "–"
     shown = value * info.display_factor
     if not error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
-from flexfmu.cosim.engine.results import Recording, Selection
+from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.planning import plan as plan_motion
 from flexfmu.cosim.experiment.prepared_scene import run_scene
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import control
 
     from flexfmu.cosim.studies.compare.comparison import Comparison
+    from flexfmu.cosim.studies.compare.measured import Log
     from flexfmu.cosim.studies.sweep.result import SweepResult
     from flexfmu.trajectories.own import OwnMotion
     from flexfmu.trajectories.trajectory import Trajectory
@@ -96,7 +97,7 @@ def run(
 
 def compare(
     *runs: Run | SceneSource,
-    measured: str | Path | Recording | None = None,
+    measured: Log | None = None,
     mapping: Mapping[str, str] | None = None,
     delay: float | None = None,
 ) -> Comparison:
@@ -111,8 +112,8 @@ def compare(
     Args:
         runs: runs, folders or files of results (.csv, .parquet, .mat), or scenes, which are run now. Differences are relative to
             the first one.
-        measured: a measurement: a CSV file with a header, or signals in SI units with the names of simulated ones.
-        mapping: column of the file → ``signal*factor+offset``; factor (a number, or a unit such as ``deg``) and offset may be left
+        measured: a measurement: a CSV file with a header, a data frame, or a `Recording`.
+        mapping: column of the measurement → ``signal*factor+offset``; factor (a number, or a unit such as ``deg``) and offset may be left
             out, and ``time`` is the time. Other columns are taken where their name is that of a signal.
         delay: time of an event in the measurement minus that in the simulation [s]; None to estimate it from the first run.
 

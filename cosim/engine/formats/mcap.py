@@ -7,7 +7,7 @@ the field ``bending_1`` of ``/link11``; the schema has the recorded name of a fi
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,9 @@ from flexfmu.cosim.engine.columns import TWICE, Column
 from flexfmu.cosim.engine.files import replacing
 from flexfmu.cosim.engine.formats.mat import valid_names
 from flexfmu.cosim.engine.slave import RealArray
+
+PIECE = 4096
+"""Number of instants whose values are turned into Python's numbers at once."""
 
 
 def write_mcap(path: Path, time: RealArray, columns: Mapping[str, Column], about: Mapping[str, str]) -> Path:
@@ -46,16 +49,24 @@ def write_mcap(path: Path, time: RealArray, columns: Mapping[str, Column], about
             names = [fields[_field(name, part)] for name in signals]
             schema = writer.register_schema(f"flexfmu.{part}", "jsonschema", _schema(names, signals))
             identifiers.append(writer.register_channel(f"/{part}", "json", schema))
-            tables.append((names, list(zip(*(column.listed() for column in signals.values()), strict=True))))
-        # all parts at each instant, in the order of time
-        for i, stamp in enumerate(stamps):
-            for identifier, (names, rows) in zip(identifiers, tables, strict=True):
-                data = to_json(dict(zip(names, rows[i], strict=True)), inf_nan_mode="null")
-                writer.add_message(identifier, log_time=stamp, publish_time=stamp, data=data, sequence=i)
+            tables.append((names, [column.listed() for column in signals.values()]))
+        # all parts at each instant, in the order of time; some thousand instants at once, which takes little memory
+        for begin in range(0, time.size, PIECE):
+            pieces = [_rows(columns, slice(begin, begin + PIECE)) for _, columns in tables]
+            for i, stamp in enumerate(stamps[begin : begin + PIECE]):
+                for identifier, (names, _), rows in zip(identifiers, tables, pieces, strict=True):
+                    data = to_json(dict(zip(names, rows[i], strict=True)), inf_nan_mode="null")
+                    writer.add_message(identifier, stamp, data, stamp, sequence=begin + i)
         writer.add_metadata("flexfmu", {**about, "jumps": TWICE})
         writer.add_metadata("units", {name: column.unit for name, column in columns.items()})
         writer.finish()
     return path
+
+
+def _rows(columns: Sequence[RealArray | list[str]], piece: slice) -> list[tuple[float | str, ...]]:
+    """Return the values of some signals at each instant of a piece."""
+    cut = [each[piece] if isinstance(each, list) else each[piece].tolist() for each in columns]
+    return list(zip(*cut, strict=True))
 
 
 def _part(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.svg import INK, PALETTE
+from flexfmu.cosim.reports.text import to_json
 from flexfmu.cosim.studies.compare.alignment import (
     Delay,
     Difference,
@@ -32,7 +32,7 @@ from flexfmu.cosim.studies.compare.alignment import (
     differences,
     estimate_delay,
 )
-from flexfmu.cosim.studies.compare.measured import Mapped, read_log
+from flexfmu.cosim.studies.compare.measured import Log, Mapped, read_log
 
 if TYPE_CHECKING:
     import pandas
@@ -128,7 +128,7 @@ class Comparison:
         """
         target = Path(folder)
         write_whole(target / "comparison.html", self.page())
-        write_whole(target / "comparison.json", json.dumps(self.as_data(), ensure_ascii=False, indent=2) + "\n")
+        write_whole(target / "comparison.json", to_json(self.as_data()))
         return target
 
     def __repr__(self) -> str:
@@ -147,7 +147,7 @@ class Comparison:
 
 def compare_runs(
     runs: Sequence[ComparedRun],
-    log: str | Path | Recording | None = None,
+    log: Log | None = None,
     mapping: Mapping[str, Mapped] | None = None,
     delay: float | None = None,
 ) -> Comparison:
@@ -155,8 +155,8 @@ def compare_runs(
 
     Args:
         runs: at least one.
-        log: a measurement: a file for `read_log`, or signals in SI units with the names of simulated ones; None without.
-        mapping: name of a column of the file → what it is.
+        log: a measurement for `read_log`; None without.
+        mapping: name of a column of the measurement → what it is.
         delay: of the measurement [s]; None to estimate it from the first run.
 
     Raises:
@@ -168,8 +168,8 @@ def compare_runs(
             raise InputError("a mapping of columns or a delay goes with a measurement")
         return Comparison(tuple(runs))
     units = {name: column.unit for run in reversed(runs) for name, column in run.recording.columns.items()}
-    recording = log if isinstance(log, Recording) else read_log(log, mapping or {}, units)
-    name = "measured" if isinstance(log, Recording) else Path(log).stem
+    recording = read_log(log, mapping or {}, units)
+    name = Path(log).stem if isinstance(log, str | Path) else "measured"
     # the delay from the first run, which all others get: it belongs to the measurement's clock
     measured = {each: _sampled(recording, each) for each in recording.columns}
     simulated = [

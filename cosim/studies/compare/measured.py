@@ -9,11 +9,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
+
+if TYPE_CHECKING:
+    import pandas
+
+Log = Union[str, Path, Recording, "pandas.DataFrame"]
+"""A file, or signals in memory; the time of a data frame is its column `time` or its index."""
 
 UNITS: Mapping[str, float] = {
     **dict.fromkeys(
@@ -84,7 +91,7 @@ def _number(word: str, text: str) -> float:
     return value
 
 
-def read_log(path: str | Path, mapping: Mapping[str, Mapped], signals: Mapping[str, str]) -> Recording:
+def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]) -> Recording:
     """Read the columns of a log that are signals of a simulation.
 
     The separator is a comma, semicolon or tab; with semicolons or tabs numbers may have a decimal comma. Lines before the header
@@ -92,7 +99,7 @@ def read_log(path: str | Path, mapping: Mapping[str, Mapped], signals: Mapping[s
     Empty cells are missing values. Column `time` or `t` is the time, whatever its case, unless one is mapped to ``time``.
 
     Args:
-        path: the CSV file; or a ``.parquet`` or ``.mat`` file of signals in SI units.
+        log: the CSV file; a ``.parquet`` or ``.mat`` file, or what is in memory, in SI units where the mapping has no factor.
         mapping: name of a column → its meaning; others are taken where their name is that of a signal.
         signals: name of a simulated signal → its unit.
 
@@ -100,8 +107,8 @@ def read_log(path: str | Path, mapping: Mapping[str, Mapped], signals: Mapping[s
         ResultsError: the file can't be read.
         InputError: it has no time, no signal, a column or signal doesn't exist, the time decreases, or a unit is unknown.
     """
-    source = Path(path)
-    table, units = _table(source)
+    source = Path(log) if isinstance(log, str | Path) else "the measurement"
+    table, units = _table(Path(log)) if isinstance(log, str | Path) else (_in_memory(log), {})
     meaning = _meaning(source, table, mapping, signals)
     # the time first, which every signal needs
     (time_name,) = (name for name, each in meaning.items() if each.signal == "time")
@@ -119,11 +126,19 @@ def read_log(path: str | Path, mapping: Mapping[str, Mapped], signals: Mapping[s
     return Recording(time, columns)
 
 
+def _in_memory(log: Recording | pandas.DataFrame) -> dict[str, np.ndarray]:
+    """Return the columns of signals in memory by name, the time among them."""
+    if isinstance(log, Recording):
+        return {"time": log.time, **{name: each.values for name, each in log.columns.items()}}
+    columns = {str(name): log[name].to_numpy() for name in log.columns}
+    usual = any(name.lower() in ("time", "t") for name in columns)
+    return columns if usual else {"time": np.asarray(log.index, dtype=np.float64), **columns}
+
+
 def _table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Return the columns of a file by name without their units, and these units."""
     if path.suffix in (".parquet", ".mat"):
-        read = Recording.read(path)
-        return {"time": read.time, **{name: each.values for name, each in read.columns.items()}}, {}
+        return _in_memory(Recording.read(path)), {}
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -173,7 +188,7 @@ def _numbers(path: Path, names: Sequence[str], number: int, row: Sequence[str], 
 
 
 def _meaning(
-    path: Path, table: Mapping[str, object], mapping: Mapping[str, Mapped], signals: Mapping[str, str]
+    path: Path | str, table: Mapping[str, object], mapping: Mapping[str, Mapped], signals: Mapping[str, str]
 ) -> dict[str, Mapped]:
     """Return what the columns are that are used: mapped ones, and those named like a signal that no other is mapped to.
 

@@ -9,6 +9,7 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner, Result
@@ -18,7 +19,7 @@ from flexfmu.cosim.cli.compare import _metrics_tables
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.engine.results import Column
+from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
@@ -86,6 +87,15 @@ def test_a_measurement_is_aligned_and_compared(run: Run, log: Path) -> None:
     assert mine.mean == pytest.approx(2.0, abs=0.01)
     assert np.sqrt(mine.root_mean_square**2 - mine.mean**2) == pytest.approx(0.05, rel=0.15)
     assert found.differences["barnard2012-6kg (2)"]["joint1.torque"].root_mean_square > mine.root_mean_square
+    frame = pandas.read_csv(log).set_index("time").rename(columns={"tau": "joint1.torque"}) * 1e-3
+    for source in (
+        frame,
+        frame.reset_index(),
+        Recording(np.array(frame.index), {"joint1.torque": Column("", np.array(frame["joint1.torque"]))}),
+    ):
+        again = flexfmu.compare(run, measured=source).measured
+        assert again is not None
+        assert again.delay.seconds == pytest.approx(found.delay.seconds, abs=1e-9)
     given = flexfmu.compare(run, measured=log, mapping={"tau": "joint1.torque*1e-3"}, delay=DELAY).measured
     assert given is not None
     assert (given.delay.seconds, given.delay.error) == (DELAY, 0.0)
