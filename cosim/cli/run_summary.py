@@ -12,7 +12,7 @@ from rich.text import Text
 
 from flexfmu.cosim.cli.console import print_rich
 from flexfmu.cosim.cli.result_files import files_sentence
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display
 from flexfmu.cosim.reports.terminal import titled_table
 
 
@@ -21,7 +21,11 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
     parts: list[RenderableType] = [Text(choice)] if choice else []
     if health["outcome"] == "completed":
-        parts += [_metrics_table(name, metrics, summary["errors"]), Text(health["errors_from"])]
+        # what the motors have to do is in summary.json, and here where the scene has motors
+        shown = {
+            each: value for each, value in metrics.items() if "motor" in summary["scene"] or each not in DRIVE_METRICS
+        }
+        parts += [_metrics_table(name, shown, summary["errors"]), Text(health["errors_from"])]
     # how the run went
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))

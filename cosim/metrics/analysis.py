@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import last_time_above, maximum_norm, norms
+from flexfmu.cosim.metrics.bernstein import integrals_of_parts, last_time_above, maximum_norm, norms
 from flexfmu.cosim.metrics.compiled import LARGEST, CompiledAnalysis, library
 from flexfmu.cosim.metrics.segments import HermiteSegments
 
@@ -36,6 +36,14 @@ class Analysis(Protocol):
         """Return the means over time of |v|², v . e and |e|² of the time derivative v of this order.
 
         e is the estimated deviation of the signal's derivative from v, see `HermiteSegments.deviation_estimate`.
+        """
+        ...
+
+    def parts(self) -> tuple[float, ...]:
+        """Return what the positive and the negative part of a signal with one channel are.
+
+        These are: largest value, negated least value (both at least 0), integrals over time of the positive part and of
+        the negated negative part, and the estimated errors of the extremes and of the integrals.
         """
         ...
 
@@ -77,6 +85,16 @@ class NumpyAnalysis:
         values, deviation = self._signal.evaluate(points, order), self._signal.deviation_estimate(points, order)
         pairs = (values, values), (values, deviation), (deviation, deviation)
         return tuple(self._signal.mean_product(*each) for each in pairs)
+
+    def parts(self) -> tuple[float, ...]:
+        """See `Analysis`."""
+        control, (_, bounds), errors = self._signal.control, self._signal.bounds, self.errors
+        # values above the least are norms
+        size = float(np.abs(control).max(initial=0.0))
+        extremes = [max(maximum_norm(sign * control + size) - size, 0.0) for sign in (1.0, -1.0)]
+        integrals = integrals_of_parts(control[..., 0], self._signal.duration)
+        reaching = bounds + errors >= min(extremes)
+        return *extremes, *integrals, float(errors[reaching].max(initial=0.0)), float(errors @ self._signal.duration)
 
     def last_time_above(self, level: float) -> float | None:
         """See `Analysis`."""

@@ -24,6 +24,10 @@ MAXIMUM_BISECTIONS = 60
 """Bisections after which a segment is as short as the spacing of floating-point numbers."""
 
 
+ZERO_BISECTIONS = 30
+"""Bisections at a zero, beyond which a polynomial's integral is below rounding."""
+
+
 def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
     """Return the Bernstein polynomials (k, degree + 1) at ``theta`` (k,)."""
     order = np.arange(degree + 1)
@@ -91,6 +95,28 @@ def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
         first[i], second[-1 - i] = level[0], level[-1]
         level = 0.5 * (level[:-1] + level[1:])
     return first, second
+
+
+def integrals_of_parts(control: RealArray, duration: RealArray) -> tuple[float, float]:
+    """Return the integrals over time of the positive part and of the negated negative part of polynomials.
+
+    The integral of a polynomial is the mean of its control points; those with both signs are divided until the rest is far
+    below rounding.
+
+    Args:
+        control: (degree + 1, n) control points.
+        duration: (n,) lengths of the segments.
+    """
+    parts = np.zeros(2)
+    for remaining in range(ZERO_BISECTIONS, -1, -1):
+        mixed = (control.min(axis=0) < 0.0) & (control.max(axis=0) > 0.0) & (remaining > 0)
+        integrals = control[:, ~mixed].mean(axis=0) * duration[~mixed]
+        parts += np.maximum(integrals, 0.0).sum(), np.maximum(-integrals, 0.0).sum()
+        if not mixed.any():
+            break
+        control = np.concatenate(bisect(control[:, mixed]), axis=1)
+        duration = np.tile(0.5 * duration[mixed], 2)
+    return float(parts[0]), float(parts[1])
 
 
 def last_time_above(control: RealArray, start: RealArray, duration: RealArray, level: float) -> float | None:

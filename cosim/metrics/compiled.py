@@ -55,6 +55,7 @@ def library() -> Any:
             ("prepare", c_size_t, ()),
             ("peak", None, (pair,)),
             ("products", None, (POINTER(CQuadrature), pair)),
+            ("parts", None, (pair,)),
             ("last_above", c_int, (c_double, size, pair)),
         ):
             function = getattr(found, f"metrics_{name}")
@@ -117,6 +118,12 @@ class CompiledAnalysis:
         self._library.metrics_products(byref(self._signal), byref(points), integrals)
         total = float(self._duration.sum())
         return tuple(each / total for each in integrals)
+
+    def parts(self) -> tuple[float, ...]:
+        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
+        result = (c_double * 6)()
+        self._library.metrics_parts(byref(self._signal), result)
+        return tuple(result)
 
     def last_time_above(self, level: float) -> float | None:
         """See `flexfmu.cosim.metrics.analysis.Analysis`."""

@@ -7,11 +7,10 @@ time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from math import ceil, floor, isnan, log10
 from operator import methodcaller
-from typing import Protocol
 
 from flexfmu.cosim.metrics.signals import (
     ACCELERATION,
@@ -22,75 +21,9 @@ from flexfmu.cosim.metrics.signals import (
     TORQUES,
     VELOCITY,
 )
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """The value of one metric.
-
-    Attributes:
-        value: in the SI unit of `METRICS`; None where the metric doesn't exist (no dwell, not settled, run cut short).
-        interpolation_error: estimated error of the interpolation between communication points, a part of the error.
-        error: estimated error of the value in the same unit; None where it isn't known.
-        reason: the run's message where the run failed and the metric has no value; otherwise empty.
-    """
-
-    value: float | None
-    interpolation_error: float = 0.0
-    error: float | None = None
-    reason: str = ""
-
-
-class TimeSignal(Protocol):
-    """A quantity over a span of time, with one or more channels and its time derivatives."""
-
-    def peak(self) -> Measurement:
-        """Largest Euclidean norm over the channels."""
-        ...
-
-    def root_mean_square(self, order: int = 0) -> Measurement:
-        """Root mean square over time of the norm of the time derivative of this order."""
-        ...
-
-    def final(self, order: int = 0) -> Measurement:
-        """Norm of the time derivative of this order at the end of the span, as the left-hand limit."""
-        ...
-
-
-class Solution:
-    """The signals of a motion; None for a signal that the robot or the solution doesn't have.
-
-    Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
-    """
-
-    def torque(self, joint: int) -> TimeSignal | None:
-        """Torque of motor 1 or 2 over the motion [N.m]."""
-
-    def modal_deflection(self) -> TimeSignal | None:
-        """First bending coordinate of proximal link 1 over the motion [m]; zero for a rigid link."""
-
-    def tip_deflection(self, leg: int) -> TimeSignal | None:
-        """Transverse displacement of the tip of proximal link 1 or 2 over the motion [m]; zero for a rigid link."""
-
-    def path_error(self) -> TimeSignal | None:
-        """Deviation of the end effector from the rigid robot's over motion and dwell [m]."""
-
-    def path_error_in_motion(self) -> TimeSignal | None:
-        """Deviation of the end effector from the rigid robot's over the motion alone [m]."""
-
-    def residual_vibration(self) -> TimeSignal | None:
-        """Deviation of the end effector from the equilibrium at the end pose during the dwell [m]."""
-
-    def tracking_error(self, joint: int) -> TimeSignal | None:
-        """Angle of motor 1 or 2 minus its planned angle, over motion and dwell [rad]."""
-
-    def tracking_error_in_motion(self, joint: int) -> TimeSignal | None:
-        """Angle of motor 1 or 2 minus its planned angle, over the motion alone [rad]."""
-
-    def settling_time(self) -> Measurement:
-        """Time after the motion from which the residual vibration stays within the settling band [s]."""
-        return Measurement(None)
-
+from flexfmu.cosim.metrics.solution import Measurement as Measurement
+from flexfmu.cosim.metrics.solution import Solution as Solution
+from flexfmu.cosim.metrics.solution import TimeSignal
 
 Computation = Callable[[Solution], Measurement]
 """Signals of a motion → value of a metric."""
@@ -137,6 +70,10 @@ _DISPLAY: Mapping[str, tuple[str, float, float]] = {
     "N.m": ("N·m", 1.0, 1e-9),
     "s": ("s", 1.0, 1e-9),
     "rad": ("mrad", 1e3, 1e-12),
+    "rad/s": ("rad/s", 1.0, 1e-9),
+    "W": ("W", 1.0, 1e-9),
+    "J": ("J", 1.0, 1e-9),
+    "1": ("", 1.0, 1e-12),
 }
 """SI unit → display unit, factor to it, and negligible error in the SI unit."""
 
@@ -154,6 +91,12 @@ def _root_mean_square(signal: Callable[[Solution], TimeSignal | None], order: in
 def _final(signal: Callable[[Solution], TimeSignal | None], order: int) -> Computation:
     """Return the computation of the norm of a signal's time derivative at its end; no value without the signal."""
     return lambda solution: found.final(order) if (found := signal(solution)) else Measurement(None)
+
+
+def _of_power(joint: int, method: str, *arguments: int) -> Computation:
+    """Return the computation of a value of a motor's power; no value without it."""
+    value = methodcaller(method, *arguments)
+    return lambda solution: value(found) if (found := solution.duty_power(joint)) else Measurement(None)
 
 
 _BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
@@ -240,6 +183,54 @@ METRICS: Mapping[str, Metric] = {
     ),
 }
 
+
+def _drive_metrics(joint: int) -> Iterator[tuple[str, Metric]]:
+    """Yield name and metric of what a motor has to do."""
+    torque, speed = methodcaller("duty_torque", joint), methodcaller("duty_speed", joint)
+    for name, label, unit, what, computation in (
+        ("rms_torque", "RMS torque", "N.m", "Root mean square of the torque", _root_mean_square(torque)),
+        ("peak_speed", "Peak speed", "rad/s", "Largest |angular velocity|", _peak(speed)),
+        ("rms_speed", "RMS speed", "rad/s", "Root mean square of the angular velocity", _root_mean_square(speed)),
+        ("peak_power", "Peak power", "W", "Largest power into the robot", _of_power(joint, "peak", 1)),
+        (
+            "peak_regenerated_power",
+            "Peak regenerated power",
+            "W",
+            "Largest power from the robot into the shaft",
+            _of_power(joint, "peak", -1),
+        ),
+        ("mean_power", "Mean power", "W", "Mean mechanical power", _of_power(joint, "mean")),
+        ("positive_energy", "Positive energy", "J", "Energy into the robot, a cycle,", _of_power(joint, "energy", 1)),
+        (
+            "regenerated_energy",
+            "Regenerated energy",
+            "J",
+            "Energy out of the robot, a cycle,",
+            _of_power(joint, "energy", -1),
+        ),
+        ("net_energy", "Net energy", "J", "Positive minus regenerated energy", _of_power(joint, "energy", 0)),
+    ):
+        text = f"{what} of motor {joint} over motions and standstills."
+        yield f"{name}_{joint}", Metric(f"{label}, joint {joint}", unit, text, computation, TORQUES[joint - 1 : joint])
+
+
+DRIVE_METRICS: Mapping[str, Metric] = {name: metric for joint in (1, 2) for name, metric in _drive_metrics(joint)}
+"""What each motor has to do over the duty cycle; tables show them for scenes with motors."""
+
+MOTOR_METRICS: Mapping[str, Metric] = {
+    f"inertia_ratio_{joint}": Metric(
+        f"Inertia ratio, joint {joint}",
+        "1",
+        f"Largest inertia of the load, reflected to the shaft, over that of the rotor of motor {joint}.",
+        methodcaller("inertia_ratio", joint),
+    )
+    for joint in (1, 2)
+}
+"""Additional metrics of a scene with motors."""
+
+COMMON_METRICS: Mapping[str, Metric] = {**METRICS, **DRIVE_METRICS}
+"""The metrics of every robot."""
+
 LOOP_METRICS: Mapping[str, Metric] = {
     **{
         f"peak_tracking_error_{joint}": Metric(
@@ -264,7 +255,7 @@ LOOP_METRICS: Mapping[str, Metric] = {
 }
 """Additional metrics of a torque-driven robot."""
 
-ALL_METRICS: Mapping[str, Metric] = {**METRICS, **LOOP_METRICS}
+ALL_METRICS: Mapping[str, Metric] = {**COMMON_METRICS, **MOTOR_METRICS, **LOOP_METRICS}
 
 
 def display(name: str, value: float | None, digits: int = 6, error: float | None = None) -> str:
@@ -286,7 +277,7 @@ def display(name: str, value: float | None, digits: int = 6, error: float | None
         return "–"
     shown = value * info.display_factor
     if not error:
-        return f"{shown:.{digits}g} {info.display_unit}"
+        return f"{shown:.{digits}g} {info.display_unit}".rstrip()
     # the error, rounded up, and the place of the value's last digit
     scaled = error * info.display_factor
     power = floor(log10(scaled))
@@ -303,4 +294,4 @@ def display(name: str, value: float | None, digits: int = 6, error: float | None
     else:
         text = f"{shown:.{size - last}e}"
     margin = f"{scaled:.0f}" if 1.0 <= scaled < 1e4 else f"{scaled:.1g}"
-    return f"{text} ± {margin} {info.display_unit}"
+    return f"{text} ± {margin} {info.display_unit}".rstrip()

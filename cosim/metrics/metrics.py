@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines
 from flexfmu.cosim.experiment.scene_run import Run, rest_position
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, LOOP_METRICS, MOTOR_METRICS, Measurement
 from flexfmu.cosim.metrics.recorded_solution import RecordedSolution, Settings
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ ROUNDING = 8.0 * np.finfo(float).eps
 
 
 def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = None) -> Metrics[Measurement]:
-    """Compute metrics of a run with their errors, in the order of `METRICS` and, with torque drive, `LOOP_METRICS`.
+    """Compute metrics of a run with their errors, in the order of `ALL_METRICS`: of those that the robot has.
 
     A failed run has metrics without values.
 
@@ -84,7 +84,9 @@ def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = N
     if names is not None:
         check_names(names)
     if not run.completed:
-        failed = Metrics(dict.fromkeys(METRICS if names is None else names, Measurement(None, reason=run.message)))
+        failed = Metrics(
+            dict.fromkeys(COMMON_METRICS if names is None else names, Measurement(None, reason=run.message))
+        )
         failed.failure = run.message
         return failed
     settings = settings_for(run)
@@ -215,11 +217,12 @@ def _magnitude(recording: Recording, name: str) -> float:
 def settings_for(run: Run) -> Settings:
     """Return the data that the metrics of a run depend on besides its recording."""
     (task, joints), band = run.plan.tabulated, run.scene.cosimulation.settling_band
-    return Settings(task, partial(rest_position, run), run.scene.trajectory.dwell, band, joints)
+    cycles = 1 if run.plan.repetition is None else run.plan.repetition.cycles
+    return Settings(task, partial(rest_position, run), run.scene.trajectory.dwell, band, joints, cycles)
 
 
 def measure(recording: Recording, settings: Settings, names: Collection[str] | None = None) -> Metrics[Measurement]:
-    """Compute metrics of a complete recording without their errors, in the order of `METRICS` and `LOOP_METRICS`.
+    """Compute metrics of a complete recording without their errors, in the order of `ALL_METRICS`.
 
     Args:
         recording: signals with their time derivatives.
@@ -232,12 +235,14 @@ def measure(recording: Recording, settings: Settings, names: Collection[str] | N
         EquilibriumError: the end pose has no static equilibrium.
     """
     solution = RecordedSolution(recording, settings)
-    available = ALL_METRICS if solution.tracks_joints else METRICS
+    needs = (
+        dict.fromkeys(LOOP_METRICS, "joint angles of a robot driven by torques") if not solution.tracks_joints else {}
+    )
+    needs |= dict.fromkeys(MOTOR_METRICS, "a scene with `[motor]`") if settings.inertia_ratios is None else {}
+    available = {name: metric for name, metric in ALL_METRICS.items() if name not in needs}
     for name in names or ():
-        if name not in available:
-            raise InputError(
-                f"there is no metric {name!r} of this run: it needs joint angles of a robot driven by torques"
-            )
+        if name in needs:
+            raise InputError(f"there is no metric {name!r} of this run: it needs {needs[name]}")
     wanted = [name for name in available if names is None or name in names]
     found = Metrics({name: available[name].computation(solution) for name in wanted})
     for name, measurement in found.items():

@@ -6,7 +6,7 @@ Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ import numpy as np
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.analysis import Analysis, analyse
-from flexfmu.cosim.metrics.metric_table import Measurement, Solution
+from flexfmu.cosim.metrics.duty_cycle import RecordedPower, joint_speed, product
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
@@ -29,6 +29,7 @@ from flexfmu.cosim.metrics.signals import (
     position,
     segments,
 )
+from flexfmu.cosim.metrics.solution import Measurement, Solution
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
@@ -42,6 +43,8 @@ class Settings:
         task: motion of the rigid robot's end effector.
         rest: function that returns `end_equilibrium`; called if a metric needs it.
         joints: planned motion of the joints; None for no tracking errors.
+        cycles: number of cycles in the recording.
+        inertia_ratios: function that returns the largest inertia ratio of each joint; None for a scene without motors.
         dwell: standstill after the motion [s].
         settling_band: radius around the equilibrium within which the robot counts as settled [m].
     """
@@ -51,6 +54,8 @@ class Settings:
     dwell: float
     settling_band: float
     joints: Trajectory | None = None
+    cycles: int = 1
+    inertia_ratios: Callable[[], Sequence[float | None]] | None = None
 
     @cached_property
     def end_equilibrium(self) -> RealArray:
@@ -61,11 +66,16 @@ class Settings:
         """
         return self.rest()
 
+    @cached_property
+    def largest_inertia_ratios(self) -> Sequence[float | None]:
+        """The largest inertia ratio of each joint; None where it isn't known."""
+        return self.inertia_ratios() if self.inertia_ratios is not None else (None, None)
+
 
 @dataclass(frozen=True)
 class RecordedSignal:
     """A recorded signal, interpolated between communication points; see
-    `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
+    `flexfmu.cosim.metrics.solution.TimeSignal`."""
 
     segments: HermiteSegments
 
@@ -110,7 +120,7 @@ class RecordedSignal:
 
 
 class NoSignal:
-    """Deflection of a rigid link, exactly zero; see `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
+    """Deflection of a rigid link, exactly zero; see `flexfmu.cosim.metrics.solution.TimeSignal`."""
 
     def peak(self) -> Measurement:
         """Zero."""
@@ -138,10 +148,13 @@ class RecordedSolution(Solution):
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self._recording, self._settings, self._end = recording, settings, settings.task.duration
+        # signals of the duty cycle by joint
+        self._torques, self._speeds = dict[int, RecordedSignal](), dict[int, RecordedSignal | None]()
+        self._powers = dict[int, RecordedPower]()
         self.tracks_joints = settings.joints is not None and all(name in recording.columns for name in JOINT_POSITIONS)
 
     def torque(self, joint: int) -> RecordedSignal:
-        return self._in_motion(segments(self._recording, TORQUES[joint - 1 : joint]))
+        return self._in_motion(self.duty_torque(joint).segments)
 
     def modal_deflection(self) -> RecordedSignal | NoSignal:
         modal = modal_deflection(self._recording)
@@ -172,6 +185,26 @@ class RecordedSolution(Solution):
         """As in `Solution`; ``uncertainty`` as for `RecordedSignal.settling`."""
         vibration = self.residual_vibration()
         return Measurement(None) if vibration is None else vibration.settling(self._settings.settling_band, uncertainty)
+
+    def duty_torque(self, joint: int) -> RecordedSignal:
+        if joint not in self._torques:
+            self._torques[joint] = RecordedSignal(segments(self._recording, TORQUES[joint - 1 : joint]))
+        return self._torques[joint]
+
+    def duty_speed(self, joint: int) -> RecordedSignal | None:
+        if joint not in self._speeds:
+            speed = joint_speed(self._recording, joint - 1, self._settings.joints)
+            self._speeds[joint] = None if speed is None else RecordedSignal(speed)
+        return self._speeds[joint]
+
+    def duty_power(self, joint: int) -> RecordedPower | None:
+        torque, speed = self.duty_torque(joint), self.duty_speed(joint)
+        if speed is not None and joint not in self._powers:
+            self._powers[joint] = RecordedPower(product(torque.segments, speed.segments), self._settings.cycles)
+        return self._powers.get(joint)
+
+    def inertia_ratio(self, joint: int) -> Measurement:
+        return Measurement(self._settings.largest_inertia_ratios[joint - 1])
 
     def _in_motion(self, signal: HermiteSegments) -> RecordedSignal:
         return RecordedSignal(signal.within(0.0, self._end))

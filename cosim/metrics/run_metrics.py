@@ -11,7 +11,7 @@ from typing import Any
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.showing import html_table, shorten
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import Metrics, measure_run, settings_for, with_errors
 from flexfmu.model.scene.errors import EquilibriumError
 
@@ -63,7 +63,7 @@ class Quantity(float):
 class RunMetrics(Mapping[str, Quantity]):
     """The metrics of a run by name, computed when the first is asked for: ``run.metrics.peak_torque_1``.
 
-    Values are in SI units, of `flexfmu.cosim.metrics.metric_table.METRICS`, without simulating again. Errors
+    Values are in SI units, of `flexfmu.cosim.metrics.metric_table.COMMON_METRICS`, without simulating again. Errors
     (``run.metrics.peak_torque_1.error``) are those of `measure_run` with one companion run, which is simulated when the first
     error is asked for. In pandas: ``pandas.Series(run.metrics)``, ``pandas.DataFrame([run.metrics for run in runs])``.
 
@@ -138,7 +138,7 @@ class RunMetrics(Mapping[str, Quantity]):
         try:
             return [*self._numbers]
         except (CosimError, EquilibriumError):
-            return [*METRICS]
+            return [*COMMON_METRICS]
 
     def __reduce__(self) -> tuple[object, ...]:
         """Copies and pickles compute the metrics again."""

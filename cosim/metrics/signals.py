@@ -73,7 +73,7 @@ def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSe
         motion: end-effector position.
         task: the rigid robot's motion, at standstill after its end.
     """
-    return motion.minus(*_at_ends(motion, task))
+    return motion.minus(*at_ends(motion, task))
 
 
 def joint_error(recording: Recording, joint: int, planned: Trajectory) -> HermiteSegments:
@@ -86,15 +86,18 @@ def joint_error(recording: Recording, joint: int, planned: Trajectory) -> Hermit
     """
     acceleration = JOINT_POSITIONS[joint].replace("position", "acceleration")
     signal = segments(recording, [JOINT_POSITIONS[joint]], [acceleration])
-    begin, end = _at_ends(signal, planned)
+    begin, end = at_ends(signal, planned)
     return signal.minus(begin[..., joint : joint + 1], end[..., joint : joint + 1])
 
 
-def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[RealArray, RealArray]:
-    """Return the planned motion and its derivatives (m, n, c) at the start and at the end of each segment."""
+def at_ends(signal: HermiteSegments, planned: Trajectory, order: int | None = None) -> tuple[RealArray, RealArray]:
+    """Return the planned motion and its derivatives (m, n, c) at the start and at the end of each segment.
+
+    The derivatives go up to ``order``, without one to the highest of the signal.
+    """
     time = np.concatenate([signal.start, signal.end])
     left = np.arange(time.size) >= signal.start.size
-    both = limits(planned, time, left, len(signal.left) - 1)
+    both = limits(planned, time, left, len(signal.left) - 1 if order is None else order)
     return both[:, : signal.start.size], both[:, signal.start.size :]
 
 

@@ -65,7 +65,7 @@ the user named, since no run resolves smaller values."""
 
 @dataclass(frozen=True, eq=False)
 class SampledSignal:
-    """A sampled signal of a motion; see `flexfmu.cosim.metrics.metric_table.TimeSignal`.
+    """A sampled signal of a motion; see `flexfmu.cosim.metrics.solution.TimeSignal`.
 
     Attributes:
         time: (N,) instants [s]; the time of a jump appears twice.

@@ -18,7 +18,9 @@ static inline double power(double base, size_t exponent) {
   return result;
 }
 
-static inline double norm(const double *vector, size_t count) { return sqrt(dot(vector, vector, count)); }
+static inline double norm(const double *vector, size_t count) {
+  return count == 1 ? fabs(vector[0]) : sqrt(dot(vector, vector, count));
+}
 
 static inline double larger(double first, double second) { return first > second ? first : second; }
 

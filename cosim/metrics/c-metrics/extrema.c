@@ -1,4 +1,4 @@
-/* The largest norm and the last crossing of a level, by bisection of Bernstein polynomials, as in
+/* The largest norm, the last crossing of a level, and positive and negative parts, by bisection of Bernstein polynomials, as in
  * flexfmu.cosim.metrics.bernstein. */
 #include "arithmetic.h"
 
@@ -6,6 +6,7 @@
 
 #define PEAK_TOLERANCE 1e-11
 #define MAXIMUM_BISECTIONS 60
+#define ZERO_BISECTIONS 30
 #define POINTS (2 * METRICS_ORDERS)
 
 /* control points, with all channels of the first, then of the second, and so on */
@@ -128,4 +129,76 @@ int metrics_last_above(const metrics_signal *s, double level, size_t *segment, d
     if (*theta >= 0.0) return 1;
   }
   return 0;
+}
+
+/* the largest value of a piece times the sign, where it exceeds `best` by more than the tolerance */
+static double climb_signed(control *piece, double sign, double tolerance, double best, int bisections) {
+  double bound = best;
+  best = larger(best, larger(sign * piece->values[0], sign * piece->values[piece->points - 1]));
+  for (size_t i = 0; i < piece->points; i++) bound = larger(bound, sign * piece->values[i]);
+  if (bisections == 0 || !(bound > best + tolerance)) return best;
+  control first;
+  bisect(piece, &first);
+  best = climb_signed(&first, sign, tolerance, best, bisections - 1);
+  return climb_signed(piece, sign, tolerance, best, bisections - 1);
+}
+
+/* adds the integrals of both parts over a piece: the mean of the control points where none has the other sign */
+static void add_parts(control *piece, double width, double parts[2], int bisections) {
+  double low = 0.0, high = 0.0, sum = 0.0;
+  for (size_t i = 0; i < piece->points; i++) {
+    const double value = piece->values[i];
+    sum += value;
+    low = value < low ? value : low;
+    high = larger(high, value);
+  }
+  if (bisections == 0 || !(low < 0.0 && high > 0.0)) {
+    parts[sum < 0.0] += width * fabs(sum) / (double)piece->points;
+    return;
+  }
+  control first;
+  bisect(piece, &first);
+  add_parts(&first, 0.5 * width, parts, bisections - 1);
+  add_parts(piece, 0.5 * width, parts, bisections - 1);
+}
+
+void metrics_parts(const metrics_signal *s, double result[6]) {
+  double size = 0.0, doubtful = 0.0;
+  for (size_t i = 0; i < 6; i++) result[i] = 0.0;
+  for (size_t i = 0; i < s->segments; i++) {
+    size = larger(size, s->ends[i]);
+    doubtful += 0.0 * s->bounds[i];
+    result[5] += s->errors[i] * s->duration[i];
+  }
+  for (size_t i = 0; i < s->segments; i++) {
+    control piece, copy;
+    /* the sign is that of the first term, unless the others may exceed it */
+    const double start = terms_of(s, i)[0], end = terms_of(s, i)[s->orders];
+    const double rest = s->bounds[i] - s->ends[i];
+    const int positive = start >= rest && end >= rest, negative = start <= -rest && end <= -rest;
+    const int high = s->bounds[i] > result[0] && !negative, low = s->bounds[i] > result[1] && !positive;
+    const int mixed = !positive && !negative;
+    if (mixed || high || low) find_control(s, i, &piece);
+    for (size_t k = 0; k < 2; k++) {
+      if (!(k ? low : high)) continue;
+      copy = piece;
+      result[k] = climb_signed(&copy, k ? -1.0 : 1.0, PEAK_TOLERANCE * size, result[k], MAXIMUM_BISECTIONS);
+    }
+    if (mixed) {
+      add_parts(&piece, s->duration[i], result + 2, ZERO_BISECTIONS);
+      continue;
+    }
+    /* the integral of (theta (1 - theta))^k theta is half of k!^2 / (2 k + 1)! */
+    double sum = 0.0, weight = 0.5;
+    for (size_t k = 0; k < s->orders; k++) {
+      sum += weight * (terms_of(s, i)[k] + terms_of(s, i)[s->orders + k]);
+      weight *= (double)(k + 1) / (double)(4 * k + 6);
+    }
+    result[2 + !positive] += s->duration[i] * fabs(sum);
+  }
+  /* errors of the segments that may reach the smaller extreme */
+  const double least = result[0] < result[1] ? result[0] : result[1];
+  for (size_t i = 0; i < s->segments; i++)
+    if (s->bounds[i] + s->errors[i] >= least) result[4] = larger(result[4], s->errors[i]);
+  for (size_t i = 0; i < 6; i++) result[i] += doubtful;
 }

@@ -75,7 +75,8 @@ static void find_bounds(const metrics_signal *s, size_t i) {
       }
     }
     /* NaN must not get lost: the sum has it */
-    const double size = sqrt(larger(now[0], now[2]) + 0.0 * (now[0] + now[2]));
+    const double largest = c == 1 ? larger(fabs(alpha[0]), fabs(beta[0])) : sqrt(larger(now[0], now[2]));
+    const double size = largest + 0.0 * (now[0] + now[2]);
     if (k == 0) s->ends[i] = size;
     s->bounds[i] += weight * size;
   }
@@ -127,6 +128,10 @@ static void find_sizes(const metrics_signal *s, double *sizes) {
 static int is_continuous(const metrics_signal *s, size_t i, double *sizes, int *known) {
   const size_t m = s->orders, c = s->channels;
   double before[METRICS_ORDERS * METRICS_CHANNELS], after[METRICS_ORDERS * METRICS_CHANNELS];
+  int same = s->kept[i] == m && s->kept[i + 1] == m;
+  for (size_t k = 0; same && k < m; k++)
+    for (size_t j = 0; j < c; j++) same = same && right_of(s, k, i)[j] == left_of(s, k, i + 1)[j];
+  if (same) return 1;
   find_derivatives(s, i, 1, before);
   find_derivatives(s, i + 1, 0, after);
   for (size_t k = 0; k < m; k++) {

@@ -11,7 +11,7 @@ from typing import Any
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of, digest
 from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
@@ -113,7 +113,7 @@ def _result(job: Job, found: MemoryStore, units: Mapping[str, str], folder: Path
 
 def default_metrics(scene: Scene) -> Collection[str]:
     """All metrics that the scene's robot has."""
-    return ALL_METRICS if scene.cosimulation.drive == "torque" else METRICS
+    return ALL_METRICS if scene.cosimulation.drive == "torque" else COMMON_METRICS
 
 
 def check_values(scene: Scene, cases: Cases) -> None:

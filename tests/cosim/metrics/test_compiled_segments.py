@@ -67,6 +67,19 @@ def test_c_finds_what_numpy_finds(shape: tuple[int, int], seed: int) -> None:
     assert ours.last_time_above(1.001 * peak[0]) is theirs.last_time_above(1.001 * peak[0]) is None
 
 
+@pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] == 1], ids=str)
+@pytest.mark.parametrize("seed", range(8))
+def test_parts_in_c_are_those_of_numpy(shape: tuple[int, int], seed: int) -> None:
+    """Extremes with their sign, integrals of both parts, and their errors; the parts sum up to the mean."""
+    signal = drawn(*shape, seed)
+    ours, theirs = analyse(signal).parts(), NumpyAnalysis(signal).parts()
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+    assert max(ours[:2]) == pytest.approx(analyse(signal).peak()[0], rel=1e-10)
+    points, weights = signal.quadrature
+    integral = weights @ signal.consistent.evaluate(points)[..., 0] @ signal.duration
+    assert ours[2] - ours[3] == pytest.approx(integral, rel=1e-9, abs=1e-9 * ours[2])
+
+
 def test_signals_diverge_where_they_should() -> None:
     """The drawn signals reach the truncated orders, unknown nodes and continuous nodes; otherwise the comparison is empty."""
     signal = drawn(5, 2, 0)
@@ -83,6 +96,10 @@ def test_nan_does_not_hide() -> None:
         broken = signal.right.copy()
         broken[order, 7, 1] = np.nan
         assert np.isnan(analyse(HermiteSegments(signal.start, signal.end, signal.left, broken)).peak()[0])
+    signal = drawn(3, 1, 1)
+    signal.right[0, 7, 0] = np.nan
+    for analysis in (analyse(signal), NumpyAnalysis(signal)):
+        assert np.isnan(analysis.parts()[:4]).all()
 
 
 def test_no_segments_have_no_peak() -> None:
@@ -91,6 +108,8 @@ def test_no_segments_have_no_peak() -> None:
     for analysis in (analyse(nothing), NumpyAnalysis(nothing)):
         assert analysis.peak() == (0.0, 0.0)
         assert analysis.last_time_above(0.0) is None
+    for analysis in (analyse(drawn(3, 1, 0).within(1e3, 2e3)), NumpyAnalysis(drawn(3, 1, 0).within(1e3, 2e3))):
+        assert analysis.parts() == (0.0,) * 6
 
 
 def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -137,7 +156,9 @@ def test_under_the_sanitizers(shape: tuple[int, int], count: int, sanitized: Pat
     given = sizes.tobytes() + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)
     text = subprocess.run([str(sanitized)], input=given, check=True, capture_output=True).stdout.decode().split()
     found = [float.fromhex(each) if "x" in each else float(each) for each in text]
-    # the program prints integrals, and the crossing by segment and theta
+    # the program prints integrals, the crossing by segment and theta, and the parts of a single channel
+    found, parts = found[:-6], found[-6:]
+    np.testing.assert_allclose(parts, ours.parts() if channels == 1 else np.zeros(6), rtol=1e-12)
     segment, theta = int(found.pop(-2)), found.pop(-1)
     found.append(signal.start[segment] + theta * signal.duration[segment])
     integrals = np.multiply(ours.mean_products(order), signal.duration.sum())

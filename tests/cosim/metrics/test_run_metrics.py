@@ -13,7 +13,7 @@ import pytest
 
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.scene_run import Companion, Run
-from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.run_metrics import Quantity
 
@@ -31,9 +31,9 @@ def test_values_and_errors_are_those_of_measure_run(run: Run) -> None:
     for name, measured in measure_run(run).items():
         number = getattr(run.metrics, name)
         assert number == run.metrics[name] == measured.value
-        assert number.unit == METRICS[name].unit
+        assert number.unit == COMMON_METRICS[name].unit
         assert number.error == measured.error
-    assert list(run.metrics) == list(METRICS)
+    assert list(run.metrics) == list(COMMON_METRICS)
 
 
 def test_errors_are_estimated_only_when_asked_for(make_run: MakeRun) -> None:
@@ -89,6 +89,6 @@ def test_reprs_are_short(run: Run) -> None:
         lines = repr(shown).splitlines()
         assert len(lines) <= 5, lines
         assert max(map(len, lines)) <= 80, lines
-    assert len(str(run.metrics).splitlines()) == 1 + len(METRICS)
+    assert len(str(run.metrics).splitlines()) == 1 + len(COMMON_METRICS)
     assert "<td>peak_torque_1</td>" in run._repr_html_()
     assert "<td>joint1.torque</td>" in run._repr_html_()
