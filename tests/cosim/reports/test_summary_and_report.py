@@ -14,7 +14,7 @@ import pytest
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports.curve_data import unpacked
@@ -86,7 +86,7 @@ def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:
         "versions",
         "units",
     ]
-    assert list(summary["metrics"]) == list(METRICS)
+    assert list(summary["metrics"]) == list(COMMON_METRICS)
     assert {"flexfmu", "casadi", "fmpy", "numpy", "python", "platform", "compiler"} <= set(summary["versions"])
     assert summary["health"]["outcome"] == "completed"
     assert summary["health"]["warnings"] == []
@@ -237,7 +237,7 @@ def test_report_shows_scene_metrics_and_plots(make_run: MakeRun) -> None:
     assert text.count("<svg") == 9
     page = Page(text)
     for wanted in (
-        *(info.label for info in METRICS.values()),
+        *(info.label for info in COMMON_METRICS.values()),
         "Motor torques",
         "Residual vibration",
         "mechanism.base_half_distance",
@@ -265,7 +265,7 @@ def test_report_without_any_recorded_step(make_run: MakeRun) -> None:
 def test_report_escapes_what_it_shows(make_run: MakeRun) -> None:
     """A message of the FMU is text, not markup."""
     run = make_run()
-    summary = summarise(run, dict.fromkeys(METRICS, Measurement(None)))
+    summary = summarise(run, dict.fromkeys(COMMON_METRICS, Measurement(None)))
     summary["health"]["messages"] = ["<b>solver & state</b>"]
     assert "&lt;b&gt;solver &amp; state&lt;/b&gt;" in render_report(summary, [])
 
