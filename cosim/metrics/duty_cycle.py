@@ -44,8 +44,8 @@ def product(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:
     def derivatives(u: RealArray, v: RealArray) -> RealArray:
         return np.stack([u[0] * v[0], u[1] * v[0] + u[0] * v[1], u[2] * v[0] + 2.0 * u[1] * v[1] + u[0] * v[2]])
 
-    ends = (derivatives(*each) for each in ((first.left, second.left), (first.right, second.right)))
-    return HermiteSegments(first.start, first.end, *ends)
+    left, right = derivatives(first.left, second.left), derivatives(first.right, second.right)
+    return HermiteSegments(first.start, first.end, left, right)
 
 
 @dataclass(frozen=True)
