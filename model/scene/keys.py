@@ -48,7 +48,7 @@ def value_at(data: Mapping[str, Any], key: str, label: str = "") -> Any:
 
 
 def location(data: Mapping[str, Any], key: str) -> tuple[str | int, ...]:
-    """The key as pydantic writes locations of errors: names, indices, and kinds of tables in arrays."""
+    """The key as pydantic writes locations of errors: names, indices, and kinds of tables that have one."""
     found: Any = data
     parts = _parts(key)
     where: list[str | int] = []
@@ -56,7 +56,7 @@ def location(data: Mapping[str, Any], key: str) -> tuple[str | int, ...]:
         place = _place(found, part, parts[:i], key, "")
         where.append(place)
         found = (found.get(place) if isinstance(found, Mapping) else found[place]) if found is not None else None
-        if isinstance(place, int) and isinstance(found, Mapping) and "kind" in found:
+        if isinstance(found, Mapping) and "kind" in found:
             where.append(found["kind"])
     return tuple(where)
 

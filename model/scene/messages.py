@@ -77,8 +77,19 @@ _BOUNDS = {
 
 def unit_of(location: tuple[str | int, ...], root: type[BaseModel]) -> str:
     """Unit of the key at a location, as pydantic writes it; empty where it has none."""
-    unit = _locate(location, root)[2]
+    keys, model, unit = _locate(location, root)
+    unit = unit or next(_units(_annotation(model, keys)), "")
     return "" if unit == "1" else unit
+
+
+def _units(annotation: Any) -> Iterator[str]:
+    """Units within an annotation, as of a quantity that may be left out."""
+    for part in getattr(annotation, "__metadata__", ()):
+        extra = getattr(part, "json_schema_extra", None)
+        if isinstance(extra, dict) and "unit" in extra:
+            yield str(extra["unit"])
+    for part in get_args(annotation):
+        yield from _units(part)
 
 
 def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
@@ -122,10 +133,9 @@ def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | None:
-    """The section whose `kind` may be `tag`, out of several; None if there is none."""
-    if len(variants) < 2:
-        return None
-    return next((model for model in variants if tag in get_args(model.model_fields["kind"].annotation)), None)
+    """The section whose `kind` may be `tag`; None if there is none."""
+    kinds = ((model, model.model_fields.get("kind")) for model in variants)
+    return next((model for model, kind in kinds if kind is not None and tag in get_args(kind.annotation)), None)
 
 
 def array_example(section: type[BaseModel] | None, key: str) -> str:

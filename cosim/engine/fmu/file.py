@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
@@ -122,6 +123,10 @@ def _root() -> Path:
     atexit.register(folder.cleanup)
     return Path(folder.name)
 
+
+# a forked process unpacks into a folder of its own
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_root.cache_clear)
 
 _unpacked: dict[str, tuple[Path, Any]] = {}
 """SHA-256 of the content → folder and model description, so that each FMU is unpacked and parsed once."""

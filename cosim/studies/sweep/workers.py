@@ -8,12 +8,14 @@ import os
 import selectors
 import signal
 import sys
+import tempfile
 import warnings
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from multiprocessing.connection import Connection
+from tempfile import TemporaryDirectory
 from threading import Lock
 from time import monotonic
 from typing import Any, Protocol
@@ -75,33 +77,41 @@ class LocalWorkers:
     def results(self, job: Job, shares: Iterable[Share]) -> Generator[list[Row], None, None]:
         """Yield the results of each share, in the order in which they are finished."""
         left, workers, idle = iter(shares), list[_Process](), list[_Process]()
-        try:
-            with selectors.DefaultSelector() as selector:
-                while True:
-                    # shares for every process that has none
-                    while (idle or len(workers) < self.count) and (tasks := self._next(left)):
-                        if not idle:
-                            workers.append(_started(job))
-                            selector.register(workers[-1].pipe, selectors.EVENT_READ, workers[-1])
-                        (idle.pop() if idle else workers[-1]).begin(tasks)
-                    if len(idle) == len(workers):
-                        return
-                    for key, _ in selector.select():
-                        worker: _Process = key.data
-                        try:
-                            found = worker.pipe.recv()
-                        except (EOFError, OSError):
-                            selector.unregister(worker.pipe)
-                            workers.remove(worker)
-                            idle = [each for each in idle if each is not worker]
-                            yield self._lost(job, worker)
-                            continue
-                        if isinstance(found, BaseException):
-                            raise found
-                        self._finished(worker, idle)
-                        yield found
-        finally:
-            _end(workers, idle)
+        # what processes unpack is removed at the end, also if they are killed
+        with TemporaryDirectory(prefix="flexfmu-sweep-", ignore_cleanup_errors=True) as unpacked:
+            try:
+                yield from self._results(job, left, workers, idle, unpacked)
+            finally:
+                _end(workers, idle)
+
+    def _results(
+        self, job: Job, left: Iterator[Share], workers: list[_Process], idle: list[_Process], unpacked: str
+    ) -> Iterator[list[Row]]:
+        """Yield the results; ``workers`` are all processes, ``idle`` those without work."""
+        with selectors.DefaultSelector() as selector:
+            while True:
+                # shares for every process that has none
+                while (idle or len(workers) < self.count) and (tasks := self._next(left)):
+                    if not idle:
+                        workers.append(_started(job, unpacked))
+                        selector.register(workers[-1].pipe, selectors.EVENT_READ, workers[-1])
+                    (idle.pop() if idle else workers[-1]).begin(tasks)
+                if len(idle) == len(workers):
+                    return
+                for key, _ in selector.select():
+                    worker: _Process = key.data
+                    try:
+                        found = worker.pipe.recv()
+                    except (EOFError, OSError):
+                        selector.unregister(worker.pipe)
+                        workers.remove(worker)
+                        idle[:] = [each for each in idle if each is not worker]
+                        yield self._lost(job, worker)
+                        continue
+                    if isinstance(found, BaseException):
+                        raise found
+                    self._finished(worker, idle)
+                    yield found
 
     def _next(self, left: Iterator[Share]) -> list[tuple[Share, int]]:
         """The next shares, each with the number of the trial; those that a process has lost alone."""
@@ -144,10 +154,10 @@ def _cause(code: int | None) -> str:
     return f"the process that simulated it ended with status {code}"
 
 
-def _started(job: Job) -> _Process:
+def _started(job: Job, unpacked: str) -> _Process:
     """A new process."""
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.Process(target=_work, args=(job, there, here))
+    process = multiprocessing.Process(target=_work, args=(job, there, here, unpacked))
     with warnings.catch_warnings():
         # the new process uses none of this one's threads
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -156,11 +166,12 @@ def _started(job: Job) -> _Process:
     return _Process(process, here)
 
 
-def _work(job: Job, pipe: Connection, other: Connection) -> None:
+def _work(job: Job, pipe: Connection, other: Connection, unpacked: str) -> None:
     """Simulate shares until the pipe is closed. Ctrl-C is for the parent, which then ends its processes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     other.close()
+    tempfile.tempdir = unpacked
     # without the locks of a progress bar, and without warnings of every case
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
     warnings.simplefilter("ignore")

@@ -1,0 +1,65 @@
+"""Dotted keys reach every value of a scene, and name what is wrong with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.keys import location, set_value, value_at
+from flexfmu.model.scene.messages import unit_of
+from flexfmu.model.scene.schema import Scene
+
+PD = {"kind": "pd", "proportional": 5e3, "derivative": 20.0, "sample_time": 1e-3}
+SCENE = load_scene("barnard2012-6kg").replace(
+    {
+        "cosimulation.drive": "torque",
+        "controller": [PD, {**PD, "name": "second"}, {"kind": "feedforward", "sample_time": 1e-3}],
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "unit"),
+    [
+        ("payload.mass", 2.5, "kg"),
+        ("trajectory.duration", 0.3, "s"),
+        ("trajectory.blend.height", 0.02, "m"),
+        ("trajectory.start[0]", -0.17, "m"),
+        ("effects.gravity[1]", 0.0, "m/s2"),
+        ("cosimulation.step", 1e-3, "s"),
+        ("controller[0].derivative[1]", 30.0, "N.m.s/rad"),
+        ("controller[1].sample_time", 5e-4, "s"),
+        ("controller.second.sample_time", 5e-4, "s"),
+        ("controller.feedforward.payload", 4.0, "kg"),
+        ("trajectory.profile.kind", "bang-bang", ""),
+    ],
+)
+def test_every_value_has_a_key(key: str, value: Any, unit: str) -> None:
+    """The changed scene has the value, and nothing else changes."""
+    changed = SCENE.replace({key: value}).model_dump()
+    assert value_at(changed, key) == value
+    assert unit_of(location(changed, key), Scene) == unit
+    before = SCENE.model_dump()
+    set_value(changed, key, value_at(before, key), "scene")
+    assert Scene.model_validate(changed) == SCENE
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("controller[3].derivative", r"controller has 3 elements, \[0\] to \[2\], named pd, second, feedforward"),
+        ("controller.pd.derivative", "controller has 3 elements"),  # two of them are of this kind
+        ("shaper[0].kind", "shaper has no elements"),
+        ("trajectory.start[2]", r"trajectory.start has 2 elements"),
+        ("payload.mass.x", "payload.mass is the value 6.0, not a section"),
+        ("payload[0]", "payload is the value"),
+        ("payload.mas", "did you mean `mass`"),
+    ],
+)
+def test_keys_that_do_not_exist(key: str, message: str) -> None:
+    """The message says what there is."""
+    with pytest.raises(SceneError, match=message):
+        SCENE.replace({key: 1.0})
