@@ -20,8 +20,8 @@ from flexfmu.cosim.reports.axis import Axis, limits, to_scale
 from flexfmu.cosim.reports.curve_data import packed, spread, thinned
 from flexfmu.cosim.reports.svg import FIRST, GREY, INK, PALE
 
-FONT, SMALL, SMALLEST = 9.0, 8.5, 8.0
-"""Font sizes of axes; of legends and notes; of marks."""
+FONT, SMALL, SMALLEST, ON_PHONES = 9.0, 8.5, 8.0, 10.5
+"""Font sizes of axes; of legends and notes; of marks; of all on narrow screens (``templates/page.css``)."""
 
 PADDING, BELOW, GAP, ROW = 3.0, 32.0, 9.5, 12.6
 """Distance from the chart's edge; space below the panels for ticks and label; between panels; of lines of text."""
@@ -29,7 +29,7 @@ PADDING, BELOW, GAP, ROW = 3.0, 32.0, 9.5, 12.6
 LEGEND, MARK, NOTES = 21.3, 9.1, 4.9
 """Space above a panel for a legend of one row, for a mark's text, and for texts of markers at its top."""
 
-CHARACTERS, DIGIT, LETTER = {".": 0.32, "−": 0.84}, 0.64, 0.45
+CHARACTERS, DIGIT, LETTER = {".": 0.32, "−": 0.84}, 0.64, 0.53
 """Widths of characters of a number, of digits, and of letters on average, relative to the font size."""
 
 DASHES = "3.6,2.7"
@@ -274,7 +274,7 @@ def _rows(panel: Panel, width: float) -> list[list[Curve]]:
     for curve in panel.curves:
         if not curve.label:
             continue
-        space = 40.8 + LETTER * SMALL * len(curve.label)
+        space = 40.8 + LETTER * ON_PHONES * len(curve.label)
         if used + space > width - PADDING:
             rows.append([])
             used = 0.0
@@ -288,7 +288,7 @@ def _legend(panel: Panel, width: float) -> Iterator[str]:
     for row, curves in enumerate(_rows(panel, width)):
         x, y = width - PADDING - 4.6, ROW * row
         for curve in reversed(curves):
-            x -= LETTER * SMALL * len(curve.label)
+            x -= LETTER * ON_PHONES * len(curve.label)
             line = svg.line(
                 f"M{x - 23.8:.2f} {11.13 + y:.2f}h17", curve.colour, curve.width or 1.4, dashes=curve.dashes
             )
