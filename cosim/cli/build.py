@@ -8,8 +8,15 @@ from typing import Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, NamingOption, PlatformOption, SceneArgument, naming_convention
+from flexfmu.cosim.cli.console import load_changed, print_text, progress
+from flexfmu.cosim.cli.options import (
+    JsonOption,
+    NamingOption,
+    PlatformOption,
+    SceneArgument,
+    SetOption,
+    naming_convention,
+)
 from flexfmu.cosim.reports.text import to_json
 
 
@@ -27,16 +34,16 @@ def build(
             help="Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
         ),
     ] = False,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
     from flexfmu.cosim.experiment.scene_build import build_scene
     from flexfmu.model.choice_text import choice_sentence
-    from flexfmu.model.scene.file import load_scene
 
     # choose effects where the scene leaves them open, then build
     convention = naming_convention(naming)
-    robot = load_scene(scene)
+    robot = load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
     with progress() as show:
         if robot.effects.select is not None:

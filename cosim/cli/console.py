@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from threading import Thread
@@ -252,16 +252,26 @@ def _sentence(error: Exception) -> str:
     return str(error)
 
 
-def load_resolved(source: str) -> Scene:
-    """A scene from its file or by its name, with its effects chosen where it leaves them open; a note on standard error names them.
+def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
+    """A scene from its file or by its name, changed by ``KEY=VALUE`` of `SetOption`.
 
     Raises:
-        SceneError: as for `flexfmu.model.scene.file.load_scene`.
-        TrajectoryError: effects are to be chosen along a motion that isn't feasible.
+        SceneError: as for `flexfmu.model.scene.file.load_scene`; a setting has another form.
     """
     from flexfmu.model.scene.file import load_scene
+    from flexfmu.model.scene.keys import parse_setting
 
-    scene = load_scene(source)
+    return load_scene(source, dict(map(parse_setting, settings or ())))
+
+
+def load_resolved(source: str, settings: Sequence[str] | None = None) -> Scene:
+    """The scene of `load_changed`, with its effects chosen where it leaves them open; a note on standard error names them.
+
+    Raises:
+        SceneError: as for `load_changed`.
+        TrajectoryError: effects are to be chosen along a motion that isn't feasible.
+    """
+    scene = load_changed(source, settings)
     if scene.effects.select is None:
         return scene
     from flexfmu.cosim.choices.effects.choice import resolved

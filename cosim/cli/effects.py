@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument
+from flexfmu.cosim.cli.console import load_changed, print_rich, print_text, progress
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
 from flexfmu.cosim.reports.text import to_json
 
 
@@ -25,13 +25,13 @@ def effects(
     check: Annotated[
         bool, typer.Option("--check", help="Run the chosen set beside the next richer ones; builds their FMUs.")
     ] = False,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Choose the cheapest elastic effects within a tolerance; shows what each is worth and what it costs."""
     from flexfmu.cosim.choices.effects.study import check_choice, comparison_table, report, study_data, study_effects
-    from flexfmu.model.scene.file import load_scene
 
-    robot = load_scene(scene)
+    robot = load_changed(scene, settings)
     with progress() as show:
         study = study_effects(robot, tolerance, tuple(of or []), show)
         comparisons = check_choice(study, show=show) if check else ()

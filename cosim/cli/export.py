@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flexfmu.cosim.cli.console import load_resolved, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument
+from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument, SetOption
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def export(
         Path | None, typer.Option("--output", "-o", metavar="FILE.ssp", help="Default: the scene's name, here.")
     ] = None,
     platform: PlatformOption = None,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Write a whole scene as one SSP 1.0 file: its FMUs, their connections and parameters.
@@ -33,7 +34,7 @@ def export(
     from flexfmu.cosim.exchange.ssp.export import export_ssp
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
 
-    robot = load_resolved(scene)
+    robot = load_resolved(scene, settings)
     target = output or Path(f"{robot.name}.ssp")
     with progress() as show:
         export_ssp(robot, target, platforms=platform or None, progress=show)

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flexfmu.cosim.cli.console import load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, NamingOption, PlatformOption, SceneArgument, naming_convention
+from flexfmu.cosim.cli.options import (
+    JsonOption,
+    NamingOption,
+    PlatformOption,
+    SceneArgument,
+    SetOption,
+    naming_convention,
+)
 from flexfmu.cosim.engine.files import RESULTS
 from flexfmu.cosim.reports.text import to_json
 
@@ -29,6 +36,7 @@ def fmus(
     ] = None,
     platform: PlatformOption = None,
     naming: NamingOption = "structured",
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Export a scene's slaves as FMUs: robot, trajectory, controllers, shapers and imperfections.
@@ -39,7 +47,7 @@ def fmus(
 
     # choose effects where the scene leaves them open, then export
     convention = naming_convention(naming)
-    robot = load_resolved(scene)
+    robot = load_resolved(scene, settings)
     folder = out or RESULTS / robot.name / "fmus"
     with progress() as show:
         show("building the FMU of the robot", None)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
 from flexfmu.cosim.reports.text import to_json
 
 
@@ -19,13 +19,14 @@ def modes(
             metavar="N", min=3, max=10_001, help="Poses along the path: an odd number, so that the middle is one."
         ),
     ] = 11,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Natural frequencies along the path, with the motors locked, about the static equilibrium."""
     from flexfmu.cosim.experiment.planning import plan
     from flexfmu.cosim.reports.modes_table import modes_along_path, modes_table
 
-    robot = load_resolved(scene)
+    robot = load_resolved(scene, settings)
     with progress() as show:
         show("frequencies along the path", None)
         found = modes_along_path(plan(robot), poses, lambda fraction: show("frequencies along the path", fraction))

@@ -32,6 +32,15 @@ PlatformOption = Annotated[
         help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
     ),
 ]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5, controller[0].derivative=120, "
+        "controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Default: the scene as it is.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import end_loading
-from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.cli.options import JsonOption, SetOption
 from flexfmu.cosim.engine.errors import InputError
 
 
@@ -109,6 +109,7 @@ def run(
             show_default=False,
         ),
     ] = None,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
@@ -124,6 +125,8 @@ def run(
             raise InputError("--report goes with a scene; an SSP file has no report")
         if record or record_step is not None or record_order is not None:
             raise InputError("--record, --record-step and --record-order go with a scene")
+        if settings:
+            raise InputError(f"--set {settings[0]} goes with a scene; parameters of an SSP file are in the file")
         from flexfmu.cosim.cli.run_ssp import run_ssp_command
 
         end_loading()
@@ -148,4 +151,5 @@ def run(
         not json if report is None else report,
         Recorded(record, record_step, record_order),
         chosen,
+        settings,
     )

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from flexfmu.cosim.cli.console import FAILURE, print_text, progress, show_note
+from flexfmu.cosim.cli.console import FAILURE, load_changed, print_text, progress, show_note
 from flexfmu.cosim.cli.result_files import check_formats, write_results
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
@@ -21,7 +21,6 @@ from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.reports.text import to_json
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.errors import EquilibriumError
-from flexfmu.model.scene.file import load_scene
 
 
 class Recorded(NamedTuple):
@@ -53,16 +52,17 @@ def run_command(
     has_report: bool = True,
     recorded: Recorded = BY_SCENE,
     formats: Sequence[str] = ("csv",),
+    changes: Sequence[str] | None = None,
 ) -> int:
     """Simulate, write, print; the exit status.
 
     What was recorded before a failure is written too. ``companions``: how many more precise runs the errors are taken from.
     ``has_report``: whether report.html is drawn; otherwise that of an earlier run is removed.
-    ``formats``: those of the recorded signals, of `flexfmu.cosim.engine.results.FORMATS`.
+    ``changes``: keys of the scene that change, ``KEY=VALUE``. ``formats``: those of the recorded signals, of `flexfmu.cosim.engine.results.FORMATS`.
     """
     # formats and folder come first: no run is lost because it can't be written
     check_formats(formats)
-    scene = load_scene(source)
+    scene = load_changed(source, changes)
     folder = OutputFolder(out or RESULTS / scene.name)
     folder.prepare()
     with progress() as show:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.text import to_json
@@ -51,6 +51,7 @@ def shaper(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE.toml", help="Write the scene with the recommended shaper here."),
     ] = None,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Design input shapers for a scene, try them all in co-simulation and recommend one, with the TOML that applies it.
@@ -61,6 +62,7 @@ def shaper(
     from flexfmu.cosim.choices.shapers.figure import save_sensitivity
     from flexfmu.cosim.choices.shapers.recommendation import ShaperLimits, write_shaped
     from flexfmu.cosim.choices.shapers.table import markdown, to_csv
+    from flexfmu.model.scene.keys import parse_setting
 
     # usage
     if not 0.0 <= payload_band < 1.0:
@@ -70,7 +72,7 @@ def shaper(
         if limit is not None and not 0.0 <= limit < float("inf"):
             raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")
     # design, simulate, and write
-    robot = load_resolved(scene)
+    robot = load_resolved(scene, settings)
     folder = OutputFolder(out or RESULTS / robot.name)
     folder.prepare()
     with progress() as show:
@@ -85,7 +87,7 @@ def shaper(
         save_sensitivity(study.results, study.design, chosen, band, study.vibrations, folder.path)
     # the shaped scene, and standard output
     if output is not None and study.recommendation.keeps_limits:
-        write_shaped(scene, chosen.candidate.section, output)
+        write_shaped(scene, chosen.candidate.section, output, dict(map(parse_setting, settings or ())))
     if json:
         print_text(text)
     else:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ def sweep(
             "--plot/--no-plot", help="Draw sweep.png and sweep.svg. Default: draw them, but with --json don't."
         ),
     ] = None,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Simulate many variants of a scene: writes sweep.csv (and sweep.parquet) with the metrics of each, and a picture.
@@ -108,7 +109,7 @@ def sweep(
         raise InputError("--record-step goes with --record SIGNAL")
     selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
     names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
-    robot = load_resolved(scene)
+    robot = load_resolved(scene, settings)
     folder = out or RESULTS / f"{robot.name}-sweep"
     done = [0, 0]
     try:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, OptionalScene
+from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.text import to_json
@@ -41,6 +41,7 @@ def workprec(
             "--hard", help="Run the hard cases instead, without SCENE: what makes each hard, and what happened."
         ),
     ] = False,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
     """Measure what accuracy costs in time: by integrator, communication step, coupling, effects, formulation and tool.
@@ -50,10 +51,12 @@ def workprec(
     With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
     hard-cases.json and hard-cases.md.
     """
-    return (_hard_cases if hard else _study)(scene, out, only or [], json)
+    return (_hard_cases if hard else _study)(scene, out, only or [], settings or [], json)
 
 
-def _study(source: str | None, out: Path | None, families: Sequence[str], as_json: bool) -> int:
+def _study(
+    source: str | None, out: Path | None, families: Sequence[str], settings: Sequence[str], as_json: bool
+) -> int:
     """Measure, write the results, and print them; the exit status."""
     from rich.text import Text
 
@@ -67,7 +70,7 @@ def _study(source: str | None, out: Path | None, families: Sequence[str], as_jso
     if unknown:
         raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
     # measure, and write each file as soon as it is known
-    scene = load_resolved(source)
+    scene = load_resolved(source, settings)
     folder = OutputFolder(out or RESULTS / scene.name / "workprec")
     folder.prepare()
     with progress() as show:
@@ -86,7 +89,9 @@ def _study(source: str | None, out: Path | None, families: Sequence[str], as_jso
     return 0
 
 
-def _hard_cases(source: str | None, out: Path | None, names: Sequence[str], as_json: bool) -> int:
+def _hard_cases(
+    source: str | None, out: Path | None, names: Sequence[str], settings: Sequence[str], as_json: bool
+) -> int:
     """Run the hard cases, write what happened, and print it; the exit status."""
     from rich.text import Text
 
@@ -94,6 +99,8 @@ def _hard_cases(source: str | None, out: Path | None, names: Sequence[str], as_j
 
     if source is not None:
         raise InputError(f"the hard cases have robots of their own: leave out {source}")
+    if settings:
+        raise InputError(f"the hard cases have robots of their own: leave out --set {settings[0]}")
     # run them all, and write what happened
     cases = hard_cases(names)
     folder = OutputFolder(out or RESULTS / HARD_CASES)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import tomllib
 import warnings
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from flexfmu.model.scene.errors import SceneError, SceneWarning
+from flexfmu.model.scene.keys import set_value
 from flexfmu.model.scene.messages import listed
 from flexfmu.model.scene.schema import Scene, parse_scene
 
@@ -20,11 +22,12 @@ def shipped_scenes() -> tuple[str, ...]:
     )
 
 
-def load_scene(source: str | Path) -> Scene:
+def load_scene(source: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     """Read a scene from a TOML file or by the name of a shipped scene.
 
     Args:
         source: path of a scene file, or a name out of `shipped_scenes`.
+        changes: dotted key → value, as if it stood in the file; keys as for `Scene.replace`.
 
     Warns:
         SceneWarning: a value suggests another unit, see `Scene.unit_hints`.
@@ -37,7 +40,9 @@ def load_scene(source: str | Path) -> Scene:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not a TOML file: {error} ({label})") from error
-    scene = parse_scene(data, label, folder)
+    for key, value in (changes or {}).items():
+        set_value(data, key, value, label)
+    scene = parse_scene(data, f"{label}, changed: {', '.join(changes)}" if changes else label, folder)
     # valid values that suggest a wrong unit
     for hint in scene.unit_hints:
         warnings.warn(f"{hint} ({label})", SceneWarning, stacklevel=2)

@@ -3,12 +3,42 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from flexfmu.model.scene.errors import SceneError
 
 _INDEX = re.compile(r"\[(\d+)\]")
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """The key and its value from ``KEY=VALUE``; errors as for `parse_value`."""
+    key, sign, value = (part.strip() for part in text.partition("="))
+    if not (key and sign and value):
+        raise SceneError(f"{text!r} isn't KEY=VALUE: write payload.mass=3.0 or trajectory.profile.kind=poly5")
+    return key, parse_value(value, key)
+
+
+def parse_value(text: str, key: str) -> Any:
+    """A value as TOML has it (number, true, false, array, table, text), or a text without quotes.
+
+    Raises:
+        SceneError: it is neither; the message names the key.
+    """
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    # numbers that TOML writes otherwise: 01, .5, 1.
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            pass
+    if any(sign in text for sign in "\"'[]{}\n"):
+        raise SceneError(f"`{key}` has the value {text!r}, which isn't TOML: quote texts, write arrays as [1.0, 2.0]")
+    return text
 
 
 def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
@@ -79,7 +109,8 @@ def _place(holder: Any, part: str | int, before: Sequence[str | int], key: str, 
     if holder is None or (isinstance(holder, Mapping) and isinstance(part, str)):
         return part
     path = _written(before)
-    if isinstance(holder, list | tuple):
+    # an array, or what isn't there
+    if isinstance(holder, list | tuple) or holder == {}:
         if isinstance(part, int) and part < len(holder):
             return part
         # a table by its name, or else by its kind

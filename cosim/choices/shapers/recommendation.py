@@ -14,6 +14,7 @@ import tomlkit
 from flexfmu.cosim.choices.shapers.study import UNSHAPED_NAME, CandidateResult
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.model.scene.file import load_scene, read_scene_text
+from flexfmu.model.scene.keys import set_value
 
 RESOLUTION = 1e-4
 """Difference of times to rest [s] below which they are equal and the smaller path deviation decides."""
@@ -153,20 +154,25 @@ def shaper_toml(section: Mapping[str, Any]) -> str:
     return tomlkit.dumps(document)
 
 
-def write_shaped(source: str, section: Mapping[str, Any], target: Path) -> None:
+def write_shaped(
+    source: str, section: Mapping[str, Any], target: Path, changes: Mapping[str, Any] | None = None
+) -> None:
     """Write a scene file with this shaper instead of its own ones; everything else, comments included, stays.
 
     Args:
         source: path of a scene file, or name of a shipped scene.
         section: keys of the shaper; empty for a scene without shapers.
         target: the new file; relative paths in the scene become relative to its folder.
+        changes: dotted key → value that differs from the scene's.
 
     Raises:
         ResultsError: the file can't be written.
     """
-    text, _, folder = read_scene_text(source)
+    text, label, folder = read_scene_text(source)
     # remove the shapers, and make the paths relative to the new folder
     document = tomlkit.parse(text)
+    for changed, value in (changes or {}).items():
+        set_value(document, changed, value, label)
     document.pop("shaper", None)
     for table in (*document.get("controller", ()), *document.get("imperfection", ())):
         key = {"fmu": "path", "python": "folder"}.get(table["kind"])

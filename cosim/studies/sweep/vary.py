@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, Table, Values
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.keys import parse_value
 
 MOST_CASES = 10_000_000
 """More cases than this are taken for a mistake."""
@@ -95,21 +96,15 @@ def _split(text: str, key: str) -> list[str]:
 
 
 def _value(text: str, key: str) -> Any:
-    """A value as TOML has it, or a text without quotes.
+    """A value as `flexfmu.model.scene.keys.parse_value` reads it.
 
     Raises:
-        InputError: it is neither.
+        InputError: it is no value.
     """
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        pass
-    number = _number(text)
-    if number is not None:
-        return number
-    if any(sign in text for sign in "\"'[]{}\n"):
-        raise InputError(f"`{key}` has the value {text!r}, which isn't TOML: quote texts, write arrays as [1.0, 2.0]")
-    return text
+        return parse_value(text, key)
+    except SceneError as error:
+        raise InputError(str(error)) from error
 
 
 def make_cases(varied: Mapping[str, Values], sample: str | None = None, seed: int = 0) -> tuple[Cases, list[str]]:

@@ -1,0 +1,136 @@
+"""``--set KEY=VALUE``: keys of a scene that change for one command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from flexfmu.cosim.choices.shapers.recommendation import write_shaped
+from flexfmu.cosim.cli.main import app
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.keys import parse_setting
+
+SCENE = "barnard2012-6kg"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "controller_scene.toml"
+
+
+def flexfmu(*arguments: str) -> Result:
+    """Run a command."""
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "value"),
+    [
+        ("payload.mass=3", "payload.mass", 3),
+        (" payload.mass = 3e-1 ", "payload.mass", 0.3),
+        ("payload.mass=.5", "payload.mass", 0.5),
+        ("effects.gravity=[0.0, 9.81]", "effects.gravity", [0.0, 9.81]),
+        ("cosimulation.drive=torque", "cosimulation.drive", "torque"),
+        ('cosimulation.drive="torque"', "cosimulation.drive", "torque"),
+        ("effects.reactions=true", "effects.reactions", True),
+        ('effects.damping={kind="modal",ratio=0.1}', "effects.damping", {"kind": "modal", "ratio": 0.1}),
+        ("controller.pd.source=a:b", "controller.pd.source", "a:b"),
+    ],
+)
+def test_a_setting_is_a_key_and_a_value_of_toml(text: str, key: str, value: Any) -> None:
+    """Numbers, texts with and without quotes, lists, tables and truth values."""
+    found = parse_setting(text)
+    assert found == (key, value)
+    assert type(found[1]) is type(value)
+
+
+@pytest.mark.parametrize("text", ["payload.mass", "=3", "payload.mass=", "payload.mass=[1", 'name="a'])
+def test_other_forms_are_refused(text: str) -> None:
+    """What is neither KEY=VALUE nor TOML is an error that shows it."""
+    with pytest.raises(SceneError, match="isn't"):
+        parse_setting(text)
+
+
+def test_changes_are_as_if_they_stood_in_the_file() -> None:
+    """Sections, arrays by index, and controllers by their kind: the same scene as with `replace`."""
+    changes = {
+        "payload.mass": 2.5,
+        "effects.gravity[1]": -1.62,
+        "controller[0].proportional": [4e3, 5e3],
+        "controller.feedforward.payload": 5.0,
+        "trajectory.profile.kind": "poly5",
+    }
+    changed = load_scene(EXAMPLE, changes)
+    assert changed == load_scene(EXAMPLE).replace(changes)
+    assert changed.effects.gravity == (0.0, -1.62)
+    assert changed != load_scene(EXAMPLE)
+
+
+def test_a_missing_key_may_be_set(tmp_path: Path) -> None:
+    """A file that is complete with the settings alone can be used."""
+    text = EXAMPLE.read_text(encoding="utf-8").replace("duration = 0.43\n", "")
+    (tmp_path / "incomplete.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match="duration"):
+        load_scene(tmp_path / "incomplete.toml")
+    assert load_scene(tmp_path / "incomplete.toml", {"trajectory.duration": 0.5}).trajectory.duration == 0.5
+
+
+def test_every_command_with_a_scene_can_change_it() -> None:
+    """The commands whose first argument is a scene have the option, and the help names it."""
+    group: Any = typer.main.get_command(app)
+    single = {
+        name: [option for each in command.params for option in each.opts]
+        for name, command in group.commands.items()
+        if any(each.name == "scene" and each.nargs == 1 for each in command.params)
+    }
+    assert {"run", "build", "fmus", "export", "modes", "effects", "shaper", "workprec", "sweep"} <= single.keys()
+    assert [name for name, options in single.items() if "--set" not in options and name != "new"] == []
+
+
+def test_modes_are_those_of_the_changed_scene() -> None:
+    """The option reaches the computation: a lighter payload raises the first frequency, rigid links have none."""
+    few = ("--poses", "3", "--json", "--set", "effects.distal_axial=0", "--set", "effects.proximal_bending=1")
+    heavy, light = (flexfmu("modes", SCENE, *few, "--set", f"payload.mass={mass}") for mass in (6, 0.1))
+    first = [json.loads(result.stdout)["poses"][0]["frequencies"] for result in (heavy, light)]
+    assert [len(each) for each in first] == [2, 2]
+    assert first[0][0] < first[1][0]
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("payload.mas=3", "did you mean `mass`"),
+        ("payload.mass=-1", "at least 0.0 kg, got -1 kg"),
+        ("payload.mass", "isn't KEY=VALUE"),
+        ("controller[0].derivative=3", "controller has no elements"),
+    ],
+)
+def test_wrong_settings_are_one_line_and_status_2(setting: str, message: str) -> None:
+    """The same errors as for a scene file."""
+    result = flexfmu("modes", SCENE, "--set", setting)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_an_ssp_file_and_the_hard_cases_have_no_scene_to_change() -> None:
+    """They say so instead of ignoring the option."""
+    for arguments in (("run", "some.ssp"), ("workprec", "--hard")):
+        result = flexfmu(*arguments, "--set", "payload.mass=3")
+        assert result.exit_code == 2
+        assert "--set payload.mass=3" in result.stderr
+
+
+def test_a_written_shaped_scene_keeps_the_changes(tmp_path: Path) -> None:
+    """`flexfmu shaper --set ... -o FILE.toml`: the file has the changed values, and its comments."""
+    target = tmp_path / "shaped.toml"
+    changes = {"payload.mass": 2.5, "controller[0].derivative": 60.0, "effects.gravity": [0.0, 0.0]}
+    write_shaped(
+        str(EXAMPLE), {"kind": "zv", "modes": [{"frequency": 58.0, "ratio": 0.1}], "apply": "joints"}, target, changes
+    )
+    written = load_scene(target)
+    assert written.shaper[0].kind == "zv"
+    assert written.replace({"shaper": ()}) == load_scene(EXAMPLE, changes).replace({"shaper": ()})
+    assert "# rigid inverse dynamics" in target.read_text(encoding="utf-8")
