@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import print_text, progress, rich_output
+from flexfmu.cosim.cli.console import print_rich, print_text, progress
 from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.table import Table
 
     from flexfmu.cosim.reports.comparison import ComparedRun
@@ -22,7 +23,7 @@ def compare(
     runs: Annotated[
         list[str],
         typer.Argument(
-            metavar="RUN...",
+            metavar="RUN",
             help="A folder of results, a results file (.csv, .parquet, .mat), or a scene, which is run now.",
             show_default=False,
         ),
@@ -74,6 +75,8 @@ def compare(
 
     # what can be wrong is checked before anything is simulated
     meaning = dict(map(parse_mapping, mapping or ()))
+    if measured is not None and not measured.is_file():
+        raise InputError(f"there is no file {measured}")
     if out is not None:
         OutputFolder(out).prepare()
     with progress() as show:
@@ -89,55 +92,39 @@ def compare(
 
 def _print(found: Comparison, out: Path | None) -> None:
     """The metrics, the differences of a measurement, and where the page is."""
+    from rich.text import Text
+
     from flexfmu.cosim.studies.compare.comparison import POORLY, delay_text
 
-    with rich_output() as console:
-        for table in _metrics_tables(found, console.width):
-            console.print(table)
-        if found.measured is not None:
-            for table in _difference_tables(found.measured):
-                console.print(table)
-            console.print(f"{found.measured.name} is {delay_text(found.measured.delay)}")
-            if found.measured.delay.correlation < POORLY:
-                console.print(
-                    "warning: measurement and simulation hardly look alike; check --map, signs and --delay",
-                    style="yellow",
-                )
-        if out is not None:
-            console.print(f"comparison.html and comparison.json are in {out}", soft_wrap=True)
+    parts: list[RenderableType] = [table for table in [_metrics_table(found)] if table is not None]
+    measured = found.measured
+    if measured is not None:
+        parts += [_difference_table(name, measured) for name in measured.differences]
+        parts.append(Text(f"{measured.name} is {delay_text(measured.delay)}"))
+        if measured.delay.correlation < POORLY:
+            warning = "warning: measurement and simulation hardly look alike; check --map, signs and --delay"
+            parts.append(Text(warning, style="yellow"))
+    if out is not None:
+        parts.append(Text(f"comparison.html and comparison.json are in {out}"))
+    print_rich(*parts)
 
 
-LABEL, VALUE = 38, 19
-"""Columns of the terminal that a metric's name and unit take, and a run's value."""
-
-
-def _metrics_tables(found: Comparison, width: int) -> Iterator[Table]:
-    """Yield the metrics of as many runs as fit beside each other, with the first one wherever two do."""
-    from flexfmu.cosim.metrics.metric_table import ALL_METRICS
-
-    names, runs = found.metric_names, [run for run in found.runs if run.metrics]
-    if not names:
-        return
-    first, *others = runs
-    # where there is no room for two, each has a table of its own
-    beside = (width - LABEL) // VALUE - 1
-    for begin in range(0, max(len(others), 1) if beside > 0 else len(runs), max(beside, 1)):
-        shown = [first, *others[begin : begin + beside]] if beside > 0 else [runs[begin]]
-        table = _table("Metrics" if begin == 0 else "", "Metric", "Unit", *(run.name for run in shown))
-        for name in names:
-            info = ALL_METRICS[name]
-            table.add_row(info.label, info.display_unit, *(_cell(name, run, first) for run in shown))
-        yield table
-
-
-def _table(title: str, *headings: str) -> Table:
-    """An empty table whose first column wraps and whose numbers don't."""
+def _metrics_table(found: Comparison) -> Table | None:
+    """The metrics of all runs that have some beside each other, the first one always among them."""
     from rich.table import Column
+    from rich.text import Text
 
+    from flexfmu.cosim.metrics.metric_table import ALL_METRICS
     from flexfmu.cosim.reports.terminal import titled_table
 
-    numbers = (Column(each, justify="right", no_wrap=True, overflow="fold") for each in headings[1:])
-    return titled_table(title, Column(headings[0], overflow="fold"), *numbers)
+    runs = [run for run in found.runs if run.metrics]
+    if not runs:
+        return None
+    table = titled_table("Metrics", "Metric", *(Column(run.name, justify="right") for run in runs), keys=2)
+    for name in found.metric_names:
+        info = ALL_METRICS[name]
+        table.add_row(Text(f"{info.label} [{info.display_unit}]"), *(_cell(name, run, runs[0]) for run in runs))
+    return table
 
 
 def _cell(name: str, run: ComparedRun, first: ComparedRun) -> str:
@@ -149,20 +136,22 @@ def _cell(name: str, run: ComparedRun, first: ComparedRun) -> str:
     if value is None:
         return "–"
     text = f"{value * ALL_METRICS[name].display_factor:.5g}"
-    return text if run is first or not base else f"{text} ({100.0 * (value / base - 1.0):+.3g} %)"
+    return text if run is first or not base else f"{text} ({100.0 * (value - base) / abs(base):+.3g} %)"
 
 
-def _difference_tables(measured: Measured) -> Iterator[Table]:
-    """Yield RMS, mean and largest difference of each signal from each run; "of range" is RMS to the measured range."""
+def _difference_table(name: str, measured: Measured) -> Table:
+    """RMS, mean and largest difference of each signal from a run; "of range" is RMS to the measured range."""
+    from rich.table import Column
     from rich.text import Text
 
-    for run, signals in measured.differences.items():
-        table = _table(f"{measured.name} minus {run}", "Signal", "RMS", "Mean", "Largest", "of range")
-        for name, each in signals.items():
-            figures = (each.root_mean_square, each.mean, each.largest)
-            share = "–" if each.relative is None else f"{100.0 * each.relative:.3g} %"
-            unit = measured.recording[name].unit
-            # brackets are no markup here
-            label = Text(f"{name} [{unit}]" if unit else name)
-            table.add_row(label, *(f"{value:.4g}" for value in figures), share)
-        yield table
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    heads = (Column(each, justify="right") for each in ("RMS", "Mean", "Largest", "of range"))
+    table = titled_table(f"{measured.name} minus {name}", "Signal", *heads)
+    for signal, each in measured.differences[name].items():
+        figures = (each.root_mean_square, each.mean, each.largest)
+        share = "–" if each.relative is None else f"{100.0 * each.relative:.3g} %"
+        unit = measured.recording[signal].unit
+        label = Text(f"{signal} [{unit}]" if unit else signal)
+        table.add_row(label, *(f"{value:.4g}" for value in figures), share)
+    return table

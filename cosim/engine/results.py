@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import itertools
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flexfmu.cosim.engine.columns import Column, LazyColumns, Table, chosen, csv_cells
+from flexfmu.cosim.engine.columns import Column, LazyColumns, Table, chosen
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
-from flexfmu.cosim.engine.files import write_pieces
+from flexfmu.cosim.engine.formats.csv_table import read_csv, write_csv
 from flexfmu.cosim.engine.showing import few_lines, html_table
 from flexfmu.cosim.engine.slave import RealArray
 
@@ -32,9 +29,6 @@ FORMATS = ("csv", "parquet", "mat", "mcap")
 
 Names = str | Collection[str] | None
 """Names of signals, in which ``*`` stands for any characters; None for all."""
-
-LINES = 96
-"""Number of lines of a CSV file that are written at once: few enough for memory that is used again instead of new pages."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,6 +72,9 @@ class Recording:
             return self.columns[name]
         except KeyError:
             raise KeyError(f"no signal {name!r} was recorded; there are: {', '.join(self.columns)}") from None
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [*self.columns]
 
     @property
     def units(self) -> dict[str, str]:
@@ -195,23 +192,7 @@ class Recording:
         Raises:
             ResultsError: the file can't be written, with the system's reason.
         """
-        names = [_file_name(name) for name in ("time", *self.columns)]
-        return write_pieces(
-            Path(path), itertools.chain([",".join(f'"{name}"' for name in names) + "\n"], self._lines())
-        )
-
-    def _lines(self) -> Iterator[str]:
-        """Yield the lines of the table, some hundred at once."""
-        columns = [Column("s", self.time), *self.columns.values()]
-        are_numbers = all(each.texts is None and each.values.dtype == np.float64 for each in columns)
-        for begin in range(0, self.time.size, LINES):
-            piece = slice(begin, begin + LINES)
-            # numbers alone in whole lines, texts cell by cell
-            if are_numbers:
-                yield csv_cells(np.stack([each.values[piece] for each in columns], axis=1)) + "\n"
-                continue
-            table = [Column(each.unit, each.values[piece], texts=each.texts).shown() for each in columns]
-            yield "".join(",".join(row) + "\n" for row in zip(*table, strict=True))
+        return write_csv(Path(path), self.time, self.columns)
 
     @classmethod
     def read_csv(cls, path: str | os.PathLike[str]) -> Recording:
@@ -220,22 +201,7 @@ class Recording:
         Raises:
             ResultsError: the file can't be read, or isn't a table of signals.
         """
-        try:
-            with open(path, encoding="utf-8", newline="") as file:
-                names = [name.strip().strip('"').replace(";", ",") for name in file.readline().split(",")]
-                body = file.read()
-            # numpy reads tables of numbers alone many times faster
-            table, texts, known = (
-                _with_texts(body) if '"' in body else (np.loadtxt(body.splitlines(), delimiter=",", ndmin=2), set(), [])
-            )
-        except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
-            raise ResultsError(f"can't read {os.fspath(path)}: {error}") from error
-        if names[0] != "time" or table.shape[1] != len(names):
-            raise ResultsError(f"{os.fspath(path)} is no table of signals: its first column must be named time")
-        columns = {
-            name: Column("", table[:, i], texts=known if i in texts else None) for i, name in enumerate(names) if i
-        }
-        return cls(table[:, 0], columns)
+        return cls(*read_csv(Path(path)))
 
 
 USUAL = (
@@ -281,26 +247,6 @@ def _extremes(column: Column) -> tuple[str, str]:
     if column.texts is not None or not known.size:
         return "", ""
     return f"{known.min():.6g}", f"{known.max():.6g}"
-
-
-def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
-    """Return the table (N, n) with texts replaced by their indices, the columns of texts, and the list of texts."""
-    rows = [row for row in csv.reader(io.StringIO(body, newline=""), quoting=csv.QUOTE_NONNUMERIC) if row]
-    # the first row tells columns of texts from columns of numbers
-    texts = {i for i, cell in enumerate(rows[0]) if isinstance(cell, str)}
-    codes: dict[str, int] = {}
-    table = [
-        [codes.setdefault(cell, len(codes)) if i in texts else float(cell) for i, cell in enumerate(row)]
-        for row in rows
-    ]
-    return np.array(table, dtype=np.float64), texts, [*codes]
-
-
-def _file_name(name: str) -> str:
-    """Return a signal's name as the CSV header has it: commas become semicolons."""
-    if any(character in name for character in ';"\n'):
-        raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
-    return name.replace(",", ";")
 
 
 @dataclass(frozen=True)

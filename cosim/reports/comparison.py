@@ -92,7 +92,7 @@ def _cell(name: str, measured: Measurement, first: Measurement) -> str:
     text = display(name, measured.value, error=measured.error)
     if measured is first or measured.value is None or not first.value:
         return text
-    difference = f"{100.0 * (measured.value / first.value - 1.0):+.3g}".replace("-", "−")
+    difference = f"{100.0 * (measured.value - first.value) / abs(first.value):+.3g}".replace("-", "−")
     return f"{text} ({difference} %)"
 
 

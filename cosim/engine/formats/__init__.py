@@ -1,1 +1,1 @@
-"""Recordings in other tools' forms: pandas, xarray, Parquet, MATLAB, MCAP, Matplotlib; each module needs one library."""
+"""Recordings in files and in other tools' forms: CSV, pandas, xarray, Parquet, MATLAB, MCAP, Matplotlib."""

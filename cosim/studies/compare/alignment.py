@@ -123,7 +123,7 @@ def difference(measured: Sampled, simulated: Sampled, delay: float) -> Differenc
         raise InputError(
             f"measurement and simulation overlap in {np.count_nonzero(inside)} samples only: with a delay of {delay:g} s the "
             f"measurement goes from {time[0]:g} to {time[-1]:g} s of the simulation, which goes from {simulated.time[0]:g} to "
-            f"{simulated.time[-1]:g} s; give the delay"
+            f"{simulated.time[-1]:g} s; check the delay and the unit of the time"
         )
     return Difference(time[inside], measured.values[inside], simulated.at(time[inside]))
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import flexfmu
-from flexfmu.cosim.cli.compare import _metrics_tables
+from flexfmu.cosim.cli.compare import _metrics_table
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
@@ -129,8 +129,7 @@ def test_no_figure_is_cut_off(run: Run, width: int) -> None:
     ]
     found = flexfmu.compare(*runs)
     text = StringIO()
-    for table in _metrics_tables(found, width):
-        Console(file=text, width=width).print(table)
+    Console(file=text, width=width).print(_metrics_table(found))
     lines = text.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     assert "…" not in text.getvalue()
@@ -152,6 +151,7 @@ def test_wrong_input(run: Run, make_run: MakeRun, folder: Path, tmp_path: Path) 
         ((tmp_path,), "has no results.csv"),
         (("nothing",), "no scene file 'nothing'"),
         ((folder, "--map", "tau=joint1.torque"), "goes with a measurement"),
+        ((folder, "--measured", "nothing.csv"), "there is no file nothing.csv"),
         ((folder, "--map", "tau"), "--map takes MEASURED=SIGNAL"),
     ):
         result = command(*arguments)
