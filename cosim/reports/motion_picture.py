@@ -26,8 +26,11 @@ from flexfmu.model.beams import Shape, tip_force_bending
 from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.scene.assembly import bases, elbows
 
-FRAMES, DURATION = 241, 6.0
+FRAMES, DURATION = 401, 6.0
 """Largest number of instants of the animation, and how long it lasts [s]."""
+
+LONGEST = 1.2
+"""Time before the end of a run that is shown [s]: of several cycles the last, in enough instants for its vibration."""
 
 VISIBLE = 0.1
 """Largest magnified deviation of the end effector relative to a proximal link's length, about."""
@@ -83,14 +86,14 @@ class BentRobot:
 
 
 def bent_robot(run: Run, most: int = FRAMES) -> BentRobot:
-    """Return the robot of a run with position outputs at recorded instants, equally spaced as far as there are such.
+    """Return the robot of a run in its last `LONGEST` seconds, at recorded instants that are about equally spaced.
 
     Args:
         run: a run with at least two instants.
         most: largest number of instants.
     """
     recording, scene = run.recording, run.robot
-    grid = np.linspace(recording.time[0], recording.time[-1], most)
+    grid = np.linspace(recording.time[_shown(recording)][0], recording.time[-1], most)
     index = np.minimum(recording.time.searchsorted(grid), recording.time.size - 1)
     index = index[np.diff(index, prepend=-1) > 0]
     time, shapes = recording.time[index], scene_shapes(scene)
@@ -122,13 +125,14 @@ def bent_robot(run: Run, most: int = FRAMES) -> BentRobot:
 
 
 def path_panel(run: Run, magnification: float) -> Panel:
-    """Return the end effector's path beside the rigid robot's, its deviation from that magnified [m]."""
-    recording = run.recording
-    rigid = run.plan.task.evaluate(np.minimum(recording.time, run.plan.duration), 0)[0]
-    deviation = np.stack([recording[name].values for name in POSITION], axis=1) - rigid
+    """Return the end effector's path in the last `LONGEST` seconds beside the rigid robot's, its deviation magnified [m]."""
+    recording, shown = run.recording, _shown(run.recording)
+    time = recording.time[shown]
+    rigid = run.plan.task.evaluate(np.minimum(time, run.plan.duration), 0)[0]
+    deviation = np.stack([recording[name].values[shown] for name in POSITION], axis=1) - rigid
     x, y = (rigid + magnification * deviation).T
     more = {
-        "time [s]": recording.time,
+        "time [s]": time,
         "deviation in x [µm]": 1e6 * deviation[:, 0],
         "deviation in y [µm]": 1e6 * deviation[:, 1],
     }
@@ -137,6 +141,11 @@ def path_panel(run: Run, magnification: float) -> Panel:
         Curve(x, y, label=f"deviation × {magnification:g}", colour=FIRST, more=more),
     ]
     return Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
+
+
+def _shown(recording: Recording) -> slice:
+    """Return the indices of the last `LONGEST` seconds."""
+    return slice(int(recording.time.searchsorted(recording.time[-1] - LONGEST)), None)
 
 
 def _bending(recording: Recording, index: NDArray[np.intp], link: str, shapes: tuple[Shape, ...]) -> RealArray:

@@ -22,7 +22,7 @@ from flexfmu.cosim.metrics.signals import (
     segments,
 )
 from flexfmu.cosim.reports.chart import Curve, Panel
-from flexfmu.cosim.reports.motion_picture import bent_robot, path_panel
+from flexfmu.cosim.reports.motion_picture import LONGEST, bent_robot, path_panel
 from flexfmu.cosim.reports.page import WIDTH, Plot
 from flexfmu.cosim.reports.scene_picture import scene_panel
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
@@ -56,9 +56,8 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     robot = bent_robot(run)
     caption += " With scripts it moves, its deviation from the rigid robot magnified."
     yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot.data()))
-    caption = (
-        f"Path of the end effector; its deviation from the rigid robot's at the same time × {robot.magnification:g}."
-    )
+    last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
+    caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot.magnification:g}."
     yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
     yield Plot("references", "Joint references", "What drives the robot.", _references(run), height=REFERENCES_HEIGHT)
     torques = _pair(run, TORQUES, "joint", "torque [N·m]", 1.0)

@@ -11,7 +11,7 @@ import pytest
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.reports.curve_data import unpacked
-from flexfmu.cosim.reports.motion_picture import bent_robot, path_panel
+from flexfmu.cosim.reports.motion_picture import LONGEST, bent_robot, path_panel
 from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.scene.assembly import bases, elbows
 
@@ -105,3 +105,13 @@ def test_the_path_is_magnified_about_the_rigid_one(make_run: MakeRun) -> None:
     )
     np.testing.assert_allclose(magnified.more["deviation in y [µm]"], 1e6 * (recorded - reference)[1], rtol=1e-12)
     np.testing.assert_array_equal(magnified.more["time [s]"], run.recording.time)
+
+
+def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
+    """Of many cycles, in instants that are close enough for a vibration."""
+    run = make_run(changes={"trajectory.dwell": 3.0})
+    robot, (rigid, _) = bent_robot(run), path_panel(run, 1.0).curves
+    assert robot.time[0] == pytest.approx(3.43 - LONGEST, abs=2e-3)
+    assert robot.time[-1] == 3.43
+    assert np.diff(robot.time).max() < 5e-3
+    assert rigid.x.size == np.count_nonzero(run.recording.time >= 3.43 - LONGEST)
