@@ -1,5 +1,8 @@
 """Planned motion: paths, blends, motion profiles, trajectories, and input shapers. Depends on numpy and scipy only."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
 from flexfmu.trajectories.cam_profiles import (
     Cycloidal,
@@ -12,7 +15,6 @@ from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
-from flexfmu.trajectories.own import OwnMotion, SplineTrajectory, as_trajectory
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.polynomial_profile import PolynomialProfile
@@ -25,9 +27,12 @@ from flexfmu.trajectories.profiles import (
     Trapezoidal,
     evaluate_profile,
 )
-from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
 from flexfmu.trajectories.table import MotionTable, read_table, write_table
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.own import OwnMotion, SplineTrajectory, as_trajectory
+    from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
 
 __all__ = [
     "BangBang",
@@ -73,3 +78,23 @@ __all__ = [
     "spline",
     "write_table",
 ]
+
+_SELDOM = {
+    **dict.fromkeys(("OwnMotion", "SplineTrajectory", "as_trajectory"), "flexfmu.trajectories.own"),
+    **dict.fromkeys(("from_ruckig", "from_scipy", "from_toppra"), "flexfmu.trajectories.sources"),
+}
+"""Names that scenes don't need → module that they are imported from at their first use."""
+
+# hidden from type checkers, which would otherwise accept every misspelt name
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        """Import a name at its first use and return its value (PEP 562).
+
+        Raises:
+            AttributeError: there is no such name.
+        """
+        if name not in _SELDOM:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = globals()[name] = getattr(import_module(_SELDOM[name]), name)
+        return value

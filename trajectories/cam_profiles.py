@@ -9,7 +9,6 @@ Source: R. L. Norton, *Cam Design and Manufacturing Handbook*, 2nd edition, Indu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from flexfmu.trajectories.profile_pieces import Piece, ProfilePiece, SinePiece, joins, symmetric
 
@@ -17,7 +16,20 @@ EIGHTH = 0.125
 """Fraction of the duration in which the acceleration of the modified profiles rises."""
 
 
-class Smooth:
+class CamProfile:
+    """A profile without parameters: two of a kind are equal. Without a dataclass, whose making takes longer than reading this file."""
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
+
+
+class Smooth(CamProfile):
     """A profile without a jump of any derivative between its ends."""
 
     @property
@@ -26,7 +38,6 @@ class Smooth:
         return ()
 
 
-@dataclass(frozen=True)
 class FifthDegreePolynomial(Smooth):
     """Fifth-degree polynomial σ = 10 η³ - 15 η⁴ + 6 η⁵: velocity and acceleration are zero at both ends.
 
@@ -39,7 +50,6 @@ class FifthDegreePolynomial(Smooth):
         return symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)))
 
 
-@dataclass(frozen=True)
 class Harmonic(Smooth):
     """Simple harmonic motion σ = (1 - cos πη) / 2; C_v = π/2, C_a = π²/2 = 4.935, by which it jumps at both ends."""
 
@@ -49,7 +59,6 @@ class Harmonic(Smooth):
         return symmetric(SinePiece(0.0, 0.5, 0.0, 0.5, math.pi, integrals=2))
 
 
-@dataclass(frozen=True)
 class Cycloidal(Smooth):
     """Cycloidal motion σ = η - sin(2πη) / 2π: the acceleration is one period of a sine; C_v = 2, C_a = 2π = 6.283."""
 
@@ -59,8 +68,7 @@ class Cycloidal(Smooth):
         return symmetric(SinePiece(0.0, 0.5, 0.0, 0.5 / math.pi, 2.0 * math.pi))
 
 
-@dataclass(frozen=True)
-class ModifiedSine:
+class ModifiedSine(CamProfile):
     """Modified sine: the acceleration is a quarter of a fast sine, half a slow one, a quarter of a fast one.
 
     C_v = 4π/(4 + π) = 1.760, C_a = 4π²/(4 + π) = 5.528: the lowest peak power of the usual profiles.
@@ -81,8 +89,7 @@ class ModifiedSine:
         return joins(self.pieces)
 
 
-@dataclass(frozen=True)
-class ModifiedTrapezoid:
+class ModifiedTrapezoid(CamProfile):
     """Modified trapezoid: the acceleration is a trapezoid whose flanks are quarters of a sine.
 
     C_v = 2, C_a = 8π/(2 + π) = 4.888: the lowest peak acceleration of the usual profiles.
