@@ -121,6 +121,16 @@ class MotionTable:
             )
         return degree
 
+    def description(self, degree: int | None = None) -> str:
+        """Return what the motion is, in a few words: degree and continuity of the spline, rows and file."""
+        chosen, order = self.degree(degree), len(self.derivatives) - 1
+        given = "positions" + ("", ", velocities", " ... accelerations", " ... jerks")[order]
+        moving = self.coordinates.replace("joints", "joint")
+        return (
+            f"spline of degree {chosen} (C{chosen - 1 - order}) through {len(self.time)} rows of {moving} {given} in "
+            f"{Path(self.source).name}"
+        )
+
     def trajectory(self, degree: int | None = None) -> PiecewisePolynomial:
         """Return the spline through the rows; see `flexfmu.trajectories.piecewise.spline`.
 

@@ -90,7 +90,7 @@ class MotionPlan:
         task: end-effector trajectory of the rigid mechanism in x, y [m].
         joints: joint trajectory in q11, q21 [rad].
         repetition: single motion and number of cycles; None for a motion without repetition.
-        source: what gives the motion in place of the scene, in a few words; empty for the scene's own.
+        source: what gives the motion, in a few words; empty for path and profile of the scene.
     """
 
     scene: Scene
@@ -122,7 +122,7 @@ class MotionPlan:
             TrajectoryError: it has none, since it comes from a table or from an own class.
         """
         if not isinstance(self.along_path, TaskTrajectory):
-            raise TrajectoryError(f"{self.source or 'a motion from a table'} has no profile along a path")
+            raise TrajectoryError(f"{self.source} has no profile along a path")
         return self.along_path
 
     @property
@@ -157,7 +157,8 @@ def plan(scene: Scene) -> MotionPlan:
     section = scene.trajectory
     if isinstance(section, TableSection):
         task, joints = table_motion(section, scene.mechanism)
-        return MotionPlan(scene, task, RigidKinematics(scene.mechanism), task, joints)
+        source = section.table.description(section.degree)
+        return MotionPlan(scene, task, RigidKinematics(scene.mechanism), task, joints, source=source)
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)
     law = section.profile.kind, tuple(section.profile.parameters.items())
@@ -215,9 +216,7 @@ def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
 
     if not isinstance(motion.task, TaskTrajectory):
         if motion.task is motion.along_path:
-            raise TrajectoryError(
-                f"{motion.source or 'a motion from a table'} has no profile along a path: shape the joint references"
-            )
+            raise TrajectoryError(f"{motion.source} has no profile along a path: shape the joint references")
         raise TrajectoryError("shaped joint references leave the path: shape the motion along the path first")
     task = shape_along_path(motion.task, sequence)
     return replace(motion, task=task, joints=JointTrajectory(task, motion.kinematics))

@@ -174,8 +174,8 @@ def write_shaped(
     for changed, value in (changes or {}).items():
         set_value(document, changed, value, label)
     document.pop("shaper", None)
-    for table in (*document.get("controller", ()), *document.get("imperfection", ())):
-        key = {"fmu": "path", "python": "folder"}.get(table["kind"])
+    for table in (document["trajectory"], *document.get("controller", ()), *document.get("imperfection", ())):
+        key = {"fmu": "path", "python": "folder", "table": "file"}.get(table.get("kind"))
         if key is not None and folder is not None:
             table[key] = os.path.relpath(folder / table.get(key, "."), target.resolve().parent)
     # append the new shaper

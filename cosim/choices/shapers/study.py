@@ -22,6 +22,7 @@ from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 UNSHAPED_NAME, NOTHING = "unshaped", "-"
 """Name and application of the unshaped motion."""
@@ -163,9 +164,13 @@ def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -
 def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list[Candidate], Mapping[str, str]]:
     """Return the unshaped motion and every shaper on joints and path, and the reasons why some can't be applied."""
     # every shaper in every application
-    found, refused = [Candidate(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], {}
+    found, refused = [Candidate(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], dict[str, str]()
+    applications = dict(APPLICATIONS)
+    if not isinstance(motion.along_path, TaskTrajectory):
+        del applications["path"]
+        refused["all shapers on path"] = f"{motion.source} has no profile along a path"
     for shaper in shapers:
-        for application, shape in APPLICATIONS.items():
+        for application, shape in applications.items():
             try:
                 section = {**shaper.section, "apply": application}
                 shaped = shape(motion, shaper.sequence)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import flexfmu
+from flexfmu.cosim.choices.shapers.recommendation import write_shaped
+from flexfmu.cosim.choices.shapers.study import Alternative, candidates
 from flexfmu.cosim.experiment.planning import MotionPlan, deviation, shape_joints, shape_path
 from flexfmu.cosim.experiment.scene_build import scene_key
 from flexfmu.cosim.reports.modes_table import modes_along_path
@@ -93,7 +95,8 @@ def test_modes_and_shapers(known: MotionPlan, folder: Path) -> None:
     shaped, reference = (shape_joints(each, sequence) for each in (motion, known))
     assert deviation(shaped) == pytest.approx(deviation(reference), rel=1e-5)
     assert deviation(motion) < 1e-9
-    with pytest.raises(TrajectoryError, match="no profile along a path: shape the joint references"):
+    said = r"spline of degree 7 \(C3\) through \d+ rows of joint positions ... jerks in joints.csv has no profile along a path"
+    with pytest.raises(TrajectoryError, match=said):
         shape_path(motion, sequence)
 
 
@@ -144,8 +147,8 @@ def test_wrong_keys(known: MotionPlan, folder: Path, keys: dict[str, object], sa
         known.scene.replace({"trajectory": section})
 
 
-def test_relative_to_the_scene_file(known: MotionPlan, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wherever the scene is loaded from."""
+def test_relative_to_the_scene_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the scene is loaded from, and where a shaper's command writes it with its shaper."""
     text = (
         Path(flexfmu.load_scene.__globals__["__file__"])
         .with_name("scenes")
@@ -157,3 +160,30 @@ def test_relative_to_the_scene_file(known: MotionPlan, folder: Path, monkeypatch
     (folder / "scene.toml").write_text(before + table + rest.partition("[cosimulation]")[2])
     monkeypatch.chdir(folder.parent)
     assert flexfmu.load_scene(Path(folder.name) / "scene.toml").trajectory.duration == 0.43
+    (folder / "below").mkdir()
+    write_shaped(str(folder / "scene.toml"), {"kind": "zv"}, folder / "below" / "shaped.toml")
+    shaped = flexfmu.load_scene(folder / "below" / "shaped.toml")
+    assert (shaped.trajectory.duration, len(shaper_kinds(shaped))) == (0.43, 1)
+
+
+def shaper_kinds(scene: Scene) -> list[str]:
+    """Kinds of the scene's shapers."""
+    return [each.kind for each in scene.shaper]
+
+
+def test_shapers_on_the_path_are_left_out(known: MotionPlan, folder: Path) -> None:
+    """With one reason for all of them, since a table has no profile."""
+    motion = flexfmu.plan(tabulated(known, folder / "task.csv"))
+    sequence = zero_vibration(Oscillator(30.0))
+    found, refused = candidates(motion, [Alternative("zv", sequence, {"kind": "zv"}), Alternative("b", sequence, {})])
+    assert [each.application for each in found] == ["", "joints", "joints"]
+    assert refused == {"all shapers on path": f"{motion.source} has no profile along a path"}
+
+
+def test_the_report_says_which_spline(known: MotionPlan, folder: Path) -> None:
+    """Degree, continuity, rows and file, in the plan and in the summary."""
+    (folder / "few.csv").write_text("time,x,y,vx,vy\n0,-0.175,0.32,0,0\n1,0,0.3,0.2,0\n2,0.1,0.3,0,0\n")
+    motion = flexfmu.plan(tabulated(known, folder / "few.csv"))
+    assert motion.source == "spline of degree 5 (C3) through 3 rows of end-effector positions, velocities in few.csv"
+    again = flexfmu.plan(tabulated(known, folder / "few.csv", degree=3))
+    assert again.source.startswith("spline of degree 3 (C1) through 3 rows")
