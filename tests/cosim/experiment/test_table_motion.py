@@ -163,12 +163,7 @@ def test_relative_to_the_scene_file(folder: Path, monkeypatch: pytest.MonkeyPatc
     (folder / "below").mkdir()
     write_shaped(str(folder / "scene.toml"), {"kind": "zv"}, folder / "below" / "shaped.toml")
     shaped = flexfmu.load_scene(folder / "below" / "shaped.toml")
-    assert (shaped.trajectory.duration, len(shaper_kinds(shaped))) == (0.43, 1)
-
-
-def shaper_kinds(scene: Scene) -> list[str]:
-    """Kinds of the scene's shapers."""
-    return [each.kind for each in scene.shaper]
+    assert (shaped.trajectory.duration, len(shaped.shaper)) == (0.43, 1)
 
 
 def test_shapers_on_the_path_are_left_out(known: MotionPlan, folder: Path) -> None:
@@ -176,7 +171,7 @@ def test_shapers_on_the_path_are_left_out(known: MotionPlan, folder: Path) -> No
     motion = flexfmu.plan(tabulated(known, folder / "task.csv"))
     sequence = zero_vibration(Oscillator(30.0))
     found, refused = candidates(motion, [Alternative("zv", sequence, {"kind": "zv"}), Alternative("b", sequence, {})])
-    assert [each.application for each in found] == ["", "joints", "joints"]
+    assert [each.application for each in found] == ["-", "joints", "joints"]
     assert refused == {"all shapers on path": f"{motion.source} has no profile along a path"}
 
 
