@@ -4,6 +4,7 @@
 # make bench  how fast everything is, against its targets and against the figures of the last release
 # make check  formatting, linting, types and the fast tests, from the source tree: a quick look before a commit
 # make lint   formatting, linting, types
+# make docs   the documentation as a site in build/site; warnings are errors
 
 PYTHON ?= python3
 # a C compiler from PyPI where the machine has none
@@ -12,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test check fast fuzz bench lint format clean
+.PHONY: demo test check fast fuzz bench lint docs format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -50,6 +51,10 @@ lint: $(VENV)/.lint
 	for part in src/flexfmu/*.py model fmu_build trajectories cosim; do ln -s ../../../$$part build/typing/flexfmu; done
 	$(BIN)/mypy build/typing/flexfmu
 
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@echo "Open build/site/index.html in a browser."
+
 format: $(VENV)/.lint
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -64,6 +69,10 @@ $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.lint: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --group lint --group test ".$(EXTRAS)"
+	touch $@
+
+$(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --group docs
 	touch $@
 
 clean:

@@ -1,0 +1,44 @@
+"""What the documentation's site gets beside the pages in docs/: hooks of MkDocs, see mkdocs.yml.
+
+The packages are linked into one folder, as an installation has them, where mkdocstrings reads their docstrings. Links of pages
+to files outside docs/ lead to copies of these in the site.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ROOT / "build" / "docs" / "flexfmu"
+OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:examples|benchmarks|model)/[^)#]+|[A-Z]+\.md)\)")
+"""A link to a file outside docs/; its path in the repository."""
+
+
+def on_config(config: Any) -> Any:
+    """Link the packages below one folder."""
+    shutil.rmtree(PACKAGES, ignore_errors=True)
+    PACKAGES.mkdir(parents=True)
+    tops = (ROOT / name for name in ("model", "fmu_build", "trajectories", "cosim"))
+    for path in (*(ROOT / "src" / "flexfmu").glob("*.py"), *tops):
+        (PACKAGES / path.name).symlink_to(path)
+    return config
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the files outside docs/ that pages have links to."""
+    pages = [Path(file.abs_src_path).read_text(encoding="utf-8") for file in files.documentation_pages()]
+    for path in sorted({path for text in pages for path in OUTSIDE.findall(text)}):
+        # as text, which browsers show
+        files.append(File.generated(config, f"files/{path}.txt", content=(ROOT / path).read_bytes()))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Let links to files outside docs/ lead to their copies."""
+    up = "../" * page.file.src_uri.count("/")
+    return OUTSIDE.sub(rf"]({up}files/\1.txt)", markdown)
