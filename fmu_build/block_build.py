@@ -48,8 +48,12 @@ def build_block_fmu(
     Args:
         block: the block.
         output: file to write; None leaves the FMU in the cache.
-        stop_time, step: default experiment [s]; None for a thousand samples, in steps of the sample time.
-        platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        stop_time: stop time of the default experiment [s]; None for that of a thousand samples.
+        step: step of the default experiment [s]; None for the sample time.
+        platforms: as for `flexfmu.fmu_build.build.build_fmu`.
+        naming: as for `flexfmu.fmu_build.build.build_fmu`.
+        cache: as for `flexfmu.fmu_build.build.build_fmu`.
+        progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         BuildError: the block violates its contract, there is no compiler, compilation fails, or a file can't be written.

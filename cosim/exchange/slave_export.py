@@ -111,7 +111,9 @@ def export_slaves(
         folder: output folder, created if missing.
         names: names of the slaves to export; None for all.
         loop: controllers, shapers and imperfections as objects, instead of the scene's own.
-        platforms, naming, cache: as for `flexfmu.fmu_build.build.build_fmu`.
+        platforms: as for `flexfmu.fmu_build.build.build_fmu`.
+        naming: as for `flexfmu.fmu_build.build.build_fmu`.
+        cache: as for `flexfmu.fmu_build.build.build_fmu`.
         progress: called with the current activity and the finished fraction.
 
     Raises:

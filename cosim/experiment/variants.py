@@ -96,7 +96,8 @@ def run_variants(
         scene: the scene.
         variants: changes of each variant.
         measure: function from a completed run to the result, `flexfmu.cosim.metrics.metrics.metrics_of` for example.
-        communication_step, tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
+        communication_step: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
+        tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
         record: signals that ``measure`` needs, how often, and with how many derivatives; fewer take less time. None for
             the scene's keys.
         progress: called now and then with the completed fraction, 0..1.

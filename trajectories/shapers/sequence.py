@@ -155,7 +155,8 @@ class ImpulseSequence:
         Args:
             frequency: design frequency [Hz].
             ratio: damping ratio.
-            lowest, highest: range of the true frequency, divided by the design frequency.
+            lowest: lowest true frequency, divided by the design frequency.
+            highest: highest true frequency, divided by the design frequency.
             points: number N of points.
 
         Returns:

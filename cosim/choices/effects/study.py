@@ -98,7 +98,8 @@ def study_effects(
 
     Args:
         scene: any scene; its own elastic effects are ignored.
-        tolerance, of: tolerance and metrics, defaults as for `requirements`.
+        tolerance: relative tolerance; default as for `requirements`.
+        of: metrics; default as for `requirements`.
         show: called with the current activity and the finished fraction.
 
     Raises:

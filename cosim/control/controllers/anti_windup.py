@@ -28,7 +28,8 @@ class AntiWindup(Protocol):
             integral: from the last sample [N.m].
             increment: of this sample [N.m].
             rest: all other terms of the controller [N.m].
-            lower, upper: torque limits [N.m].
+            lower: lower torque limits [N.m].
+            upper: upper torque limits [N.m].
             sample_time: h [s].
         """
 

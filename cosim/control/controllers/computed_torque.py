@@ -59,7 +59,8 @@ def computed_torque(
             `flexfmu.model.numeric.inverse_dynamics`.
         proportional: K_p [1/s2].
         derivative: K_d [1/s].
-        sample_time, offset: [s].
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
         limits: torque limits; None for none.
         joints: names of the joints.
         name: name of the block.

@@ -53,7 +53,13 @@ def control_block(
     """Build the block of a `control.StateSpace` or `control.TransferFunction`.
 
     Args:
-        system, method, sample_time, prewarp, inputs, outputs, units: as for `from_control`.
+        system: as for `from_control`.
+        method: as for `from_control`.
+        sample_time: as for `from_control`.
+        prewarp: as for `from_control`.
+        inputs: as for `from_control`.
+        outputs: as for `from_control`.
+        units: as for `from_control`.
         offset: first sample instant [s].
         start: start states of a state space (n,); zero when left out.
         name: name of the block.
@@ -94,7 +100,8 @@ def from_control(
         method: discretisation of a continuous system, see `Method`.
         sample_time: [s] of a continuous system, or of a discrete one whose ``dt`` is True.
         prewarp: frequency [rad/s] at which Tustin's rule is exact; for that method only.
-        inputs, outputs: names that replace the labels.
+        inputs: names that replace the labels of the inputs.
+        outputs: names that replace the labels of the outputs.
         units: name → unit; a signal without a unit connects to any unit.
 
     Raises:

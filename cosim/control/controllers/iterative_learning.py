@@ -59,7 +59,8 @@ def iterative_learning(
     Args:
         gain: learning gain [N.m/rad] (or [N.m.s/rad] for velocities).
         cycle: N, samples in a cycle.
-        sample_time, offset: [s].
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
         shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
         forgetting: share that is forgotten in each cycle, from 0 to below 1; a few percent add robustness and leave an
             error.

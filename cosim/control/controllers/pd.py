@@ -41,7 +41,8 @@ def pd(
     Args:
         proportional: K_p [N.m/rad].
         derivative: K_d [N.m.s/rad].
-        sample_time, offset: [s].
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
         limits: torque limits; None for none.
         joints: names of the joints.
         name: name of the block.

@@ -110,7 +110,8 @@ def pid(
         proportional: K_p [N.m/rad].
         integral: K_i [N.m/(rad.s)].
         derivative: K_d [N.m.s/rad].
-        sample_time, offset: [s].
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
         filter_time: T_f [s] of the derivative.
         setpoint_weight: b; below 1 it reduces the overshoot after a step of the reference.
         derivative_weight: c; with 0 only the measurement is differentiated.

@@ -43,7 +43,8 @@ def quantisation(
     Args:
         channels: signals to quantise.
         resolution: q in the channels' units, zero or positive.
-        sample_time, offset: [s].
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
         name: name of the block.
 
     Raises:
@@ -89,7 +90,8 @@ def encoder(
     Args:
         counts_per_turn: counts per turn of the joint, gear ratio and fourfold evaluation of the lines included; at
             least 1.
-        sample_time, offset: [s].
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
         window: w, number of sample times that the difference spans, at least 1.
         joints: names of the joints.
         name: name of the block.

@@ -133,7 +133,8 @@ def load_ssp(
 
     Args:
         path: path of the SSP file.
-        start, stop: start and stop time [s]; None for the file's, else 0 and the latest stop time of an FMU.
+        start: start time [s]; None for the file's, else 0.
+        stop: stop time [s]; None for the file's, else the latest of an FMU.
         step: communication step [s]; None for the file's, else the smallest step size of an FMU.
         loops: solver of algebraic loops; `Anderson` when None.
         ssd: path of the SSD within the file.
