@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.reports.comparison import ComparedRun, render_comparison
@@ -20,6 +21,7 @@ from flexfmu.cosim.reports.motion_picture import bent_robot
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
+from flexfmu.cosim.studies.compare.comparison import compare_runs
 from flexfmu.cosim.studies.paper.printed import source
 from flexfmu.cosim.studies.paper.report import PaperReport, report_to_html
 from flexfmu.cosim.studies.workprec.figures import html
@@ -31,7 +33,7 @@ sync_api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow
 
 MakeRun = Callable[..., Run]
-PAGES = ("report", "failed", "comparison", "workprec", "paper")
+PAGES = ("report", "failed", "comparison", "measured", "workprec", "paper")
 ARGUMENTS = [
     "--headless",
     "--no-sandbox",
@@ -68,10 +70,15 @@ def folder(run: Run, make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory
     compared = [
         ComparedRun(f"{each.scene.payload.mass:g} kg", each.recording, measure_run(each), 0.43) for each in (run, other)
     ]
+    # the torques of the first run 12.3 ms late, with noise
+    noise = 0.5 * np.random.default_rng(0).standard_normal(run.recording.time.size)
+    torques = {name: Column("N.m", run.recording[name].values + noise) for name in ("joint1.torque", "joint2.torque")}
+    late = Recording(run.recording.time + 0.0123, torques)
     texts = {
         "report": report(run),
         "failed": report(make_run(outcome=Outcome.STEP_FAILED, end=0.2)),
         "comparison": render_comparison(compared),
+        "measured": compare_runs(compared, late).page(),
         "workprec": html(WorkPrecisionStudy(run.scene, 0.68, 1e-3, None, "", tuple(trials))),
         "paper": report_to_html(PaperReport(source()), Path()),
     }
