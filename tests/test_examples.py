@@ -60,6 +60,20 @@ def test_compare_measured(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_results_in_other_tools(tmp_path: Path) -> None:
+    """The Python of docs/results.md runs, and writes what it says; the number beside a metric is right."""
+    text = (EXAMPLES.parent / "docs" / "results.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    shown = re.search(r"peak_torque_1 +# ([\d.]+) N\.m", code)
+    assert shown is not None
+    script = tmp_path / "results.py"
+    script.write_text(f"{code}\nassert abs(run.metrics.peak_torque_1 - {shown[1]}) < 1e-4\n", encoding="utf-8")
+    assert run_example(str(script), tmp_path).startswith("Metrics of barnard2012-6kg, in SI units:\n  peak_torque_1")
+    assert (tmp_path / "torques.png").is_file()
+    assert (tmp_path / "run.mat").is_file()
+
+
+@pytest.mark.slow
 def test_fmpy_script(tmp_path: Path) -> None:
     """Standing still keeps the static torque; the paper's peak torque comes out of plain fmpy within half a percent."""
     still, *moving = run_example("fmpy_script.py", tmp_path).splitlines()
