@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from textwrap import shorten
 from typing import Any, NamedTuple
 
@@ -122,8 +122,9 @@ class Job:
     _tasks: dict[int, VariantTask[Any] | Exception] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __reduce__(self) -> tuple[type[Job], tuple[Any, ...]]:
-        """Without what is loaded, for other processes."""
-        return Job, (self.scene, self.cases, self.groups, self.metrics, self.record)
+        """Without what is loaded, for other processes; they get the numbers of their cases with each share."""
+        groups = [replace(each, numbers=()) for each in self.groups]
+        return Job, (self.scene, self.cases, groups, self.metrics, self.record)
 
     def rows(self, share: Share) -> list[Row]:
         """The results of the cases of a share; those that fail have a message."""

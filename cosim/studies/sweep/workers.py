@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import pickle
 import selectors
 import signal
 import sys
@@ -13,6 +14,7 @@ import warnings
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import islice
 from multiprocessing.connection import Connection
 from tempfile import TemporaryDirectory
@@ -29,6 +31,9 @@ AHEAD, MOST_AHEAD = 0.05, 8
 
 PATIENCE = "10s"
 """How long a Dask scheduler may take to answer."""
+
+SMALL = 1_000_000
+"""Bytes of a job that is sent with every share."""
 
 TRIALS = 2
 """How often a case is begun whose process ends, before it counts as failed."""
@@ -227,7 +232,9 @@ class DaskWorkers:
             raise InputError(f"there is no Dask scheduler at {self.address}: {error}") from error
         with client:
             left = iter(shares)
-            there = client.scatter(job, broadcast=True, hash=False)
+            # small jobs travel with each share: nobody waits for a copy from a worker that is lost
+            text = pickle.dumps(job)
+            there = text if len(text) < SMALL else client.scatter(text, broadcast=True)
             # a few shares for each thread are on their way
             ahead = 2 * max(1, sum(client.nthreads().values()))
             known: dict[str, Share] = {}
@@ -258,11 +265,18 @@ class DaskWorkers:
 _one_at_a_time = Lock()
 
 
-def _rows(job: Job, share: Share) -> list[Row]:
+@lru_cache(maxsize=1)
+def _loaded(text: bytes) -> Job:
+    """The job that this process works on, with its FMU."""
+    job: Job = pickle.loads(text)
+    return job
+
+
+def _rows(text: bytes, share: Share) -> list[Row]:
     """The results of a share, by a worker of Dask: one thread of it at a time, since they have the FMU in common."""
     with _one_at_a_time, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return job.rows(share)
+        return _loaded(text).rows(share)
 
 
 def processors() -> int:
