@@ -22,6 +22,9 @@ from flexfmu.cosim.studies.sweep.store import text_of
 MOST_LINES = 2000
 """Cases that parallel coordinates show; of more, equally many are left out between them."""
 
+PANELS = 12
+"""Metrics that have a panel of their own; of more, the first."""
+
 AXES = 4
 """Metrics that have an axis in parallel coordinates; the first gives the colours."""
 
@@ -56,7 +59,7 @@ def draw_sweep(result: Swept) -> Figure:
     """
     with style():
         keys = [_Axis(key, result.units.get(key, ""), column) for key, column in _varied(result)]
-        shown = [i for i in range(len(result.metrics)) if not np.isnan(result.values[:, i]).all()]
+        shown = [i for i in range(len(result.metrics)) if not np.isnan(result.values[:, i]).all()][:PANELS]
         if not shown or not keys:
             figure = draw(6.0, 2.0)
             figure.text(0.5, 0.5, "no case has a value to show" if not shown else "one case", ha="center", va="center")

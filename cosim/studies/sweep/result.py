@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, extra
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.studies.sweep.cases import Cases
@@ -95,10 +95,8 @@ class SweepResult(Sequence[dict[str, Any]]):
         Raises:
             InputError: pandas isn't installed.
         """
-        try:
+        with extra("pandas"):
             from pandas import DataFrame, RangeIndex
-        except ImportError:
-            raise InputError('a data frame needs pandas: pip install "flexfmu[pandas]"') from None
         columns: dict[str, Any] = dict(zip(self.cases.keys, self.columns(), strict=True))
         columns |= {name: self.values[:, i] for i, name in enumerate(self.metrics)}
         columns["message"] = [self.messages.get(number, "") for number in range(len(self))]

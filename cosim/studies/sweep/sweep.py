@@ -11,7 +11,7 @@ from typing import Any
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of, digest
 from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
@@ -71,6 +71,7 @@ def sweep_scene(
         raise InputError(f"a sweep needs a whole number of processes from 1 on, got {processes}")
     check_values(scene, cases)
     measure = measuring(default_metrics(scene) if metrics is None else list(dict.fromkeys(metrics)))
+    _check_metrics(scene, cases, measure.names)
     units = _units(scene, cases, measure)
     job = Job(scene, cases, groups_of(scene, cases), measure, record)
     workers: Workers = LocalWorkers(count) if dask is None else DaskWorkers(dask)
@@ -113,7 +114,21 @@ def _result(job: Job, found: MemoryStore, units: Mapping[str, str], folder: Path
 
 def default_metrics(scene: Scene) -> Collection[str]:
     """All metrics that the scene's robot has."""
-    return ALL_METRICS if scene.cosimulation.drive == "torque" else COMMON_METRICS
+    missing = set(LOOP_METRICS) if scene.cosimulation.drive == "motion" else set()
+    missing |= set(MOTOR_METRICS) if getattr(scene, "motor", None) is None else set()
+    return [name for name in ALL_METRICS if name not in missing]
+
+
+def _check_metrics(scene: Scene, cases: Cases, names: Collection[str]) -> None:
+    """Check that the robot has the metrics, unless cases have other drives and motors.
+
+    Raises:
+        InputError: it doesn't have one.
+    """
+    missing = [name for name in names if name not in default_metrics(scene)]
+    if missing and not any(key.startswith(("cosimulation.drive", "motor")) for key in cases.keys):
+        need = "a scene with `[motor]`" if missing[0] in MOTOR_METRICS else "a robot driven by torques"
+        raise InputError(f"there is no metric {missing[0]!r} of this robot: it needs {need}")
 
 
 def check_values(scene: Scene, cases: Cases) -> None:

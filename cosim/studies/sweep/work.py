@@ -120,6 +120,7 @@ class Job:
     metrics: ChosenMetrics
     record: Selection | None = None
     _tasks: dict[int, VariantTask[Any] | Exception] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _lasting: set[str] = field(default_factory=set, init=False, repr=False, compare=False)
 
     def __reduce__(self) -> tuple[type[Job], tuple[Any, ...]]:
         """Without what is loaded, for other processes; they get the numbers of their cases with each share."""
@@ -140,7 +141,12 @@ class Job:
         # by the FMU of the group; a robot that it can't be has its own
         outcomes = [task] * len(variants) if isinstance(task, Exception) else task.outcomes([*variants.values()])
         for number, outcome in zip(variants, outcomes, strict=True):
-            found[number] = self._row(number, self._alone(number) if isinstance(outcome, InputError) else outcome)
+            if isinstance(outcome, InputError) and str(outcome) not in self._lasting:
+                before, outcome = str(outcome), self._alone(number)
+                # what its own FMU doesn't change, those of other cases don't either
+                if isinstance(outcome, InputError) and str(outcome) == before:
+                    self._lasting.add(before)
+            found[number] = self._row(number, outcome)
         return [found[number] for number in share.numbers]
 
     def forget(self) -> None:

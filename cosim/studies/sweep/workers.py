@@ -22,7 +22,7 @@ from threading import Lock
 from time import monotonic
 from typing import Any, Protocol
 
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.cosim.studies.sweep.groups import Share
 from flexfmu.cosim.studies.sweep.work import Job, Row
 
@@ -221,11 +221,9 @@ class DaskWorkers:
         Raises:
             InputError: Dask isn't installed, or there is no scheduler at the address.
         """
-        try:
+        with extra("dask"):
             from distributed import CancelledError, Client, as_completed
             from distributed.scheduler import KilledWorker
-        except ImportError:
-            raise InputError('a sweep on Dask needs its package: pip install "flexfmu[dask]"') from None
         try:
             client = Client(self.address, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:

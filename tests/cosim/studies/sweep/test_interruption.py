@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -97,6 +100,27 @@ def interrupted(folder: Path, number: int, sent: signal.Signals, processes: int)
     return process.returncode, said
 
 
+def in_terminal(command: list[str], columns: int) -> str:
+    """What a command shows in a terminal, without colours."""
+    import fcntl
+    import pty
+    import termios
+
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    shown = b""
+    with subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, env={**os.environ, "TERM": "xterm"}
+    ) as run:
+        os.close(theirs)
+        with contextlib.suppress(OSError):  # the end of a terminal
+            while part := os.read(ours, 65536):
+                shown += part
+    os.close(ours)
+    assert run.returncode == 0, shown
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="POSIX signals")
 def test_killed_commands_continue(tmp_path: Path) -> None:
@@ -111,8 +135,12 @@ def test_killed_commands_continue(tmp_path: Path) -> None:
     assert "of 60 cases are in" in said
     assert "Traceback" not in said
     assert before + 10 <= lines(out) < 60
-    # the end, and the same without an interruption
-    subprocess.run([*COMMAND, "--out", str(out), "-j", "2"], check=True, capture_output=True)
+    # the end, in a terminal of 80 columns, and the same without an interruption
+    shown = in_terminal([*COMMAND, "--out", str(out), "-j", "2"], 80)
+    table = shown[shown.rindex("60 cases over") :].splitlines()
+    assert max(map(len, table)) <= 80
+    assert any(line.split()[:2] == ["end_position_error", "m"] for line in table)
+    assert " left" in shown
     cases = {"trajectory.duration": "0.2:0.25:60", "payload.mass": "6.0"}
     cases |= {key: str(value) for key, value in SHORT.items() if key != "trajectory.duration"}
     flexfmu.sweep("barnard2012-6kg", cases, metrics=SINGLY["metrics"], out=tmp_path / "whole")

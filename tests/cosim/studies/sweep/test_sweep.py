@@ -129,6 +129,24 @@ def test_invalid_values_are_told_before_work_starts(varied: dict[str, Any], mess
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [("peak_tracking_error_1", "robot driven by torques"), ("peak_torque", "did you mean"), ("margin", "did you mean")],
+)
+def test_metrics_that_the_robot_lacks_are_told(metric: str, message: str) -> None:
+    """Before work starts, instead of in every line."""
+    with pytest.raises(InputError, match=message):
+        flexfmu.sweep(SCENE, {"payload.mass": [1.0]}, metrics=[metric])
+
+
+def test_signals_that_the_robot_lacks_are_told_in_each_line() -> None:
+    """Without an FMU for each of them."""
+    found = flexfmu.sweep(SCENE, {"payload.mass": [1.0, 2.0, 3.0]}, metrics=PEAK, record=["joint1.torqe"], processes=1)
+    assert [row["message"] for row in found] == [
+        "there is no signal 'joint1.torqe' to record; did you mean 'joint1.torque'?"
+    ] * 3
+
+
 def test_invalid_combinations_are_cases_that_fail() -> None:
     """`ramp` belongs to one profile alone."""
     varied = {"trajectory.profile.kind": ["poly7", "trapezoidal"], "trajectory.profile.ramp": [0.2, 0.3]}
