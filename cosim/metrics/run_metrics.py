@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
-from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import html_table, shorten
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, Measurement
@@ -61,7 +61,7 @@ class Quantity(float):
 
 
 class RunMetrics(Mapping[str, Quantity]):
-    """The metrics of a run by name, computed when the first is asked for: ``run.metrics.peak_torque_1``.
+    """The metrics of a run by name, each computed when it is first asked for: ``run.metrics.peak_torque_1``.
 
     Values are in SI units, of `flexfmu.cosim.metrics.metric_table.COMMON_METRICS`, without simulating again. Errors
     (``run.metrics.peak_torque_1.error``) are those of `measure_run` with one companion run, which is simulated when the first
@@ -78,6 +78,7 @@ class RunMetrics(Mapping[str, Quantity]):
 
     def __init__(self, run: Run) -> None:
         self._run = run
+        self._found: dict[str, Quantity] = {}
 
     @cached_property
     def _measured(self) -> Metrics[Measurement]:
@@ -92,18 +93,22 @@ class RunMetrics(Mapping[str, Quantity]):
 
     @cached_property
     def _numbers(self) -> dict[str, Quantity]:
-        return {name: self._number(name, each) for name, each in self._measured.items()}
+        """All metrics; each is the same object as when it was asked for alone."""
+        return {name: self._found.setdefault(name, self._number(name, each)) for name, each in self._measured.items()}
 
     def _number(self, name: str, measured: Measurement) -> Quantity:
         value = math.nan if measured.value is None else measured.value
         return Quantity(value, ALL_METRICS[name].unit, measured.reason, lambda: self._with_errors[name].error)
 
     def __getitem__(self, name: str) -> Quantity:
-        """Return a metric."""
-        try:
-            return self._numbers[name]
-        except KeyError:
-            raise KeyError(self._unknown(name)) from None
+        """Return a metric, computed alone."""
+        if name not in self._found:
+            try:
+                measured = measure_run(self._run, companions=0, names=[name])[name]
+            except InputError:
+                raise KeyError(self._unknown(name)) from None
+            self._found[name] = self._number(name, measured)
+        return self._found[name]
 
     def __getattr__(self, name: str) -> Quantity:
         """Return a metric as an attribute."""
@@ -111,13 +116,14 @@ class RunMetrics(Mapping[str, Quantity]):
         if name.startswith("_"):
             raise AttributeError(name)
         try:
-            return self._numbers[name]
-        except KeyError:
-            raise AttributeError(self._unknown(name)) from None
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(error.args[0]) from None
 
     def _unknown(self, name: str) -> str:
-        near = get_close_matches(str(name), self._numbers, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(self._numbers)}"
+        known = self._names()
+        near = get_close_matches(str(name), known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
         return f"this run has no metric {name!r}; {hint}"
 
     def __iter__(self) -> Iterator[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 
-MOST = 1 << 18
+MOST = 1 << 21
 """Largest number of equally spaced samples of a signal that is correlated."""
 
 LEAST = 8
@@ -137,14 +137,14 @@ def estimate_delay(pairs: Sequence[Pair]) -> Delay:
     Raises:
         InputError: no signal changes in both, or measurement and simulation hardly overlap.
     """
-    moving = [pair for pair in pairs if min(np.ptp(each.values) for each in pair) > 0.0]
+    moving = [pair for pair in pairs if all(np.ptp(each.values) > 0.0 and np.ptp(each.time) > 0.0 for each in pair)]
     if not moving:
         raise InputError("the delay can't be estimated: no signal changes in both measurement and simulation; give it")
-    centre = _correlated(moving)
+    centre, step = _correlated(moving)
     length = min(float(np.ptp(simulated.time)) for _, simulated in moving)
     # ever narrower intervals around the least difference, as long as a part is longer than a sample
     sample = min(float(np.ptp(measured.time)) / measured.time.size for measured, _ in moving)
-    width = REFINED * length
+    width = max(REFINED * length, 2.0 * step)
     while width > sample:
         lags = centre + np.linspace(-width, width, 2 * PARTS + 1)
         costs = _Cost(moving, centre, width)
@@ -172,11 +172,11 @@ def correlation(pairs: Sequence[Pair], delay: float) -> float:
     return products / np.sqrt(squares * others) if squares * others > 0.0 else 0.0
 
 
-def _correlated(pairs: Sequence[Pair]) -> float:
-    """Return the lag of the largest cross-correlation [s], to a sample."""
+def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
+    """Return the lag of the largest cross-correlation and its resolution [s]."""
     start, end = (min(float(pair[side].time[0]) for pair in pairs) for side in (0, 1))
     spans = [float(np.ptp(each.time)) for pair in pairs for each in pair]
-    steps = [float(np.median(np.diff(measured.time))) for measured, _ in pairs]
+    steps = [float(np.median(taken[taken > 0.0])) for measured, _ in pairs for taken in [np.diff(measured.time)]]
     step = max(min(steps), max(spans) / MOST)
     series = [
         [_standardised(each, begin, step) for each, begin in zip(pair, (start, end), strict=True)] for pair in pairs
@@ -187,7 +187,7 @@ def _correlated(pairs: Sequence[Pair]) -> float:
     product = sum(np.fft.rfft(one, length) * np.fft.rfft(other, length).conj() for one, other in series)
     total = np.fft.irfft(product, length)
     lag = int(np.argmax(total))
-    return float(start - end + step * (lag if lag < count[0] else lag - length))
+    return float(start - end + step * (lag if lag < count[0] else lag - length)), step
 
 
 def _standardised(signal: Sampled, begin: float, step: float) -> RealArray:

@@ -36,6 +36,19 @@ def test_values_and_errors_are_those_of_measure_run(run: Run) -> None:
     assert list(run.metrics) == list(COMMON_METRICS)
 
 
+def test_one_metric_is_computed_alone(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One doesn't wait for all others, and is computed once."""
+    asked = []
+    monkeypatch.setattr(
+        "flexfmu.cosim.metrics.run_metrics.measure_run",
+        lambda run, companions, names=None: asked.append(names) or measure_run(run, companions, names),
+    )
+    first = run.metrics.peak_torque_1
+    assert run.metrics["peak_torque_1"] is first
+    assert dict(run.metrics)["peak_torque_1"] is first
+    assert asked == [["peak_torque_1"], None]
+
+
 def test_errors_are_estimated_only_when_asked_for(make_run: MakeRun) -> None:
     """Values cost no simulation; the first error costs one for all."""
     runs = []

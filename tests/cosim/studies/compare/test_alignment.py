@@ -66,6 +66,13 @@ def test_an_offset_a_factor_and_a_short_log_do_no_harm() -> None:
     assert estimate_delay([(changed, simulated())]).seconds == pytest.approx(7.02, abs=0.01 * SAMPLE)
 
 
+def test_one_motion_in_a_long_log() -> None:
+    """Of a minute at 1 kHz, in which the robot stands still but for one motion."""
+    assert estimate_delay([(measured(41.2345678, 0.5, span=60.0), simulated())]).seconds == pytest.approx(
+        41.2345678, abs=0.3 * SAMPLE
+    )
+
+
 def test_differences_over_the_common_time() -> None:
     """RMS, mean and largest difference of a known one: an offset and a sine of whole periods."""
     time = np.linspace(-0.2, 1.2, 1401)
