@@ -27,7 +27,8 @@ from flexfmu.trajectories.profiles import (
     Trapezoidal,
     evaluate_profile,
 )
-from flexfmu.trajectories.table import MotionTable, read_table, write_table
+from flexfmu.trajectories.table import MotionTable, write_table
+from flexfmu.trajectories.table_file import read_table
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 if TYPE_CHECKING:

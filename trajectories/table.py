@@ -1,17 +1,13 @@
-"""Motions as tables: CSV files of times and positions of the end effector or of the joints, with or without derivatives.
+"""Motions as tables: rows of times and positions of the end effector or of the joints, with or without derivatives.
 
-One header line names the columns, in SI units; a unit in brackets may follow a name, as in ``x [m]``. Other columns are ignored,
-lines that begin with # too. Columns are separated by commas, semicolons or tabs.
+`flexfmu.trajectories.table_file` reads them from CSV files, `write_table` writes them.
 """
 
 from __future__ import annotations
 
-import csv
-import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
@@ -32,29 +28,6 @@ COLUMNS: Mapping[Coordinates, tuple[tuple[str, str], ...]] = {
 
 UNITS: Mapping[Coordinates, str] = {"end-effector": "m", "joints": "rad"}
 """Coordinates → unit of the positions."""
-
-_KINDS = ("position", "velocity", "acceleration")
-ALIASES: Mapping[str, str] = {
-    **{
-        f"end_effector.{kind}.{axis}": COLUMNS["end-effector"][order]["xy".index(axis)]
-        for order, kind in enumerate(_KINDS)
-        for axis in "xy"
-    },
-    **{
-        f"joint{joint}.{reference}{kind}": COLUMNS["joints"][order][joint - 1]
-        for order, kind in enumerate(_KINDS)
-        for joint in (1, 2)
-        for reference in ("", "reference.")
-    },
-}
-"""Names of results → names of columns."""
-
-REST = 1e-6
-"""Largest speed at start and end, relative to the largest speed of the motion, that counts as rest."""
-
-ESTIMATED_REST = 0.25
-"""The same where positions alone are given, and the parabola through the first or last three tells the speed; a motion that
-begins at rest has a much smaller one, or rows so far apart that they say little."""
 
 DEFAULT_DEGREE = 5
 """Degree of a spline, unless given derivatives need a higher one."""
@@ -141,192 +114,6 @@ class MotionTable:
             TrajectoryError: the degree is too low.
         """
         return spline(self.time, self.derivatives, self.degree(degree), self.coordinates)
-
-
-def read_table(path: str | Path, coordinates: Coordinates | None = None) -> MotionTable:
-    """Read a motion from a CSV file; see the top of this module.
-
-    Args:
-        path: the file.
-        coordinates: what to read if the file has both; None for what it has.
-
-    Raises:
-        TrajectoryError: the file can't be read, a column is missing, or a value is invalid; the message names file, line,
-            column and value.
-    """
-    file = Path(path)
-    try:
-        status = file.stat()
-        return _read(file, coordinates, status.st_mtime_ns, status.st_size)
-    except OSError as error:
-        raise TrajectoryError(f"cannot read the motion {file}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise TrajectoryError(f"cannot read the motion {file}: it is not UTF-8 text") from None
-
-
-@lru_cache(maxsize=32)
-def _read(file: Path, coordinates: Coordinates | None, changed: int, size: int) -> MotionTable:
-    """The table of a file, cached as long as the file isn't changed."""
-    with file.open(encoding="utf-8-sig", newline="") as stream:
-        rows = _rows(stream.read())
-    line, header = next(rows, (1, []))
-    where = f"{file}, line {line}"
-    names = [_column(name, where) for name in header]
-    chosen = _chosen(names, coordinates, where)
-    columns = ("time", *(name for pair in COLUMNS[chosen] for name in pair if name in names))
-    places = [(name, names.index(name)) for name in columns]
-    # all rows, value by value
-    values, lines = list[list[float]](), list[int]()
-    for line, row in rows:
-        if len(row) != len(names):
-            raise TrajectoryError(f"{file}, line {line}: {len(row)} values for {len(names)} columns; give one for each")
-        values.append([_number(row[place], f"{file}, line {line}, column {name}") for name, place in places])
-        lines.append(line)
-    if len(values) < 2:
-        raise TrajectoryError(f"{file}: a motion needs 2 or more rows below the header, got {len(values)}")
-    data = np.array(values)
-    derivatives = np.ascontiguousarray(data[:, 1:].reshape(len(values), -1, 2).swapaxes(0, 1))
-    table = MotionTable(str(file), chosen, data[:, 0] - data[0, 0], derivatives, tuple(lines))
-    _check_times(table, data[:, 0])
-    _check_rest(table)
-    return table
-
-
-def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each line that is neither empty nor a comment."""
-    lines = text.splitlines()
-    head = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    delimiter = max(",;\t", key=head.count)
-    for number, cells in enumerate(csv.reader(lines, delimiter=delimiter), start=1):
-        if any(cell.strip() for cell in cells) and not cells[0].startswith("#"):
-            yield number, [cell.strip() for cell in cells]
-
-
-def _column(header: str, where: str) -> str:
-    """The name of a column; of other columns the header as it is.
-
-    Raises:
-        TrajectoryError: a known column has another unit.
-    """
-    found = re.fullmatch(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]", header)
-    name, unit = (found["name"], found["unit"].strip()) if found else (header, None)
-    name = ALIASES.get(name, name)
-    expected = _UNITS.get(name)
-    if expected is None:
-        return header
-    if unit is not None and unit.replace("^", "").replace("²", "2").replace("³", "3") != expected:
-        raise TrajectoryError(
-            f"{where}: column {name} is in {unit}; convert it to {expected}, all columns are in SI units"
-        )
-    return name
-
-
-_UNITS = {"time": "s"} | {
-    name: UNITS[coordinates] + ("", "/s", "/s2", "/s3")[order]
-    for coordinates, pairs in COLUMNS.items()
-    for order, pair in enumerate(pairs)
-    for name in pair
-}
-
-
-def _chosen(names: Sequence[str], wanted: Coordinates | None, where: str) -> Coordinates:
-    """What the positions of a file with these columns are.
-
-    Raises:
-        TrajectoryError: a column is missing or given twice, or it isn't clear which to take.
-    """
-    if "time" not in names:
-        raise TrajectoryError(f"{where}: there is no column time [s]; columns: {', '.join(names)}")
-    there = [each for each, pairs in COLUMNS.items() if any(name in names for name in pairs[0])]
-    if not there or (wanted is not None and wanted not in there):
-        needed = " and ".join(COLUMNS[wanted][0]) if wanted else "x and y [m], or q11 and q21 [rad]"
-        raise TrajectoryError(f"{where}: there are no columns {needed}; columns: {', '.join(names)}")
-    if wanted is None and len(there) > 1:
-        raise TrajectoryError(
-            f'{where}: x, y and q11, q21 are both there; take one by `coordinates` = "end-effector" or "joints"'
-        )
-    chosen = wanted or there[0]
-    # pairs without gaps, each column once
-    highest = max(order for order, pair in enumerate(COLUMNS[chosen]) if any(name in names for name in pair))
-    for pair in COLUMNS[chosen][: highest + 1]:
-        for name in pair:
-            if names.count(name) != 1:
-                problem = "is missing" if name not in names else "is there twice"
-                raise TrajectoryError(f"{where}: column {name} {problem}; columns: {', '.join(names)}")
-    return chosen
-
-
-def _number(text: str, where: str) -> float:
-    """The number of a cell.
-
-    Raises:
-        TrajectoryError: it isn't a finite number.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise TrajectoryError(f"{where}: {text!r} is not a finite number; numbers are written like 0.25 or 1e-3")
-    return value
-
-
-def _check_times(table: MotionTable, own: RealArray) -> None:
-    """Check that times ascend; two rows of one time are a jump, at which position and velocity are the same.
-
-    Raises:
-        TrajectoryError: they don't, or there is a jump where no acceleration is given.
-    """
-    steps, file = np.diff(own), table.source
-    for i in np.flatnonzero(steps <= 0.0).tolist():
-        where = f"{file}, line {table.lines[i + 1]}, column time"
-        if steps[i] < 0.0:
-            raise TrajectoryError(f"{where}: {own[i + 1]} s comes after {own[i]} s; times have to ascend")
-        if len(table.derivatives) < 3:
-            raise TrajectoryError(
-                f"{where}: {own[i + 1]} s is there twice; that is a jump of the acceleration, for which accelerations must be given"
-            )
-        if i in (0, len(steps) - 1) or steps[i + 1] == 0.0:
-            raise TrajectoryError(
-                f"{where}: {own[i + 1]} s is one row too many; a jump has two rows, start and end have one"
-            )
-        for order, pair in enumerate(COLUMNS[table.coordinates][:2]):
-            for axis, name in enumerate(pair):
-                before, after = table.derivatives[order, i : i + 2, axis]
-                if before != after:
-                    raise TrajectoryError(
-                        f"{file}, line {table.lines[i + 1]}, column {name}: {after} is another value than {before} at the same "
-                        f"time {own[i]} s; only accelerations and jerks jump"
-                    )
-
-
-def _check_rest(table: MotionTable) -> None:
-    """Check that the motion starts and ends at rest, for positions alone by an estimate.
-
-    Raises:
-        TrajectoryError: it doesn't.
-    """
-    time, derivatives, file = table.time, table.derivatives, table.source
-    unit = f"{UNITS[table.coordinates]}/s"
-    if len(derivatives) > 1:
-        speeds, limit, said = derivatives[1], REST, "is"
-    elif len(time) >= MOST_TELLING:
-        speeds, limit, said = np.gradient(derivatives[0], time, axis=0, edge_order=2), ESTIMATED_REST, "suggests"
-    else:
-        return
-    largest = float(abs(speeds).max())
-    for row, place in ((0, "start"), (-1, "end")):
-        for axis, speed in enumerate(abs(speeds[row]).tolist()):
-            if speed > limit * largest:
-                name = COLUMNS[table.coordinates][len(derivatives) > 1][axis]
-                raise TrajectoryError(
-                    f"{file}, line {table.lines[row]}, column {name}: the motion has to {place} at rest, but {said} "
-                    f"{speed:.3g} {unit} there; add rows that speed up from rest and slow down to it"
-                )
-
-
-MOST_TELLING = 8
-"""Fewest rows of positions from which the speed at start and end is estimated."""
 
 
 def write_table(

@@ -16,7 +16,8 @@ from pydantic import (
 from flexfmu.model.scene.loop import from_scene_file
 from flexfmu.model.scene.motion import MotionSection
 from flexfmu.model.scene.section import Seconds
-from flexfmu.trajectories.table import MotionTable, read_table
+from flexfmu.trajectories.table import MotionTable
+from flexfmu.trajectories.table_file import read_table
 
 
 class TableSection(MotionSection):

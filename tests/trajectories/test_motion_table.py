@@ -15,7 +15,8 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.piecewise import spline
 from flexfmu.trajectories.profiles import BangBang
-from flexfmu.trajectories.table import read_table, write_table
+from flexfmu.trajectories.table import write_table
+from flexfmu.trajectories.table_file import read_table
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 Write = Callable[[str], Path]
@@ -67,19 +68,20 @@ def test_what_of_both_coordinates(write: Write) -> None:
     ("text", "said"),
     [
         ("", "no column time"),
-        ("t,x,y\n" + ROWS, r"line 1: there is no column time \[s\]; columns: t, x, y"),
+        ("when,x,y\n" + ROWS, r"line 1: there is no column time \[s\]; columns: when, x, y"),
+        ("time,x,y\n1,0,0\n1,0,0\n", "needs 2 or more rows of different times, got 1"),
         ("time,x,z\n" + ROWS, "line 1: column y is missing; columns: time, x, z"),
         ("time,a,b\n" + ROWS, "line 1: there are no columns x and y"),
         ("time,x,y,x\n0,1,2,3\n", "column x is there twice"),
         ("time,x,y,ax,ay\n0,1,2,3,4\n", "column vx is missing"),
         ("time,x [mm],y\n" + ROWS, "column x is in mm; convert it to m"),
-        ("time,x,y\n", "needs 2 or more rows below the header, got 0"),
+        ("time,x,y\n", "needs 2 or more rows of different times, got 0"),
         ("time,x,y\n0,0,0\n\n# pause\n1,zero,0\n", "line 5, column x: 'zero' is not a finite number"),
         ("time,x,y\n0,0,0\n1,0,nan\n", "line 3, column y: 'nan' is not a finite number"),
         ("time,x,y\n0,0,0\n1,0\n", "line 3: 2 values for 3 columns"),
         ("time,x,y\n0,0,0\n1,1,0\n0.5,2,0\n", "line 4, column time: 0.5 s comes after 1.0 s"),
         ("time,x,y\n0,0,0\n1,1,0\n1,1,0\n2,2,0\n", "line 4, column time: 1.0 s is there twice; .* accelerations must be given"),
-        ("time,x,y,vx,vy,ax,ay\n0,0,0,0,0,0,0\n0,0,0,0,0,1,0\n1,1,0,0,0,0,0\n", "line 3, .* one row too many"),
+        ("time,x,y,vx,vy,ax,ay\n0,0,0,0,0,0,0\n0,0,0,0,0,1,0\n0,0,0,0,0,2,0\n1,1,0,0,0,0,0\n", "line 4, .* there more than twice"),
         (
             "time,x,y,vx,vy,ax,ay\n0,0,0,0,0,0,0\n1,1,0,1,0,0,0\n1,1,0,2,0,1,0\n2,2,0,0,0,0,0\n",
             "line 4, column vx: 2.0 is another value than 1.0 at the same time 1.0 s",

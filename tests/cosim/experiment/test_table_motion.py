@@ -59,6 +59,16 @@ def test_plan_and_run(known: MotionPlan, folder: Path, name: str) -> None:
         assert ours[metric].value == pytest.approx(theirs[metric].value, rel=1e-5), metric
 
 
+def test_results_are_a_motion(known: MotionPlan, tmp_path: Path) -> None:
+    """What was recorded is run again, with both limits at jumps of the acceleration."""
+    first = flexfmu.run(known.scene.replace({"trajectory.profile": "bang-bang"}))
+    first.recording.write_csv(tmp_path / "results.csv")
+    again = flexfmu.run(tabulated(known, tmp_path / "results.csv", coordinates="joints", dwell=0.0))
+    assert again.plan.duration == pytest.approx(0.48)
+    peaks = [flexfmu.measure_run(run)["peak_torque_1"].value for run in (first, again)]
+    assert peaks[1] == pytest.approx(peaks[0], rel=1e-6)
+
+
 def test_one_fmu_for_all_motions_from_a_start(known: MotionPlan, folder: Path) -> None:
     """The robot knows of its motion where it starts, nothing else; scenes with a path keep their key."""
     task = tabulated(known, folder / "task.csv")
