@@ -28,6 +28,9 @@ PANELS = 12
 AXES = 4
 """Metrics that have an axis in parallel coordinates; the first gives the colours."""
 
+_PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.5}
+"""Behind texts that lines cross."""
+
 COLOURS = "viridis"
 """From small to large values, also for those who don't see all colours, and in print."""
 
@@ -108,6 +111,14 @@ class _Axis:
             self.values: RealArray = np.array(column, dtype=float)
             return
         texts = [text_of(each) or "as in the scene" for each in column]
+        # a table by its kind, where that tells it from the others
+        kinds = {
+            text: each["kind"]
+            for text, each in zip(texts, column, strict=True)
+            if isinstance(each, Mapping) and "kind" in each
+        }
+        if len({kinds.get(text, text) for text in texts}) == len(set(texts)):
+            texts = [kinds.get(text, text) for text in texts]
         self.names = [*dict.fromkeys(texts)]
         places = {name: i for i, name in enumerate(self.names)}
         self.values = np.array([places[each] for each in texts], dtype=float)
@@ -187,7 +198,7 @@ def _parallel(figure: Figure, result: Swept, keys: Sequence[_Axis], metrics: Seq
         )
         for value, text in marks:
             height = (value - low) / (high - low) if high > low else 0.5
-            axes.text(place + 0.03, height, text[:18], fontsize=6.5, va="center")
+            axes.text(place + 0.03, height, text[:18], fontsize=6.5, va="center", bbox=_PAPER)
     lines = np.stack([np.column_stack([np.arange(len(found)), each]) for each in np.array(scaled).T])
     colours = colormaps[COLOURS](scaled[len(keys)])
     axes.add_collection(LineCollection([*lines], colors=colours, linewidths=0.8, alpha=0.6))

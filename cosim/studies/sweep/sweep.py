@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, read_res
 from flexfmu.cosim.studies.sweep.work import Job
 from flexfmu.cosim.studies.sweep.workers import DaskWorkers, LocalWorkers, Workers, processors
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.keys import location
+from flexfmu.model.scene.keys import location, value_at
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.schema import Scene
 
@@ -69,6 +70,7 @@ def sweep_scene(
     count = processors() if processes is None else processes
     if not isinstance(count, int) or count < 1:
         raise InputError(f"a sweep needs a whole number of processes from 1 on, got {processes}")
+    cases = _continuous(scene, cases)
     check_values(scene, cases)
     measure = measuring(default_metrics(scene) if metrics is None else list(dict.fromkeys(metrics)))
     _check_metrics(scene, cases, measure.names)
@@ -110,6 +112,20 @@ def _result(job: Job, found: MemoryStore, units: Mapping[str, str], folder: Path
     return SweepResult(
         job.scene.name, job.cases, job.metrics.names, found.values, found.messages, units, found.recordings, folder
     )
+
+
+def _continuous(scene: Scene, cases: Cases) -> Cases:
+    """The cases, with whole numbers from intervals for those keys alone that have one in the scene: 0:8 kg are all masses up to 8 kg."""
+    if not isinstance(cases, Sample):
+        return cases
+    data = scene.model_dump()
+    values = [
+        Span(float(each.low), float(each.high))
+        if isinstance(each, Span) and type(value_at(data, key, f"scene {scene.name}")) is not int
+        else each
+        for key, each in zip(cases.keys, cases.values, strict=True)
+    ]
+    return replace(cases, values=tuple(values))
 
 
 def default_metrics(scene: Scene) -> Collection[str]:

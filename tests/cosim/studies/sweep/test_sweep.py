@@ -90,6 +90,16 @@ def test_keys_of_controllers_by_index_kind_and_name() -> None:
     assert found[0].units["controller[0].derivative"] == "N.m.s/rad"
 
 
+@pytest.mark.slow
+def test_samples_are_whole_where_the_scene_is() -> None:
+    """Numbers of modes are, masses aren't, even if the ends of the interval are written as whole numbers."""
+    varied = {"payload.mass": "0:8", "effects.distal_axial": "2:3"}
+    found = flexfmu.sweep(SCENE, varied, sample="lhs:2", metrics=PEAK, processes=2)
+    assert not found.failed
+    assert sorted(row["effects.distal_axial"] for row in found) == [2, 3]
+    assert not any(row["payload.mass"].is_integer() for row in found)
+
+
 def test_cases_share_fmus_where_they_can() -> None:
     """One FMU for parameters, motions and loops; one for each number of modes. Every case is in one share."""
     cases = Grid(
