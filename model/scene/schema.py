@@ -53,7 +53,9 @@ class Scene(Section):
         sections = {
             key: self.model_dump(mode="json", include={key}, exclude_unset=True) for key in type(self).model_fields
         }
-        lines = [f"Scene {self.name}, payload {self.payload.mass:g} kg"]
+        parts = {"controllers": self.controller, "shapers": self.shaper, "imperfections": self.imperfection}
+        counts = "".join(f", {what}: {len(each)}" for what, each in parts.items() if each)
+        lines = [f"Scene {self.name}, payload {self.payload.mass:g} kg{counts}"]
         for key in ("mechanism", "effects", "trajectory", "cosimulation"):
             text = f"  {key}: " + ", ".join(f"{name} = {value}" for name, value in sections[key].get(key, {}).items())
             lines.append(text if len(text) < 80 else text[:78] + "…")

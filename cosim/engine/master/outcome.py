@@ -10,6 +10,7 @@ from flexfmu.cosim.engine.errors import LoopError, NotFiniteError, SlaveEnded, S
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.stability import Instability
 from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.showing import few_lines, shorten
 
 
 class Outcome(Enum):
@@ -33,7 +34,7 @@ class Outcome(Enum):
         return self not in (Outcome.COMPLETED, Outcome.ENDED_BY_SLAVE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Simulation:
     """Result of a run.
 
@@ -54,6 +55,11 @@ class Simulation:
     steps: int
     rejected: int
     delays: tuple[SignalDelay, ...]
+
+    def __repr__(self) -> str:
+        """Return at most five lines: how it went, and what was recorded."""
+        head = f"Simulation: {self.steps} steps, {shorten(self.message, 50)}"
+        return few_lines(f"{head}; recorded:", [*self.recording.columns])
 
     @property
     def delay_report(self) -> str:

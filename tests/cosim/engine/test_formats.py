@@ -12,6 +12,7 @@ import pytest
 from flexfmu.cosim.engine.columns import coded
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.formats.mat import valid_names
+from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.results import FORMATS, Column, Recording
 
 NUMBERS = np.array([1.0, 1.0 / 3.0, -1e-300, 2e5])
@@ -163,7 +164,8 @@ def test_broken_files(name: str, tmp_path: Path) -> None:
 def test_reprs_are_short(recording: Recording) -> None:
     """At most five lines of at most 80 characters, however many signals there are."""
     many = Recording(np.arange(3.0), {f"link.very_long_signal_name[{i}]": Column("m", np.ones(3)) for i in range(500)})
-    for shown in (recording, many, recording["joint1.torque"], recording["valve.said"]):
+    ended = Simulation(many, Outcome.COMPLETED, Outcome.COMPLETED.value, None, 1000, 0, ())
+    for shown in (recording, many, recording["joint1.torque"], recording["valve.said"], ended):
         lines = repr(shown).splitlines()
         assert len(lines) <= 5
         assert max(map(len, lines)) <= 80

@@ -85,6 +85,18 @@ def test_files_are_known_by_their_content(make_ssp: MakeSsp, tmp_path: Path) -> 
     assert "robot.fmu is no SSP" in refused.stderr
 
 
+def test_run_writes_other_formats(make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """As for scenes: instead of results.csv, with units."""
+    path = make_ssp(of_second(""))
+    out = tmp_path / "out"
+    result = flexfmu("run", str(path), "--step", "0.1", "--out", str(out), "--format", "parquet")
+    assert result.exit_code == 0, result.output
+    assert {each.name for each in out.iterdir()} == {"results.parquet", "summary.json"}
+    found = Recording.read(out / "results.parquet")
+    assert found["second.x"].unit == "m"
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["units"] == found.units
+
+
 def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
     """A parameter that fits nothing is a warning, in words."""
     path = make_ssp(of_second(inline(parameter_set(rat='Real value="2"'))))
