@@ -22,6 +22,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines
 from flexfmu.cosim.experiment.scene_run import Run, rest_position
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, LOOP_METRICS, MOTOR_METRICS, Measurement
+from flexfmu.cosim.metrics.motors import inertia_ratios
 from flexfmu.cosim.metrics.recorded_solution import RecordedSolution, Settings
 
 if TYPE_CHECKING:
@@ -218,7 +219,8 @@ def settings_for(run: Run) -> Settings:
     """Return the data that the metrics of a run depend on besides its recording."""
     (task, joints), band = run.plan.tabulated, run.scene.cosimulation.settling_band
     cycles = 1 if run.plan.repetition is None else run.plan.repetition.cycles
-    return Settings(task, partial(rest_position, run), run.scene.trajectory.dwell, band, joints, cycles)
+    ratios = None if run.scene.motor is None else partial(inertia_ratios, run)
+    return Settings(task, partial(rest_position, run), run.scene.trajectory.dwell, band, joints, cycles, ratios)
 
 
 def measure(recording: Recording, settings: Settings, names: Collection[str] | None = None) -> Metrics[Measurement]:

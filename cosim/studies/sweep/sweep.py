@@ -131,7 +131,7 @@ def _continuous(scene: Scene, cases: Cases) -> Cases:
 def default_metrics(scene: Scene) -> Collection[str]:
     """All metrics that the scene's robot has."""
     missing = set(LOOP_METRICS) if scene.cosimulation.drive == "motion" else set()
-    missing |= set(MOTOR_METRICS) if getattr(scene, "motor", None) is None else set()
+    missing |= set(MOTOR_METRICS) if scene.motor is None else set()
     return [name for name in ALL_METRICS if name not in missing]
 
 

@@ -1,0 +1,214 @@
+"""What motors have to do in a run, against what they can: margins, losses and electrical power.
+
+A gear of ratio i and efficiency η transmits the load torque τ as τ / (i η) while power flows into the robot, and as
+τ η / i while it flows back; the rotor of inertia J adds J i q̈ (H. Gross, J. Hamann, G. Wiegärtner, *Electrical Feed
+Drives in Automation*, 2001, chapter 3; K. A. Pasch, W. P. Seering, On the drive systems for high-performance machines,
+J. Mech. Transm. Autom. Des. 106 (1984), 102-108). Between communication points torque, speed and acceleration are the
+polynomials of `flexfmu.cosim.metrics.segments`, divided where the power changes its sign; so the torque of the motor is
+a polynomial on each piece, of which peaks and integrals are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.bernstein import bernstein_basis
+from flexfmu.cosim.metrics.pieces import Pieces, divided
+from flexfmu.cosim.metrics.segments import HermiteSegments
+from flexfmu.cosim.metrics.signals import TORQUES, segments
+from flexfmu.model.scene.motor import Motor
+
+POSES = 1001
+"""Number of poses along the motion, ends included, at which the inertia of the load is found."""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A limit of a motor, and how near the run comes to it.
+
+    Attributes:
+        name: `peak torque`, `RMS torque` or `speed`.
+        unit: of value and limit.
+        value: largest magnitude in the run, at the motor's shaft.
+        limit: what the motor can do.
+        time: when the value is reached [s]; None for a mean.
+        position: the rigid end effector then [m].
+    """
+
+    name: str
+    unit: str
+    value: float
+    limit: float
+    time: float | None = None
+    position: tuple[float, float] | None = None
+
+    @property
+    def use(self) -> float:
+        """Value / limit; above 1 the limit is exceeded."""
+        return self.value / self.limit
+
+
+@dataclass(frozen=True)
+class MotorLoad:
+    """The motor of a joint in a run. Torques, speeds and powers are those of its shaft.
+
+    Attributes:
+        joint: 1 or 2.
+        motor: the motor.
+        margins: peak torque, RMS torque and speed.
+        inertia_ratio: largest inertia of the load, reflected to the shaft, over that of the rotor; None without a rotor inertia.
+        rms_current, peak_current: [A]; None without a torque constant.
+        copper_loss: mean loss i² R of the winding [W]; None without a resistance.
+        mean_electrical_power: mean of mechanical power and copper loss, power back into the supply counts negative [W];
+            None without a resistance.
+        peak_electrical_power: its largest value [W].
+        time, speed, torque, power: curves (N,) [s, rad/s, N.m, W].
+    """
+
+    joint: int
+    motor: Motor
+    margins: tuple[Margin, ...]
+    inertia_ratio: float | None
+    rms_current: float | None
+    peak_current: float | None
+    copper_loss: float | None
+    mean_electrical_power: float | None
+    peak_electrical_power: float | None
+    time: RealArray
+    speed: RealArray
+    torque: RealArray
+    power: RealArray
+
+    @property
+    def critical(self) -> Margin:
+        """The margin whose limit is nearest or exceeded most."""
+        return max(self.margins, key=lambda margin: margin.use)
+
+    @property
+    def label(self) -> str:
+        """Joint and, where it has one, name of the motor."""
+        return f"motor {self.joint}" + (f" ({self.motor.name})" if self.motor.name else "")
+
+    @property
+    def exceeded(self) -> Iterator[str]:
+        """A sentence for each limit that is exceeded: by how much, when and where."""
+        for margin in self.margins:
+            if not margin.value <= margin.limit:
+                place = ""
+                if margin.time is not None and margin.position is not None:
+                    x, y = margin.position
+                    place = f" at {margin.time:.4g} s, end effector at ({x:.4g}, {y:.4g}) m"
+                unit = margin.unit
+                yield (
+                    f"{self.label}: {margin.name} of {margin.value:.4g} {unit}{place} exceeds the limit of "
+                    f"{margin.limit:g} {unit} by {100.0 * (margin.use - 1.0):.3g} %"
+                )
+
+
+def motor_loads(run: Run, motors: Motor | Sequence[Motor] | None = None) -> tuple[MotorLoad, ...]:
+    """Return what the motors of both joints have to do in a run, over the duty cycle; no simulation is needed.
+
+    The torque of a run contains the inertia `effects.motor_inertia` of its scene, which is taken out; that of the rotor is
+    put in. So the result is the same whether a scene has that effect or not, as long as the motors follow their motion.
+
+    Args:
+        run: with torques, speeds and accelerations of the joints.
+        motors: one motor for both joints or one for each; None for those of the scene.
+
+    Returns:
+        One for each joint; none for a scene without motors.
+
+    Raises:
+        ResultsError: a signal or its derivatives were not recorded.
+    """
+    if motors is None:
+        section = run.scene.motor
+        motors = () if section is None else (section.of_joint(0), section.of_joint(1))
+    pair = (motors, motors) if isinstance(motors, Motor) else tuple(motors)
+    if not pair or run.recording.time.size < 2:
+        return ()
+    inertia = largest_load_inertia(run)
+    return tuple(_load(run, joint, motor, inertia[joint]) for joint, motor in zip((0, 1), pair, strict=True))
+
+
+def largest_load_inertia(run: Run) -> tuple[float, float]:
+    """Return the largest inertia of the load [kg.m2] at each joint along the motion, the other motor standing still."""
+    from flexfmu.model.rigid_inertia import load_mass_matrix
+
+    joints = run.plan.joints.evaluate(np.linspace(0.0, run.plan.duration, POSES), 0, "left")[0]
+    matrices = load_mass_matrix(run.robot, joints)
+    return float(matrices[:, 0, 0].max()), float(matrices[:, 1, 1].max())
+
+
+def inertia_ratios(run: Run) -> tuple[float | None, float | None]:
+    """Return the largest inertia ratio of both joints; None without a rotor inertia."""
+    section, load = run.scene.motor, largest_load_inertia(run)
+    if section is None:
+        return None, None
+    first, second = (_ratio(section.of_joint(joint), load[joint]) for joint in (0, 1))
+    return first, second
+
+
+def _ratio(motor: Motor, inertia: float) -> float | None:
+    rotor = motor.rotor_inertia * motor.gear_ratio**2
+    return inertia / rotor if rotor else None
+
+
+def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
+    """Return what the motor of joint 0 or 1 has to do."""
+    pieces = _at_shaft(_joint_signals(run, joint), motor, run.robot.effects.motor_inertia)
+    (torque, torque_time), (speed, speed_time) = pieces.peak(pieces.torque), pieces.peak(pieces.speed)
+    rms = math.sqrt(max(pieces.mean(pieces.square), 0.0))
+    margins = (
+        Margin("peak torque", "N.m", torque, motor.peak_torque, torque_time, _position(run, torque_time)),
+        Margin("RMS torque", "N.m", rms, motor.continuous_torque),
+        Margin("speed", "rad/s", speed, motor.maximum_speed, speed_time, _position(run, speed_time)),
+    )
+    # currents, losses i² R and power of the supply
+    constant, resistance = motor.torque_constant, motor.winding_resistance
+    loss = mean = highest = None
+    if constant is not None and resistance is not None:
+        electrical = pieces.power + resistance / constant**2 * pieces.square
+        loss, mean = resistance * (rms / constant) ** 2, pieces.mean(electrical)
+        highest = pieces.highest(electrical)
+    currents = (None, None) if constant is None else (rms / constant, torque / constant)
+    curves = pieces.curves(pieces.speed, pieces.torque, pieces.power)
+    return MotorLoad(joint + 1, motor, margins, _ratio(motor, inertia), *currents, loss, mean, highest, *curves)
+
+
+def _position(run: Run, time: float) -> tuple[float, float]:
+    x, y = run.plan.task.evaluate(time, 0)[0, 0].tolist()
+    return x, y
+
+
+def _joint_signals(run: Run, joint: int) -> HermiteSegments:
+    """Return torque, speed and acceleration of a joint as three channels."""
+    number, columns = joint + 1, run.recording.columns
+    place = f"joint{number}" if f"joint{number}.velocity" in columns else f"joint{number}.reference"
+    return segments(run.recording, [TORQUES[joint], f"{place}.velocity", f"{place}.acceleration"])
+
+
+def _at_shaft(signals: HermiteSegments, motor: Motor, included: float) -> Pieces:
+    """Return torque and speed of the shaft, from torque, speed and acceleration of the joint.
+
+    Args:
+        signals: of the joint.
+        motor: motor and gear.
+        included: inertia of the motor at the joint that the torque contains [kg.m2].
+    """
+    kept, ratio = signals.consistent, motor.gear_ratio
+    control = kept.control.copy()
+    control[..., 0] -= included * control[..., 2]
+    start, duration, control = divided(kept.start, kept.duration, control)
+    # the gear's efficiency by the direction of the power, which is the same throughout a piece
+    middle = np.tensordot(bernstein_basis(np.array([0.5]), len(control) - 1)[0], control, axes=1)
+    power = middle[:, 0] * middle[:, 1]
+    factor = np.where(power > 0.0, 1.0 / motor.gear_efficiency, np.where(power < 0.0, motor.gear_efficiency, 1.0))
+    torque = control[..., 0] * factor / ratio + motor.rotor_inertia * ratio * control[..., 2]
+    return Pieces(start, duration, torque, ratio * control[..., 1])
