@@ -35,9 +35,9 @@ def load_mass_matrix(scene: Scene, joints: RealArray) -> RealArray:
     drive = np.zeros((count, 2, 2))
     for leg in (0, 1):
         drive[:, leg, leg] = np.einsum("nk,nk->n", arms[:, leg], turning[:, leg])
-    effector = np.linalg.solve(arms, drive)
+    effector: RealArray = np.asarray(np.linalg.solve(arms, drive), dtype=float)
     # proximal links turn about their bases, then distal links and payload
-    matrix = np.broadcast_to(np.eye(2) * masses[0] * length**2 / 3.0, (count, 2, 2)).copy()
+    matrix: RealArray = np.tile(masses[0] * length**2 / 3.0 * np.eye(2), (count, 1, 1))
     for leg in (0, 1):
         elbow = np.zeros((count, 2, 2))
         elbow[:, :, leg] = turning[:, leg]

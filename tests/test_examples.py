@@ -48,6 +48,13 @@ def test_run_scene(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_choose_motor(tmp_path: Path) -> None:
+    """Three motors for both joints; the smallest lacks peak torque, the two others fit."""
+    rows = run_example("choose_motor.py", tmp_path).splitlines()[1:]
+    assert [row.rpartition("  ")[2] for row in rows] == ["no: peak torque"] * 2 + ["yes"] * 4
+
+
+@pytest.mark.slow
 def test_compare_measured(tmp_path: Path) -> None:
     """The delay is found within a few standard errors; with the right payload the differences are the noise."""
     late, right, wrong = run_example("compare_measured.py", tmp_path).splitlines()

@@ -13,6 +13,7 @@ from rich.text import Text
 from flexfmu.cosim.cli.console import print_rich
 from flexfmu.cosim.cli.result_files import files_sentence
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display
+from flexfmu.cosim.reports.motors import motor_rows
 from flexfmu.cosim.reports.terminal import titled_table
 
 
@@ -26,6 +27,9 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
             each: value for each, value in metrics.items() if "motor" in summary["scene"] or each not in DRIVE_METRICS
         }
         parts += [_metrics_table(name, shown, summary["errors"]), Text(health["errors_from"])]
+    motors = summary.get("motors", ())
+    if motors:
+        parts.append(_motors_table(motors))
     # how the run went
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))
@@ -36,6 +40,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
     sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]
+    sentences += [sentence for motor in motors for sentence in motor["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
     parts.append(Text(files_sentence(files, folder)))
     print_rich(*parts)
@@ -45,6 +50,14 @@ def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapp
     table = titled_table(title, "Metric", Column("Value", justify="right"))
     for name, value in metrics.items():
         table.add_row(ALL_METRICS[name].label, display(name, value, error=errors[name]))
+    return table
+
+
+def _motors_table(motors: Sequence[Mapping[str, Any]]) -> Table:
+    heads = (f"Motor {motor['joint']}" + (f", {motor['name']}" if motor["name"] else "") for motor in motors)
+    table = titled_table("Motors", "At the shaft", *(Column(head, justify="right") for head in heads))
+    for name, texts in motor_rows(motors).items():
+        table.add_row(name, *texts)
     return table
 
 

@@ -22,10 +22,11 @@ from flexfmu.cosim.metrics.bernstein import bernstein_basis
 from flexfmu.cosim.metrics.pieces import Pieces, divided
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import TORQUES, segments
+from flexfmu.model.rigid_inertia import load_mass_matrix
 from flexfmu.model.scene.motor import Motor
 
-POSES = 1001
-"""Number of poses along the motion, ends included, at which the inertia of the load is found."""
+POSES, REFINEMENTS = 401, 9
+"""Number of poses along the motion among which the largest inertia of the load is looked for, and of searches, each ten times finer."""
 
 
 @dataclass(frozen=True)
@@ -139,11 +140,18 @@ def motor_loads(run: Run, motors: Motor | Sequence[Motor] | None = None) -> tupl
 
 def largest_load_inertia(run: Run) -> tuple[float, float]:
     """Return the largest inertia of the load [kg.m2] at each joint along the motion, the other motor standing still."""
-    from flexfmu.model.rigid_inertia import load_mass_matrix
-
-    joints = run.plan.joints.evaluate(np.linspace(0.0, run.plan.duration, POSES), 0, "left")[0]
-    matrices = load_mass_matrix(run.robot, joints)
-    return float(matrices[:, 0, 0].max()), float(matrices[:, 1, 1].max())
+    largest = []
+    for joint in (0, 1):
+        # the best pose, then ever nearer ones about it
+        time, spacing = np.linspace(0.0, run.plan.duration, POSES), run.plan.duration / (POSES - 1)
+        for _ in range(REFINEMENTS):
+            joints = run.plan.joints.evaluate(time, 0, "left")[0]
+            inertia = load_mass_matrix(run.robot, joints)[:, joint, joint]
+            best = int(np.argmax(inertia))
+            time = np.clip(time[best] + spacing * np.linspace(-1.0, 1.0, 21), 0.0, run.plan.duration)
+            spacing /= 10.0
+        largest.append(float(inertia[best]))
+    return largest[0], largest[1]
 
 
 def inertia_ratios(run: Run) -> tuple[float | None, float | None]:
@@ -177,9 +185,22 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
         electrical = pieces.power + resistance / constant**2 * pieces.square
         loss, mean = resistance * (rms / constant) ** 2, pieces.mean(electrical)
         highest = pieces.highest(electrical)
-    currents = (None, None) if constant is None else (rms / constant, torque / constant)
-    curves = pieces.curves(pieces.speed, pieces.torque, pieces.power)
-    return MotorLoad(joint + 1, motor, margins, _ratio(motor, inertia), *currents, loss, mean, highest, *curves)
+    time, (speeds, torques, powers) = pieces.curves(pieces.speed, pieces.torque, pieces.power)
+    return MotorLoad(
+        joint=joint + 1,
+        motor=motor,
+        margins=margins,
+        inertia_ratio=_ratio(motor, inertia),
+        rms_current=None if constant is None else rms / constant,
+        peak_current=None if constant is None else torque / constant,
+        copper_loss=loss,
+        mean_electrical_power=mean,
+        peak_electrical_power=highest,
+        time=time,
+        speed=speeds,
+        torque=torques,
+        power=powers,
+    )
 
 
 def _position(run: Run, time: float) -> tuple[float, float]:

@@ -61,11 +61,11 @@ class Pieces:
         size = float(np.abs(control).max())
         return maximum_norm(control[..., np.newaxis] + size) - size
 
-    def curves(self, *controls: RealArray) -> tuple[RealArray, ...]:
+    def curves(self, *controls: RealArray) -> tuple[RealArray, list[RealArray]]:
         """Return times [s] and the values of polynomials then, about `POINTS` in the order of time."""
         theta = np.linspace(0.0, 1.0, int(np.clip(POINTS // self.start.size, 2, SAMPLES.size)))
         time = (self.start[:, np.newaxis] + np.outer(self.duration, theta)).ravel()
-        return time, *(_sampled(each, theta).T.ravel() for each in controls)
+        return time, [_sampled(each, theta).T.ravel() for each in controls]
 
 
 def divided(start: RealArray, duration: RealArray, control: RealArray) -> tuple[RealArray, RealArray, RealArray]:

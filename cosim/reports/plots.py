@@ -23,6 +23,7 @@ from flexfmu.cosim.metrics.signals import (
 )
 from flexfmu.cosim.reports.chart import Curve, Panel
 from flexfmu.cosim.reports.motion_picture import LONGEST, bent_robot, path_panel
+from flexfmu.cosim.reports.motors import motor_plots
 from flexfmu.cosim.reports.page import WIDTH, Plot
 from flexfmu.cosim.reports.scene_picture import scene_panel
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
@@ -62,6 +63,7 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     yield Plot("references", "Joint references", "What drives the robot.", _references(run), height=REFERENCES_HEIGHT)
     torques = _pair(run, TORQUES, "joint", "torque [N·m]", 1.0)
     yield Plot("torques", "Motor torques", "Positive counter-clockwise.", (torques,))
+    yield from motor_plots(run)
     if all(name in columns for name in JOINT_POSITIONS):
         yield Plot("tracking", "Tracking error", "Angle minus planned angle of each motor.", (_tracking_error(run),))
     if any(name in columns for name in TIP_DEFLECTIONS):

@@ -11,10 +11,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.planning import deviation
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import Metrics
+from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
@@ -66,6 +68,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
         cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
+        motors: only with ``[motor]``: margins, losses and power of each motor, and a sentence for each limit that is exceeded.
         learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad].
     """
     return {
@@ -77,6 +80,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "health": _health(run, measurements),
         **({"motion": run.plan.source} if run.plan.source else {}),
         **_shaping(run),
+        **_motors(run),
         **_cycles(run),
         "slaves": [asdict(slave) for slave in run.slaves],
         "delays": [_delay(delay) for delay in run.delays],
@@ -176,6 +180,37 @@ def _cycles(run: Run) -> dict[str, Any]:
     found = {"cycles": {"number": repetition.cycles, "period": repetition.period, "motion": repetition.once.duration}}
     errors = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
     return {**found, "learning": {"period": repetition.period, "tracking_errors": errors}} if errors else found
+
+
+def _motors(run: Run) -> dict[str, Any]:
+    """Return what each motor of the scene has to do against what it can; empty without motors."""
+    if run.scene.motor is None:
+        return {}
+    try:
+        loads = motor_loads(run)
+    except ResultsError:  # not all signals were recorded
+        return {}
+    keys = (
+        "inertia_ratio",
+        "rms_current",
+        "peak_current",
+        "copper_loss",
+        "mean_electrical_power",
+        "peak_electrical_power",
+    )
+    return {
+        "motors": [
+            {
+                "joint": load.joint,
+                "name": load.motor.name,
+                "margins": [{**asdict(margin), "use": margin.use} for margin in load.margins],
+                "critical": load.critical.name,
+                **{key: getattr(load, key) for key in keys},
+                "exceeded": list(load.exceeded),
+            }
+            for load in loads
+        ]
+    }
 
 
 def _delay(delay: SignalDelay) -> dict[str, Any]:
