@@ -32,7 +32,8 @@ def compare(
         Path | None,
         typer.Option(
             metavar="LOG.csv",
-            help="A measurement: a CSV file with a header and a column `time`. Columns named like signals are compared.",
+            help="A measurement: a CSV file with a header and a column `time`. Columns named like signals are compared. "
+            "Default: none.",
             show_default=False,
         ),
     ] = None,
@@ -42,7 +43,7 @@ def compare(
             "--map",
             metavar="COLUMN=SIGNAL",
             help="What a measured column is, with a factor or a unit and an offset if needed: tau1=joint1.torque*1e-3, "
-            "phi=joint1.position*deg+0.5, t=time*ms. May be repeated.",
+            "phi=joint1.position*deg+0.5, t=time*ms. May be repeated. Default: by the names.",
             show_default=False,
         ),
     ] = None,

@@ -23,7 +23,10 @@ def effects(
         ),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Run the chosen set beside the next richer ones; builds their FMUs.")
+        bool,
+        typer.Option(
+            "--check", help="Run the chosen set beside the next richer ones; builds their FMUs. Default: don't."
+        ),
     ] = False,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -33,6 +33,7 @@ from flexfmu.cosim.cli.fmus import fmus
 from flexfmu.cosim.cli.modes import modes
 from flexfmu.cosim.cli.paper import paper
 from flexfmu.cosim.cli.run import run
+from flexfmu.cosim.cli.scenes import new, scenes
 from flexfmu.cosim.cli.shaper import shaper
 from flexfmu.cosim.cli.sweep import sweep
 from flexfmu.cosim.cli.validate import validate
@@ -43,7 +44,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
+    # plain help: loading rich's would take as long as all the rest
+    rich_markup_mode=None,
     # a default for --help: to check one that isn't given, typer would load pydantic
     context_settings={"help_option_names": ["-h", "--help"], "default_map": {"help": False}},
     epilog="Exit status: 0 done, 1 it ran and failed, 2 wrong usage or input, 143 ended by SIGTERM. Results go to "
@@ -97,5 +99,25 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
     return run_command
 
 
-for _command in (build, fmus, export, run, compare, sweep, paper, modes, effects, shaper, workprec, validate):
-    app.command()(_reporting(_command))
+def _first_sentence(command: Callable[..., int]) -> str:
+    """What the list of commands says of it."""
+    return (command.__doc__ or "").partition("\n")[0]
+
+
+for _command in (
+    new,
+    scenes,
+    build,
+    fmus,
+    export,
+    run,
+    compare,
+    sweep,
+    paper,
+    modes,
+    effects,
+    shaper,
+    workprec,
+    validate,
+):
+    app.command(short_help=_first_sentence(_command))(_reporting(_command))

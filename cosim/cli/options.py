@@ -41,7 +41,7 @@ SetOption = Annotated[
         "controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Default: the scene as it is.",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else. Default: text.")]
 
 
 def naming_convention(name: str) -> Naming:

@@ -21,7 +21,10 @@ def shaper(
     ] = None,
     payload_errors: Annotated[
         bool,
-        typer.Option("--payload-errors", help="Seven payload errors instead of five; writes payload_errors.md too."),
+        typer.Option(
+            "--payload-errors",
+            help="Seven payload errors instead of five; writes payload_errors.md too. Default: five.",
+        ),
     ] = False,
     payload_band: Annotated[
         float, typer.Option(metavar="FRACTION", help="Largest error of the payload's mass, either way.")
@@ -49,7 +52,12 @@ def shaper(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE.toml", help="Write the scene with the recommended shaper here."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE.toml",
+            help="Write the scene with the recommended shaper here. Default: nowhere.",
+        ),
     ] = None,
     settings: SetOption = None,
     json: JsonOption = False,

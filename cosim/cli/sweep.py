@@ -25,7 +25,7 @@ def sweep(
         typer.Option(
             metavar="KEY=VALUES",
             help="A key of the scene and its values: payload.mass=0:8:50 (from, to, number), trajectory.duration=0.3,0.4, "
-            "controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all combinations.",
+            "controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all combinations. Default: nothing.",
             show_default=False,
         ),
     ] = None,
@@ -33,7 +33,8 @@ def sweep(
         str | None,
         typer.Option(
             metavar="METHOD:N",
-            help="Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence, sobol:1024.",
+            help="Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence, sobol:1024. "
+            "Default: all combinations.",
             show_default=False,
         ),
     ] = None,
@@ -42,7 +43,8 @@ def sweep(
         Path | None,
         typer.Option(
             metavar="FILE.csv",
-            help="Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's value.",
+            help="Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's value. "
+            "Default: those of --vary.",
             show_default=False,
         ),
     ] = None,
@@ -75,13 +77,13 @@ def sweep(
         typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-sweep."),
     ] = None,
     restart: Annotated[
-        bool, typer.Option("--restart", help="Discard the results of another sweep in the folder.")
+        bool, typer.Option("--restart", help="Discard the results of another sweep in the folder. Default: refuse.")
     ] = False,
     dask: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Simulate on the workers of this Dask scheduler, tcp://host:8786.",
+            help="Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine.",
             show_default=False,
         ),
     ] = None,

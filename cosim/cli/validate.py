@@ -19,14 +19,18 @@ def validate(
     fmu: Annotated[
         Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)
     ],
-    static: Annotated[bool, typer.Option("--static", help="Only look at the file, don't run what is in it.")] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 for warnings too.")] = False,
+    static: Annotated[
+        bool, typer.Option("--static", help="Only look at the file, don't run what is in it. Default: both.")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit status 1 for warnings too. Default: for errors.")
+    ] = False,
     time_limit: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
             min=1.0,
-            help="Longest time for what runs the FMU, 120 s by default; one FMI call may take a fifth of it.",
+            help="Longest time for what runs the FMU, one FMI call may take a fifth of it. Default: 120.",
             show_default=False,
         ),
     ] = None,

@@ -38,7 +38,8 @@ def workprec(
     hard: Annotated[
         bool,
         typer.Option(
-            "--hard", help="Run the hard cases instead, without SCENE: what makes each hard, and what happened."
+            "--hard",
+            help="Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.",
         ),
     ] = False,
     settings: SetOption = None,

@@ -49,6 +49,11 @@ def load_scene(source: str | Path, changes: Mapping[str, Any] | None = None) -> 
     return scene
 
 
+def scene_path(name: str) -> Path:
+    """The file of a shipped scene."""
+    return Path(str(_scene_folder().joinpath(f"{name}.toml")))
+
+
 def _scene_folder() -> Any:
     return files("flexfmu.model.scene").joinpath("scenes")
 

@@ -261,7 +261,7 @@ def test_the_written_scene_applies_the_advice(motion: MotionPlan, tmp_path: Path
     source.write_text(f'{shipped_text()}{controller}\n[[shaper]]  # an old one\nkind = "zv"\n', encoding="utf-8")
     write_shaped(str(source), wanted.section, target)
     text = target.read_text(encoding="utf-8")
-    assert (text.count("[[shaper]]"), "an old one" in text) == (1, False)
+    assert (text.count("\n[[shaper]]"), "an old one" in text) == (1, False)
     scene = load_scene(target)
     assert Path(scene.controller[0].folder).resolve() == tmp_path
     times = np.linspace(0.0, wanted.motion.duration, 300)

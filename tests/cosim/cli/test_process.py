@@ -33,7 +33,7 @@ def test_help_loads_no_heavy_package() -> None:
     code = (
         "import sys\nfrom flexfmu.cosim.cli.main import app\n"
         "try:\n    app(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print(sorted({name.split('.')[0] for name in sys.modules} & {'casadi', 'scipy', 'matplotlib', 'numpy', 'fmpy', 'pydantic'}))"
+        "print(sorted({name.split('.')[0] for name in sys.modules} & {'casadi', 'scipy', 'matplotlib', 'numpy', 'fmpy', 'pydantic', 'rich'}))"
     )
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert outcome.stdout.splitlines()[-1] == "[]"

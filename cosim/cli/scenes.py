@@ -1,0 +1,103 @@
+"""`flexfmu scenes` and `flexfmu new`: the shipped scenes, and a scene file to start from."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flexfmu.cosim.cli.console import print_rich, print_text
+from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.engine.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+USUAL = "barnard2012-6kg"
+"""The scene that `new` starts from."""
+
+
+def scenes(json: JsonOption = False) -> int:
+    """List the scenes that come with flexfmu, which every command takes by their names."""
+    from rich.text import Text
+
+    from flexfmu.cosim.reports.text import to_json
+    from flexfmu.model.scene.file import scene_path, shipped_scenes
+
+    found = [_facts(name) for name in shipped_scenes()]
+    if json:
+        print_text(to_json({"scenes": found}))
+        return 0
+    copied = Text("A copy to change: flexfmu new FILE.toml --from NAME")
+    print_rich(_table(found), copied, Text(f"The files are in {scene_path(USUAL).parent}"))
+    return 0
+
+
+def _facts(name: str) -> dict[str, Any]:
+    """What `--json` prints of a shipped scene."""
+    from flexfmu.model.scene.file import load_scene, read_scene_text, scene_path
+
+    scene = load_scene(name)
+    # the first sentence of the file says what it is
+    sentence = read_scene_text(name)[0].partition(". ")[0].removeprefix("# ")
+    return {
+        "name": name,
+        "description": " ".join(sentence.replace("\n#", " ").split()),
+        "payload_mass": scene.payload.mass,
+        "duration": scene.trajectory.duration,
+        "drive": scene.cosimulation.drive,
+        "path": str(scene_path(name)),
+    }
+
+
+def _table(found: list[dict[str, Any]]) -> Table:
+    """A line for each scene."""
+    from rich.table import Column
+
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    payload, duration = Column("payload", justify="right"), Column("duration", justify="right")
+    table = titled_table("", "scene", "what it is", payload, duration, "drive")
+    for each in found:
+        figures = f"{each['payload_mass']:g} kg", f"{each['duration']:g} s"
+        table.add_row(each["name"], each["description"], *figures, each["drive"])
+    return table
+
+
+def new(
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="The file to write.", show_default=False)],
+    origin: Annotated[
+        str, typer.Option("--from", metavar="NAME", help="A shipped scene to start from; flexfmu scenes lists them.")
+    ] = USUAL,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite the file if there is one. Default: refuse.")
+    ] = False,
+    json: JsonOption = False,
+) -> int:
+    """Write a scene file to start from: complete, with units, choices and defaults as comments."""
+    from flexfmu.cosim.reports.text import to_json
+    from flexfmu.model.scene.file import read_scene_text, shipped_scenes
+
+    # usage
+    if file.suffix != ".toml":
+        raise InputError(f"a scene file ends in .toml, got {file}: write {file}.toml")
+    if origin not in shipped_scenes():
+        raise InputError(f"--from takes a shipped scene, {' or '.join(shipped_scenes())}, got {origin}")
+    if file.exists() and not force:
+        raise InputError(f"{file} is there already: give another name, or --force to overwrite it")
+    if not file.parent.is_dir():
+        raise InputError(f"there is no folder {file.parent} for {file.name}: create it, or give another path")
+    # the scene is called like its file, with the letters that names may have
+    name = re.sub(r"[^\w.+-]", "-", file.stem)
+    name = name if re.search(r"\w", name) else "scene"
+    text = read_scene_text(origin)[0]
+    file.write_text(re.sub(r'^name = ".*?"', f'name = "{name}"', text, count=1, flags=re.MULTILINE), encoding="utf-8")
+    # standard output
+    if json:
+        print_text(to_json({"path": str(file), "name": name, "from": origin}))
+    else:
+        print_text(f"{file}: the scene {origin} as {name}; run it with: flexfmu run {quote(str(file))}\n")
+    return 0

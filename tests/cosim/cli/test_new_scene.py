@@ -1,0 +1,151 @@
+"""`flexfmu new` and `flexfmu scenes`: scene files to start from, whose comments are right."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from flexfmu.cosim.cli.main import app
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene, read_scene_text, scene_path, shipped_scenes
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.profiles import PROFILES
+
+DEFAULT = re.compile(r"^# (\w+ = .*)$", re.M)
+"""A key behind a #."""
+
+
+def flexfmu(*arguments: str) -> Result:
+    """Run a command."""
+    return CliRunner().invoke(app, list(arguments))
+
+
+def written(folder: Path, text: str) -> Scene:
+    """The scene of a text."""
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_scene(path)
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_new_writes_the_scene_under_the_name_of_its_file(name: str, tmp_path: Path) -> None:
+    """Only the name differs from the shipped scene; all comments are there."""
+    path = tmp_path / "my robot.toml"
+    result = flexfmu("new", str(path), "--from", name)
+    assert result.exit_code == 0
+    assert load_scene(path) == load_scene(name).replace({"name": "my-robot"})
+    text, shipped = path.read_text(encoding="utf-8"), read_scene_text(name)[0]
+    assert text == shipped.replace(f'name = "{name}"', 'name = "my-robot"')
+    assert "run it with: flexfmu run" in result.stdout
+
+
+def test_a_file_is_overwritten_by_force_alone(tmp_path: Path) -> None:
+    """What is there stays; a wrong name or place is one line and status 2."""
+    path = tmp_path / "robot.toml"
+    path.write_text("mine", encoding="utf-8")
+    result = flexfmu("new", str(path))
+    assert (result.exit_code, path.read_text(encoding="utf-8")) == (2, "mine")
+    assert "--force" in result.stderr
+    assert flexfmu("new", str(path), "--force").exit_code == 0
+    assert load_scene(path).name == "robot"
+    for arguments, message in (
+        ((str(tmp_path / "robot"),), "ends in .toml"),
+        ((str(tmp_path / "none" / "robot.toml"),), "there is no folder"),
+        ((str(tmp_path / "other.toml"), "--from", "barnard"), "barnard2012-0.1kg or barnard2012-6kg"),
+    ):
+        result = flexfmu("new", *arguments)
+        assert result.exit_code == 2
+        assert message in result.stderr
+        assert len(result.stderr.splitlines()) == 1
+    assert [each.name for each in tmp_path.iterdir()] == ["robot.toml"]
+
+
+def test_a_new_scene_runs_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two commands of the page, with JSON for scripts."""
+    monkeypatch.chdir(tmp_path)
+    assert json.loads(flexfmu("new", "robot.toml", "--json").stdout)["path"] == "robot.toml"
+    few = ("--set", "effects.proximal_bending=1", "--set", "effects.distal_axial=0")
+    result = flexfmu("modes", "robot.toml", "--poses", "3", "--json", *few)
+    assert json.loads(result.stdout)["scene"] == "robot"
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_each_key_behind_a_hash_has_its_default_value(name: str, tmp_path: Path) -> None:
+    """Without its # a line is valid and changes nothing, in the sections; a wrong default or an old key shows."""
+    text = read_scene_text(name)[0]
+    head, found = text.partition("# Without the #")[0], 0
+    for match in DEFAULT.finditer(head):
+        found += 1
+        changed = head[: match.start()] + match[1] + head[match.end() :]
+        assert tomllib.loads(changed) != tomllib.loads(head)
+        assert written(tmp_path, changed) == load_scene(name), match[1]
+    assert found > 12
+
+
+def test_the_optional_tables_are_valid(tmp_path: Path) -> None:
+    """Without their # the tables of controllers, shaper and imperfection make a scene that torques drive."""
+    text = read_scene_text(shipped_scenes()[0])[0].replace('drive = "motion"', 'drive = "torque"')
+    head, sign, tail = text.partition("# Without the #")
+    scene = written(tmp_path, head + sign + re.sub(r"^# (?=\[\[|\w+ = )", "", tail, flags=re.M))
+    assert [each.kind for each in scene.controller] == ["pd", "feedforward"]
+    assert [each.kind for each in scene.shaper] == ["zvd"]
+    assert [each.kind for each in scene.imperfection] == ["encoder"]
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_every_key_has_a_comment_and_every_choice_is_named(name: str) -> None:
+    """Each line with a key has one; kinds of blends and profiles are all there."""
+    text = read_scene_text(name)[0]
+    keys = [line for line in text.splitlines() if re.match(r"\w+ = ", line)]
+    assert len(keys) > 20
+    assert [line for line in keys if " # " not in line] == []
+    for kind in (*BLENDS, *PROFILES):
+        assert re.search(rf"(?<![\w-]){kind}(?![\w-])", text)
+
+
+UNKNOWN = r"must be '[^']+'.* or '[^']+', got '"
+"""What an error says of a value that a key doesn't have."""
+
+
+def refused(name: str, key: str, choice: str) -> str:
+    """Why a shipped scene can't have this value; empty where it can."""
+    try:
+        load_scene(name, {key: choice})
+    except SceneError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_listed_choices_are_valid(name: str) -> None:
+    """Each of the values "a | b | c" behind a key of the sections is one that the key has, whatever else it needs."""
+    assert re.search(UNKNOWN + "foo", refused(name, "cosimulation.initial", "foo"))
+    section, found = "", 0
+    for line in read_scene_text(name)[0].partition("# Without the #")[0].splitlines():
+        section = match[1] if (match := re.match(r"\[(\w+)\]", line)) else section
+        if choices := re.match(r'(?:# )?(\w+) = "[\w-]+" +# ([\w-]+(?: \| [\w-]+)+)', line):
+            for choice in choices[2].split(" | "):
+                found += 1
+                assert not re.search(UNKNOWN + choice, refused(name, f"{section}.{choices[1]}", choice))
+    assert found > 15
+
+
+def test_scenes_lists_the_shipped_ones() -> None:
+    """Name, what it is, payload, duration and drive; the paths are in JSON and below the table."""
+    result = flexfmu("scenes")
+    found = json.loads(flexfmu("scenes", "--json").stdout)["scenes"]
+    assert [each["name"] for each in found] == list(shipped_scenes())
+    assert f"The files are in {scene_path(shipped_scenes()[0]).parent}\n" in result.stdout
+    for each in found:
+        scene = load_scene(each["name"])
+        assert load_scene(each["path"]) == scene
+        assert (each["payload_mass"], each["drive"]) == (scene.payload.mass, scene.cosimulation.drive)
+        assert all(
+            text in result.stdout for text in (each["name"], f"{each['payload_mass']:g} kg", each["description"])
+        )
