@@ -136,6 +136,14 @@ def test_own_trajectory(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_replay_log(tmp_path: Path) -> None:
+    """With the right payload the replayed torques are those of the log, with the wrong one they are a percent off."""
+    right, wrong = run_example("replay_log.py", tmp_path).splitlines()
+    assert max(numbers(right)[-2:]) < 0.05
+    assert min(numbers(wrong)[-2:]) > 0.5
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("library", ["ruckig", "toppra"])
 def test_motions_of_planners(tmp_path: Path, library: str) -> None:
     """Faster than the scene's motion, with knots of the planner alone, and simulated from the written table."""

@@ -18,6 +18,7 @@ from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates, PiecewisePolynomial, listed_degrees, spline
+from flexfmu.trajectories.smoothing import smoothed
 from flexfmu.trajectories.trajectory import Trajectory, limits
 
 COLUMNS: Mapping[Coordinates, tuple[tuple[str, str], ...]] = {
@@ -79,13 +80,18 @@ class MotionTable:
         """Largest absolute value of all positions [m or rad]."""
         return float(abs(self.derivatives[0]).max())
 
-    def degree(self, wanted: int | None = None) -> int:
+    def degree(self, wanted: int | None = None, noise: float | None = None) -> int:
         """Return the degree of the spline: the wanted one, or the default.
 
         Raises:
-            TrajectoryError: it is too low for the derivatives that are given.
+            TrajectoryError: it is too low for the derivatives that are given, or these are to be smoothed.
         """
         highest = len(self.derivatives) - 1
+        if noise is not None and highest > 0:
+            given = ", ".join(name for pair in COLUMNS[self.coordinates][1 : highest + 1] for name in pair)
+            raise TrajectoryError(f"`noise` smooths positions, but {self.source} has {given}: remove these columns")
+        if noise is not None and wanted == 7:
+            raise TrajectoryError("`noise` needs `degree` = 3 or 5, got 7")
         degree = max(DEFAULT_DEGREE, 2 * highest + 1) if wanted is None else wanted
         if degree < 2 * highest + 1:
             raise TrajectoryError(
@@ -94,25 +100,29 @@ class MotionTable:
             )
         return degree
 
-    def description(self, degree: int | None = None) -> str:
+    def description(self, degree: int | None = None, noise: float | None = None) -> str:
         """Return what the motion is, in a few words: degree and continuity of the spline, rows and file."""
         chosen, order = self.degree(degree), len(self.derivatives) - 1
         given = "positions" + ("", ", velocities", " ... accelerations", " ... jerks")[order]
         moving = self.coordinates.replace("joints", "joint")
         return (
-            f"spline of degree {chosen} (C{chosen - 1 - order}) through {len(self.time)} rows of {moving} {given} in "
+            f"{'' if noise is None else 'smoothing '}spline of degree {chosen} (C{chosen - 1 - order}) through {len(self.time)} rows of {moving} {given} in "
             f"{Path(self.source).name}"
         )
 
-    def trajectory(self, degree: int | None = None) -> PiecewisePolynomial:
+    def trajectory(self, degree: int | None = None, noise: float | None = None) -> PiecewisePolynomial:
         """Return the spline through the rows; see `flexfmu.trajectories.piecewise.spline`.
 
         Args:
             degree: 3, 5 or 7; None for 5, with jerks for 7.
+            noise: standard deviation of measured positions' errors [m or rad], for a smoothing spline of degree 3 or 5; see
+                `flexfmu.trajectories.smoothing`.
 
         Raises:
-            TrajectoryError: the degree is too low.
+            TrajectoryError: the degree is too low, or derivatives are to be smoothed.
         """
+        if noise is not None:
+            return smoothed(self.time, self.derivatives[0], noise, self.degree(degree, noise), self.coordinates)
         return spline(self.time, self.derivatives, self.degree(degree), self.coordinates)
 
 

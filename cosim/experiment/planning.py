@@ -157,7 +157,7 @@ def plan(scene: Scene) -> MotionPlan:
     section = scene.trajectory
     if isinstance(section, TableSection):
         task, joints = table_motion(section, scene.mechanism)
-        source = section.table.description(section.degree)
+        source = section.table.description(section.degree, section.noise)
         return MotionPlan(scene, task, RigidKinematics(scene.mechanism), task, joints, source=source)
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)

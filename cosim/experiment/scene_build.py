@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
 _TIME_KEYS = {"duration", "dwell", "way_back", "cycles", "pause"}
-_PATH_KEYS = {"kind", "lift", "height", "width", "blend", "profile", "degree", *_TIME_KEYS}
+_PATH_KEYS = {"kind", "lift", "height", "width", "blend", "profile", "degree", "noise", *_TIME_KEYS}
 _START_KEYS = {"file", "coordinates"}
 """Keys of the motion that the model knows by the start point alone."""
 _RUN_KEYS = {

@@ -27,10 +27,10 @@ def table_motion(section: TableSection, mechanism: Mechanism) -> tuple[Trajector
     """
     table = section.table
     try:
-        task, joints = _checked(table, section.degree, mechanism, None)
+        task, joints = _checked(table, section.degree, section.noise, mechanism, None)
     except TrajectoryError:
         # the error names the instant of the motion
-        task, joints = _checked(table, section.degree, mechanism, section.duration)
+        task, joints = _checked(table, section.degree, section.noise, mechanism, section.duration)
     if section.duration == table.duration:
         return task, joints
     if isinstance(joints, JointTrajectory):
@@ -43,10 +43,10 @@ def table_motion(section: TableSection, mechanism: Mechanism) -> tuple[Trajector
 
 @lru_cache(maxsize=64)
 def _checked(
-    table: MotionTable, degree: int | None, mechanism: Mechanism, duration: float | None
+    table: MotionTable, degree: int | None, noise: float | None, mechanism: Mechanism, duration: float | None
 ) -> tuple[Trajectory, Trajectory]:
     """The motion with its checks, cached, since durations don't change where it goes; None for the table's own duration."""
-    motion = table.trajectory(degree)
+    motion = table.trajectory(degree, noise)
     motion = motion if duration is None else motion.with_duration(duration)
     if table.coordinates == "end-effector":
         _check_rows(table, table.derivatives[0], mechanism)

@@ -15,7 +15,7 @@ from pydantic import (
 
 from flexfmu.model.scene.loop import from_scene_file
 from flexfmu.model.scene.motion import MotionSection
-from flexfmu.model.scene.section import Seconds
+from flexfmu.model.scene.section import Seconds, quantity
 from flexfmu.trajectories.table import MotionTable
 from flexfmu.trajectories.table_file import read_table
 
@@ -24,20 +24,22 @@ class TableSection(MotionSection):
     """A spline through the rows of a CSV file: times and positions, with or without derivatives; then a standstill of `dwell`.
 
     `file` is relative to the scene file's folder. `coordinates` is what to read if the file has both. `degree` is that of the
-    spline, by default 5, with jerks 7. `duration` makes the motion faster or slower; by default it is that of the file.
+    spline, by default 5, with jerks 7. `noise` is the standard deviation of measured positions, [m] or [rad]: the spline passes
+    them at that distance. `duration` makes the motion faster or slower; by default it is that of the file.
     """
 
     kind: Literal["table"]
     file: Annotated[str, AfterValidator(from_scene_file)]
     coordinates: Literal["end-effector", "joints"] | None = None
     degree: Literal[3, 5, 7] | None = None
+    noise: Annotated[float | None, quantity("m or rad", gt=0.0)] = None
     duration: Seconds = 0.0
     _table: MotionTable = PrivateAttr()
 
     @model_validator(mode="after")
     def _read(self) -> Self:
         self._table = read_table(self.file, self.coordinates)
-        self._table.degree(self.degree)
+        self._table.degree(self.degree, self.noise)
         if "duration" not in self.model_fields_set:
             self.__dict__["duration"] = self._table.duration
         return self
