@@ -53,7 +53,8 @@ class Delay:
 
     Attributes:
         seconds: the delay [s].
-        error: its standard error [s], if the differences that remain are white noise; 0 for a delay that was given.
+        error: its standard error [s] from the differences that remain, be they correlated in time or not; it doesn't contain a
+            shift that a wrong model causes. 0 for a delay that was given.
         correlation: correlation coefficient of all signals after alignment, -1 to 1.
     """
 
@@ -235,11 +236,22 @@ class _Cost:
             shift = 0.5 * float(np.ptp(measured.time)) / measured.time.size
             ends = (simulated.at(measured.time - delay + side * shift) for side in (1.0, -1.0))
             slope = np.subtract(*ends) / (2.0 * shift)
-            steepness = float(slope.var()) * slope.size
-            variance = float((measured.values - simulated.at(measured.time - delay)).var())
-            information += weight * steepness
-            noise += weight**2 * variance * steepness
+            slope -= slope.mean()
+            remaining = measured.values - simulated.at(measured.time - delay)
+            information += weight * float(slope @ slope)
+            noise += weight**2 * _variance_of_sum(slope * (remaining - remaining.mean()))
         return float(np.sqrt(noise) / information) if information else float("inf")
+
+
+def _variance_of_sum(terms: RealArray) -> float:
+    """Return the variance of a sum of terms (N,) of mean zero that are correlated over at most the root of N of them, not negatively.
+
+    W. Newey, K. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix,
+    Econometrica 55, 1987.
+    """
+    most = int(np.sqrt(terms.size))
+    lags = (2.0 * (1.0 - lag / (most + 1.0)) * float(terms[lag:] @ terms[:-lag]) for lag in range(1, most + 1))
+    return float(terms @ terms) + max(sum(lags), 0.0)
 
 
 def differences(
