@@ -58,9 +58,12 @@ SELDOM = (
     "cosim.control",
     "cosim.experiment.cycles",
     "cosim.experiment.own_motion",
+    "cosim.experiment.table_motion",
+    "trajectories.table_file",
     "model.symbolic",
 )
-"""What a run without shapers, controllers, imperfections, cycles and own motions doesn't load: functions that need it may import it."""
+"""What a run without shapers, controllers, imperfections, cycles, own motions and tables doesn't load: functions that need it may
+import it."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.polynomial_profile import PolynomialProfile
 from flexfmu.trajectories.profile_pieces import ProfilePiece, SinePiece, SmoothPiece
 from flexfmu.trajectories.profiles import (
@@ -27,13 +26,14 @@ from flexfmu.trajectories.profiles import (
     Trapezoidal,
     evaluate_profile,
 )
-from flexfmu.trajectories.table import MotionTable, write_table
-from flexfmu.trajectories.table_file import read_table
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.own import OwnMotion, SplineTrajectory, as_trajectory
+    from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
     from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
+    from flexfmu.trajectories.table import MotionTable, write_table
+    from flexfmu.trajectories.table_file import read_table
 
 __all__ = [
     "BangBang",
@@ -82,7 +82,10 @@ __all__ = [
 
 _SELDOM = {
     **dict.fromkeys(("OwnMotion", "SplineTrajectory", "as_trajectory"), "flexfmu.trajectories.own"),
+    **dict.fromkeys(("PiecewisePolynomial", "spline"), "flexfmu.trajectories.piecewise"),
     **dict.fromkeys(("from_ruckig", "from_scipy", "from_toppra"), "flexfmu.trajectories.sources"),
+    **dict.fromkeys(("MotionTable", "write_table"), "flexfmu.trajectories.table"),
+    "read_table": "flexfmu.trajectories.table_file",
 }
 """Names that scenes don't need → module that they are imported from at their first use."""
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.experiment.table_motion import table_motion
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
@@ -156,6 +155,8 @@ def plan(scene: Scene) -> MotionPlan:
     """
     section = scene.trajectory
     if isinstance(section, TableSection):
+        from flexfmu.cosim.experiment.table_motion import table_motion  # which few scenes need
+
         task, joints = table_motion(section, scene.mechanism)
         source = section.table.description(section.degree, section.noise)
         return MotionPlan(scene, task, RigidKinematics(scene.mechanism), task, joints, source=source)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -16,8 +16,9 @@ from pydantic import (
 from flexfmu.model.scene.loop import from_scene_file
 from flexfmu.model.scene.motion import MotionSection
 from flexfmu.model.scene.section import Seconds, quantity
-from flexfmu.trajectories.table import MotionTable
-from flexfmu.trajectories.table_file import read_table
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.table import MotionTable
 
 
 class TableSection(MotionSection):
@@ -38,6 +39,8 @@ class TableSection(MotionSection):
 
     @model_validator(mode="after")
     def _read(self) -> Self:
+        from flexfmu.trajectories.table_file import read_table  # which few scenes need
+
         self._table = read_table(self.file, self.coordinates)
         self._table.degree(self.degree, self.noise)
         if "duration" not in self.model_fields_set:
