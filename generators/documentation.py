@@ -1,13 +1,16 @@
 """What the documentation's site gets beside the pages in docs/: hooks of MkDocs, see mkdocs.yml.
 
+The reference of the scene file is written from its JSON Schema, and each tutorial becomes a notebook too.
 The packages are linked into one folder, as an installation has them, where mkdocstrings reads their docstrings. Links of pages
 to files outside docs/ lead to copies of these in the site.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,11 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ROOT / "build" / "docs" / "flexfmu"
 OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:examples|benchmarks|model)/[^)#]+|[A-Z]+\.md)\)")
 """A link to a file outside docs/; its path in the repository."""
+
+
+sys.path.insert(0, str(ROOT / "generators"))
+import notebooks  # noqa: E402  # the folder of a hook isn't on the path
+import scene_reference  # noqa: E402
 
 
 def on_config(config: Any) -> Any:
@@ -35,6 +43,12 @@ def on_files(files: Files, config: Any) -> Files:
     for path in sorted({path for text in pages for path in OUTSIDE.findall(text)}):
         # as text, which browsers show
         files.append(File.generated(config, f"files/{path}.txt", content=(ROOT / path).read_bytes()))
+    schema = json.loads((ROOT / "model" / "scene" / "scene.schema.json").read_text(encoding="utf-8"))
+    page = File.generated(config, "reference/scene.md", content=scene_reference.page(schema))
+    files.append(page)
+    for path in sorted((ROOT / "docs" / "tutorials").glob("*.md")):
+        notebook = json.dumps(notebooks.notebook(path.read_text(encoding="utf-8")), indent=1)
+        files.append(File.generated(config, f"tutorials/{path.stem}.ipynb", content=notebook))
     return files
 
 

@@ -34,6 +34,7 @@ from flexfmu.cosim.cli.modes import modes
 from flexfmu.cosim.cli.paper import paper
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.scenes import new, scenes
+from flexfmu.cosim.cli.schema import schema
 from flexfmu.cosim.cli.shaper import shaper
 from flexfmu.cosim.cli.sweep import sweep
 from flexfmu.cosim.cli.validate import validate
@@ -119,5 +120,6 @@ for _command in (
     shaper,
     workprec,
     validate,
+    schema,
 ):
     app.command(short_help=_first_sentence(_command))(_reporting(_command))

@@ -22,7 +22,7 @@ def _achievable(tolerance: float) -> float:
     return tolerance
 
 
-FmuTolerance = Annotated[float, AfterValidator(_achievable), quantity("1", le=0.1)]
+FmuTolerance = Annotated[float, quantity("1", le=0.1), AfterValidator(_achievable)]
 
 
 class StepControl(Section):

@@ -22,6 +22,11 @@ def shipped_scenes() -> tuple[str, ...]:
     )
 
 
+def scene_schema() -> str:
+    """The JSON Schema of scene files, for editors; `generators/scene_schema.py` writes it."""
+    return files(__package__).joinpath("scene.schema.json").read_text(encoding="utf-8")
+
+
 def load_scene(source: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     """Read a scene from a TOML file or by the name of a shipped scene.
 
