@@ -79,7 +79,7 @@ def new(
 ) -> int:
     """Write a scene file to start from: complete, with units, choices and defaults as comments."""
     from flexfmu.cosim.reports.text import to_json
-    from flexfmu.model.scene.file import read_scene_text, shipped_scenes
+    from flexfmu.model.scene.file import read_scene_text, scene_path, shipped_scenes
 
     # usage
     if file.suffix != ".toml":
@@ -94,7 +94,10 @@ def new(
     name = re.sub(r"[^\w.+-]", "-", file.stem)
     name = name if re.search(r"\w", name) else "scene"
     text = read_scene_text(origin)[0]
-    file.write_text(re.sub(r'^name = ".*?"', f'name = "{name}"', text, count=1, flags=re.MULTILINE), encoding="utf-8")
+    text = re.sub(r'^name = ".*?"', f'name = "{name}"', text, count=1, flags=re.MULTILINE)
+    # the first line lets editors complete keys and show their units
+    schema = scene_path(origin).parents[1] / "scene.schema.json"
+    file.write_text(f"#:schema {schema.as_uri()}\n{text}", encoding="utf-8")
     # standard output
     if json:
         print_text(to_json({"path": str(file), "name": name, "from": origin}))

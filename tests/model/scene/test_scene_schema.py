@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft7Validator
 
+from flexfmu.cosim.cli.scenes import new
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import scene_schema
 from flexfmu.model.scene.keys import set_value
@@ -104,3 +105,11 @@ def test_wrong_scenes_are_rejected(key: str, value: Any, accepts: Callable[[dict
     assert not accepts(scene)
     with pytest.raises(SceneError):
         parse_scene(scene, "test")
+
+
+def test_new_scene_names_the_schema(tmp_path: Path) -> None:
+    """Editors find the schema by the first line of a scene from `flexfmu new`."""
+    assert new(tmp_path / "robot.toml") == 0
+    first = (tmp_path / "robot.toml").read_text(encoding="utf-8").splitlines()[0]
+    assert first.startswith("#:schema file://")
+    assert Path(first.removeprefix("#:schema file://")).read_text(encoding="utf-8") == scene_schema()
