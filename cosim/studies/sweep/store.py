@@ -23,6 +23,7 @@ from flexfmu.cosim.engine.files import OutputFolder, write_pieces
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.studies.sweep.cases import Cases
+from flexfmu.cosim.studies.sweep.manifest import difference, read_manifest
 from flexfmu.cosim.studies.sweep.work import Row
 
 try:
@@ -118,14 +119,14 @@ class FolderStore:
 
     def _begin(self, manifest: dict[str, Any], restart: bool) -> None:
         """Compare the sweep with the one in the folder, and read what is finished."""
-        before = _read_manifest(self.folder / MANIFEST)
-        if before is not None and before != manifest and not restart:
+        before = None if restart else read_manifest(self.folder / MANIFEST)
+        if before is not None and before != manifest:
             raise InputError(
-                f"{self.folder} has the results of another sweep: {_difference(before, manifest)}; choose another --out, or "
+                f"{self.folder} has the results of another sweep: {difference(before, manifest)}; choose another --out, or "
                 f"discard them with --restart"
             )
-        if before is None or restart:
-            if before is None and any((self.folder / name).exists() for name in (JOURNAL, TABLE)) and not restart:
+        if before is None:
+            if not restart and any((self.folder / name).exists() for name in (JOURNAL, TABLE)):
                 raise InputError(f"{self.folder} has a {TABLE} without {MANIFEST}: choose another --out, or --restart")
             self._discard()
             text = json.dumps(manifest, ensure_ascii=False, indent=1)
@@ -134,7 +135,10 @@ class FolderStore:
         self.is_complete = (self.folder / TABLE).exists()
         self._offsets = np.full(len(self._cases), -1, np.int64)
         self.done = len(self._cases)
-        if not self.is_complete:
+        if self.is_complete:
+            # it may have ended between the table and this
+            (self.folder / JOURNAL).unlink(missing_ok=True)
+        else:
             self._file = open(self.folder / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - closed by `close`
             self._recover()
 
@@ -267,50 +271,6 @@ def _line(cells: Sequence[str]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow([" ".join(each.splitlines()) for each in cells])
     return text.getvalue()
-
-
-def _read_manifest(path: Path) -> dict[str, Any] | None:
-    """What is swept in a folder; None if nothing is.
-
-    Raises:
-        ResultsError: the file can't be read.
-    """
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"can't read {path}: {error}; use --restart, or another --out") from error
-    return found
-
-
-def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """What differs between two sweeps, the first few differences."""
-    one, two = _flat(before), _flat(after)
-    found = [
-        f"{key} was {_short(one.get(key))}, now {_short(two.get(key))}"
-        for key in {**one, **two}
-        if one.get(key) != two.get(key)
-    ]
-    rest = f" and {len(found) - 3} more" if len(found) > 3 else ""
-    return ", ".join(found[:3]) + rest
-
-
-def _flat(data: Any, prefix: str = "") -> dict[str, Any]:
-    """Dotted keys of nested tables → values."""
-    if not isinstance(data, Mapping):
-        return {prefix: data}
-    return {
-        key: value
-        for name, each in data.items()
-        for key, value in _flat(each, f"{prefix}.{name}" if prefix else name).items()
-    }
-
-
-def _short(value: Any) -> str:
-    """A value for a message."""
-    text = "not there" if value is None else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _locked(folder: Path) -> Any:

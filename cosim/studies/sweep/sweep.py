@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,9 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
-from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of, digest
+from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
 from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
+from flexfmu.cosim.studies.sweep.manifest import make_manifest
 from flexfmu.cosim.studies.sweep.result import SweepResult
 from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, read_results
 from flexfmu.cosim.studies.sweep.work import Job
@@ -29,9 +29,6 @@ ShowDone = Callable[[int, int], None]
 
 CHECKED = 50
 """Number of values of a key that are checked before the sweep begins; of more, the first, the last and some between."""
-
-NAMED = 20
-"""Values of a key that the manifest lists; of more it has the ends and a hash."""
 
 
 def sweep_scene(
@@ -84,7 +81,7 @@ def sweep_scene(
         return _result(job, memory, units, None)
     # in a folder
     head = ["case", *(_titled(name, units) for name in (*cases.keys, *measure.names)), "message"]
-    with FolderStore(folder, cases, head, _manifest(job, units), restart=restart) as store:
+    with FolderStore(folder, cases, head, make_manifest(job, units), restart=restart) as store:
         _fill(store, job, workers, show)
         store.finish()
         return _result(job, read_results(folder, len(cases), len(measure.names)), units, folder)
@@ -203,34 +200,3 @@ def _units(scene: Scene, cases: Cases, measure: ChosenMetrics) -> dict[str, str]
 def _titled(name: str, units: Mapping[str, str]) -> str:
     """A heading with its unit."""
     return f"{name} [{units[name]}]" if units[name] else name
-
-
-def _manifest(job: Job, units: Mapping[str, str]) -> dict[str, Any]:
-    """What is swept: a sweep with another one doesn't continue this one."""
-    return {
-        "flexfmu": version("flexfmu"),
-        "scene": job.scene.model_dump(mode="json", exclude_none=True),
-        "cases": _described(job.cases),
-        "metrics": list(job.metrics.names),
-        "record": None if job.record is None else {"signals": list(job.record.names or ()), "step": job.record.step},
-        "units": dict(units),
-    }
-
-
-def _described(cases: Cases) -> dict[str, Any]:
-    """The cases for the manifest."""
-    found: dict[str, Any] = {"count": len(cases), "keys": list(cases.keys)}
-    if isinstance(cases, Grid):
-        found["values"] = {key: _listed(level) for key, level in zip(cases.keys, cases.levels, strict=True)}
-    if isinstance(cases, Sample):
-        found |= {"sample": cases.method, "seed": cases.seed}
-        found["values"] = {
-            key: f"{each.low!r}:{each.high!r}" if isinstance(each, Span) else _listed(each)
-            for key, each in zip(cases.keys, cases.values, strict=True)
-        }
-    return found | {"hash": digest(cases)}
-
-
-def _listed(values: Sequence[Any]) -> Any:
-    """A list of values, or the ends of a long one."""
-    return list(values) if len(values) <= NAMED else f"{len(values)} values from {values[0]!r} to {values[-1]!r}"

@@ -151,7 +151,9 @@ def _distinct(key: str, values: Values, notes: list[str]) -> Values:
     if not found:
         raise InputError(f"`{key}` has no values: give at least one")
     if len(found) < len(values):
-        notes.append(f"`{key}` has {len(values) - len(found)} values twice: each is simulated once")
+        notes.append(
+            f"`{key}`: {len(values) - len(found)} of {len(values)} values repeat others, each is simulated once"
+        )
     return found
 
 
@@ -211,7 +213,11 @@ def make_table(keys: Sequence[str], rows: Iterable[Sequence[Any]], source: str =
         known.setdefault(repr(list(row)), tuple(row))
     if not known or not keys:
         raise InputError(f"{source}: there are no cases, or no keys")
-    notes = [f"{source}: {total - len(known)} cases are there twice and simulated once"] if len(known) < total else []
+    notes = (
+        [f"{source}: {total - len(known)} of {total} cases repeat others, each is simulated once"]
+        if len(known) < total
+        else []
+    )
     return Table(tuple(keys), tuple(known.values())), notes
 
 

@@ -6,7 +6,6 @@ import contextlib
 import multiprocessing
 import os
 import pickle
-import selectors
 import signal
 import sys
 import tempfile
@@ -16,11 +15,11 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import islice
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from tempfile import TemporaryDirectory
 from threading import Lock
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.cosim.studies.sweep.groups import Share
@@ -93,30 +92,28 @@ class LocalWorkers:
         self, job: Job, left: Iterator[Share], workers: list[_Process], idle: list[_Process], unpacked: str
     ) -> Iterator[list[Row]]:
         """Yield the results; ``workers`` are all processes, ``idle`` those without work."""
-        with selectors.DefaultSelector() as selector:
-            while True:
-                # shares for every process that has none
-                while (idle or len(workers) < self.count) and (tasks := self._next(left)):
-                    if not idle:
-                        workers.append(_started(job, unpacked))
-                        selector.register(workers[-1].pipe, selectors.EVENT_READ, workers[-1])
-                    (idle.pop() if idle else workers[-1]).begin(tasks)
-                if len(idle) == len(workers):
-                    return
-                for key, _ in selector.select():
-                    worker: _Process = key.data
-                    try:
-                        found = worker.pipe.recv()
-                    except (EOFError, OSError):
-                        selector.unregister(worker.pipe)
-                        workers.remove(worker)
-                        idle[:] = [each for each in idle if each is not worker]
-                        yield self._lost(job, worker)
-                        continue
-                    if isinstance(found, BaseException):
-                        raise found
-                    self._finished(worker, idle)
-                    yield found
+        while True:
+            # shares for every process that has none
+            while (idle or len(workers) < self.count) and (tasks := self._next(left)):
+                if not idle:
+                    workers.append(_started(job, unpacked))
+                (idle.pop() if idle else workers[-1]).begin(tasks)
+            if len(idle) == len(workers):
+                return
+            busy = {worker.pipe: worker for worker in workers}
+            for pipe in wait([*busy]):
+                worker = busy[cast(Connection, pipe)]
+                try:
+                    found = worker.pipe.recv()
+                except (EOFError, OSError):
+                    workers.remove(worker)
+                    idle[:] = [each for each in idle if each is not worker]
+                    yield self._lost(job, worker)
+                    continue
+                if isinstance(found, BaseException):
+                    raise found
+                self._finished(worker, idle)
+                yield found
 
     def _next(self, left: Iterator[Share]) -> list[tuple[Share, int]]:
         """The next shares, each with the number of the trial; those that a process has lost alone."""

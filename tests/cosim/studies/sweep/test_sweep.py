@@ -239,6 +239,9 @@ def test_another_sweep_in_the_folder_is_refused(folder: Path) -> None:
 def test_restart_discards(tmp_path: Path) -> None:
     """The folder then has the new sweep alone."""
     swept(tmp_path / "out")
+    (tmp_path / "out" / "sweep.json").write_text("damaged")
+    with pytest.raises(ResultsError, match="--restart"):
+        swept(tmp_path / "out")
     found = swept(tmp_path / "out", metrics=["peak_torque_2"], record=None, record_step=None, restart=True)
     assert found.metrics == ("peak_torque_2",)
     assert not [*(tmp_path / "out" / "signals").iterdir()]

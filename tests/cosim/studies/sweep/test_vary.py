@@ -92,7 +92,7 @@ def test_grids_have_all_combinations_the_last_key_fastest() -> None:
     """In the order of nested loops; values that are there twice once, with a note."""
     cases, notes = make_cases({"a": [1, 2, 1], "b": ["x", "y"], "c": [0.5]})
     assert [cases[i] for i in range(len(cases))] == list(product([1, 2], ["x", "y"], [0.5]))
-    assert notes == ["`a` has 1 values twice: each is simulated once"]
+    assert notes == ["`a`: 1 of 3 values repeat others, each is simulated once"]
     with pytest.raises(InputError, match="is an interval"):
         make_cases({"a": Span(0.0, 1.0)})
     with pytest.raises(InputError, match="something to vary"):
