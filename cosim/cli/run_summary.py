@@ -13,7 +13,7 @@ from rich.text import Text
 from flexfmu.cosim.cli.console import print_rich
 from flexfmu.cosim.cli.result_files import files_sentence
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display
-from flexfmu.cosim.reports.motors import motor_rows
+from flexfmu.cosim.reports.motors import motor_rows, stress_rows
 from flexfmu.cosim.reports.terminal import titled_table
 
 
@@ -27,9 +27,11 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
             each: value for each, value in metrics.items() if "motor" in summary["scene"] or each not in DRIVE_METRICS
         }
         parts += [_metrics_table(name, shown, summary["errors"]), Text(health["errors_from"])]
-    motors = summary.get("motors", ())
+    motors, links = summary.get("motors", ()), summary.get("stresses", ())
     if motors:
         parts.append(_motors_table(motors))
+    if links:
+        parts.append(_stress_table(links))
     # how the run went
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))
@@ -40,7 +42,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
     sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]
-    sentences += [sentence for motor in motors for sentence in motor["exceeded"]]
+    sentences += [sentence for part in (*motors, *links) for sentence in part["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
     parts.append(Text(files_sentence(files, folder)))
     print_rich(*parts)
@@ -58,6 +60,13 @@ def _motors_table(motors: Sequence[Mapping[str, Any]]) -> Table:
     table = titled_table("Motors", "At the shaft", *(Column(head, justify="right") for head in heads))
     for name, texts in motor_rows(motors).items():
         table.add_row(name, *texts)
+    return table
+
+
+def _stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
+    table = titled_table("Stress", "Link", "Largest, from the link's base")
+    for name, text in stress_rows(links).items():
+        table.add_row(name, text)
     return table
 
 

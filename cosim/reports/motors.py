@@ -1,4 +1,4 @@
-"""Motors in reports and in the terminal: a table of margins, and torque over speed against the limits."""
+"""Motors and stresses in reports and in the terminal: tables of margins, and torque over speed against the limits."""
 
 from __future__ import annotations
 
@@ -37,6 +37,19 @@ def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]
         if any(value is not None for value in values):
             rows[name] = tuple("–" if value is None else f"{value:.4g} {unit}".rstrip() for value in values)
     return rows
+
+
+def stress_rows(links: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return name of a link → its peak stress, where and when it is, and the safety factor."""
+    return {each["link"]: _stress_text(each) for each in links}
+
+
+def _stress_text(link: Mapping[str, Any]) -> str:
+    peak = link["combined"]
+    if peak is None:
+        return "no modes, stress not known"
+    safety = "" if link["safety"] is None else f", safety {link['safety']:.3g}"
+    return f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s{safety}"
 
 
 def motor_plots(run: Run) -> Iterator[Plot]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
-from flexfmu.cosim.reports.motors import motor_rows
+from flexfmu.cosim.reports.motors import motor_rows, stress_rows
 from flexfmu.cosim.reports.page import Figure, render
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
@@ -59,6 +59,7 @@ def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Return title → rows of the tables below the plots, without empty tables."""
     tables = {
         "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
+        "Stress of the links": stress_rows(summary.get("stresses", ())),
         "Shaping": _shaping_rows(summary.get("shaping")),
         "Learning": _learning_rows(summary.get("learning")),
         "Health": _health_rows(summary["health"]),

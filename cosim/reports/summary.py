@@ -19,6 +19,7 @@ from flexfmu.cosim.metrics.metrics import Metrics
 from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
+from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene
 
@@ -69,6 +70,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
         cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
         motors: only with ``[motor]``: margins, losses and power of each motor, and a sentence for each limit that is exceeded.
+        stresses: only with ``mechanism.material.yield_strength``: peak stresses of each link, where and when, and its safety factor.
         learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad].
     """
     return {
@@ -81,6 +83,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         **({"motion": run.plan.source} if run.plan.source else {}),
         **_shaping(run),
         **_motors(run),
+        **_stresses(run),
         **_cycles(run),
         "slaves": [asdict(slave) for slave in run.slaves],
         "delays": [_delay(delay) for delay in run.delays],
@@ -211,6 +214,17 @@ def _motors(run: Run) -> dict[str, Any]:
             for load in loads
         ]
     }
+
+
+def _stresses(run: Run) -> dict[str, Any]:
+    """Return the peak stresses of the links; empty without the material's yield strength."""
+    if run.scene.mechanism.material.yield_strength is None:
+        return {}
+    try:
+        links = link_stresses(run)
+    except ResultsError:  # the derivatives were not recorded
+        return {}
+    return {"stresses": [{**asdict(link), "safety": link.safety, "exceeded": list(link.exceeded)} for link in links]}
 
 
 def _delay(delay: SignalDelay) -> dict[str, Any]:

@@ -34,6 +34,16 @@ class Material(Section):
     density: Annotated[float, quantity("kg/m3", gt=0.0)]
     youngs_modulus: Annotated[float, quantity("Pa", gt=0.0)]
     poissons_ratio: Annotated[float, quantity("1", gt=-1.0, le=0.5)] = 0.33
+    yield_strength: Annotated[float | None, quantity("Pa", gt=0.0)] = None
+
+    @model_validator(mode="after")
+    def _yields_before_it_doubles_its_length(self) -> Self:
+        if self.yield_strength is not None and self.yield_strength >= self.youngs_modulus:
+            raise ValueError(
+                f"`yield_strength` must be below `youngs_modulus` = {self.youngs_modulus:g} Pa, got {self.yield_strength:g} Pa: "
+                f"metals yield at 1e8 to 1e9 Pa"
+            )
+        return self
 
 
 class Mechanism(Section):
