@@ -28,24 +28,33 @@ _RUN_KEYS = {
     "step_control",
     "loop_solver",
 }
-_LOOP = dict.fromkeys(("controller", "shaper", "imperfection"), True)
+_LOOP = dict.fromkeys(("controller", "shaper", "imperfection", "motor"), True)
 _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
-"""Keys of the scene without influence on the model; all other keys belong to the cache key."""
+"""Keys of the scene without influence on the model; all other keys but the strength belong to the cache key."""
+_STRENGTH = "mechanism.material.yield_strength"
+_NO_STRENGTH: Any = {"mechanism": {"material": {"yield_strength"}}}
 
 
 def scene_key(scene: Scene) -> str:
     """Text that determines the scene's model: the scene as JSON without the keys that have no influence."""
     if isinstance(scene.trajectory, TrajectorySection):
-        return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE)
+        return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE | _NO_STRENGTH)
     start = f" from {scene.start}"
-    return scene.model_dump_json(exclude={**_WITHOUT_INFLUENCE, "trajectory": _PATH_KEYS | _START_KEYS}) + start
+    return (
+        scene.model_dump_json(exclude={**_WITHOUT_INFLUENCE, **_NO_STRENGTH, "trajectory": _PATH_KEYS | _START_KEYS})
+        + start
+    )
 
 
 def depends_on(key: str) -> bool:
     """Whether the model may depend on a dotted key of the scene, or on a part of what it names."""
     section, _, rest = key.partition(".")
     influenceless = _WITHOUT_INFLUENCE.get(section.partition("[")[0])
-    return influenceless is not True and (influenceless is None or rest.partition(".")[0] not in influenceless)
+    return (
+        key != _STRENGTH
+        and influenceless is not True
+        and (influenceless is None or rest.partition(".")[0] not in influenceless)
+    )
 
 
 def build_scene(

@@ -48,8 +48,9 @@ def _stress_text(link: Mapping[str, Any]) -> str:
     peak = link["combined"]
     if peak is None:
         return "no modes, stress not known"
+    change = "" if link["change"] is None else f", last mode {100.0 * link['change']:.2g} %"
     safety = "" if link["safety"] is None else f", safety {link['safety']:.3g}"
-    return f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s{safety}"
+    return f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s{change}{safety}"
 
 
 def motor_plots(run: Run) -> Iterator[Plot]:

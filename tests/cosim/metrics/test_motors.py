@@ -14,6 +14,7 @@ import pytest
 
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.bernstein import bernstein_basis
 from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
@@ -215,3 +216,14 @@ def test_page_is_right() -> None:
         unit = extra["unit"] if isinstance(extra, dict) else ""
         assert re.search(rf"^\| .*`{name}`.* \|{f' {unit} ' if unit else ' '}\|", page, re.MULTILINE), name
     assert all(f"`{name[:-2]}`" in page for name in DRIVE_METRICS)
+
+
+def test_motors_and_strengths_do_not_change_the_fmu() -> None:
+    """Variants of them share one FMU."""
+    scene = load_scene("barnard2012-6kg")
+    section = {"continuous_torque": 1.0, "peak_torque": 3.0, "maximum_speed": 300.0}
+    other = scene.replace({"motor": section, "mechanism.material.yield_strength": 2e8})
+    assert scene_key(other) == scene_key(scene)
+    assert not depends_on("motor.gear_ratio")
+    assert not depends_on("mechanism.material.yield_strength")
+    assert depends_on("mechanism.material.density")
