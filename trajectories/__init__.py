@@ -29,7 +29,7 @@ from flexfmu.trajectories.profiles import (
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 if TYPE_CHECKING:
-    from flexfmu.trajectories.own import OwnMotion, SplineTrajectory, as_trajectory
+    from flexfmu.trajectories.own import OwnMotion, as_trajectory
     from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
     from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
     from flexfmu.trajectories.table import MotionTable, write_table
@@ -65,7 +65,6 @@ __all__ = [
     "Side",
     "SinePiece",
     "SmoothPiece",
-    "SplineTrajectory",
     "TaskTrajectory",
     "Trajectory",
     "TrajectoryError",
@@ -81,7 +80,7 @@ __all__ = [
 ]
 
 _SELDOM = {
-    **dict.fromkeys(("OwnMotion", "SplineTrajectory", "as_trajectory"), "flexfmu.trajectories.own"),
+    **dict.fromkeys(("OwnMotion", "as_trajectory"), "flexfmu.trajectories.own"),
     **dict.fromkeys(("PiecewisePolynomial", "spline"), "flexfmu.trajectories.piecewise"),
     **dict.fromkeys(("from_ruckig", "from_scipy", "from_toppra"), "flexfmu.trajectories.sources"),
     **dict.fromkeys(("MotionTable", "write_table"), "flexfmu.trajectories.table"),

@@ -1,35 +1,41 @@
 """Own motions: positions that a user's class gives, as trajectories with derivatives.
 
-Between two breakpoints the positions become a spline of degree 7 through equidistant samples, with six continuous derivatives. The
-samples are doubled until the spline predicts the next ones; it then passes through those too.
+The positions become polynomials of degree 10 in time, on intervals that are halved until every other sample predicts those between
+them. The samples are at Chebyshev points, where interpolation is nearly optimal.
+
+Source: L. N. Trefethen, *Approximation Theory and Approximation Practice*, SIAM 2013, chapters 2 to 8.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from math import comb
+from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.polynomial import chebyshev
 
-from flexfmu.trajectories.curves import Side, checked_side
-from flexfmu.trajectories.errors import TrajectoryError, positive, times
-from flexfmu.trajectories.jets import RealArray, checked_order
+from flexfmu.trajectories.errors import TrajectoryError, positive
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
+DEGREE = 10
+"""Degree of the polynomials."""
 
-DEGREE = 7
-"""Degree of the splines: the references of a run need six derivatives of the position."""
-
-FEWEST, MOST = 64, 8192
-"""Numbers of intervals between two breakpoints of the first spline and of the last one that is tried."""
+NODES = -np.cos(np.pi * np.arange(17) / 16)
+"""Chebyshev points, from -1 to 1; every other one predicts the rest."""
 
 ACCURACY = 1e-12
-"""Largest error of the samples that a spline predicts, relative to the motion's extent."""
+"""Largest error of predicted samples relative to the motion's extent; that of the polynomials, through all samples, is below rounding."""
+
+SHORTEST = 1e-4
+"""Half of the shortest interval as a fraction of the duration; what needs a shorter one isn't smooth."""
+
+SAMPLES = 200
+"""Samples for the motion's extent."""
 
 AT_REST = 1e-6
 """Velocity relative to the largest one, below which the motion is at rest at its ends and does not jump at breakpoints."""
@@ -52,46 +58,8 @@ class OwnMotion(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class SplineTrajectory:
-    """Splines between breakpoints; standstill before and after. See `flexfmu.trajectories.trajectory.Trajectory`.
-
-    Attributes:
-        duration: duration of the motion [s].
-        breakpoints: times [s] at which splines meet, from 0 to the duration.
-        splines: the splines of both coordinates by time, one between each two breakpoints.
-    """
-
-    duration: float
-    breakpoints: tuple[float, ...]
-    splines: tuple[BSpline, ...]
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Return the coordinates and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
-        time = times(time)
-        return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
-
-    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
-        """See `flexfmu.trajectories.trajectory.HasLimits`."""
-        time, order = times(time), checked_order(order)
-        # the spline of each time: -1 before the motion, the number of splines after it
-        near = SAME_TIME * self.duration
-        index = np.searchsorted(self.breakpoints, time + np.where(left, -near, near), side="right") - 1
-        index[index == len(self.breakpoints) - 1] = len(self.splines)
-        result = np.zeros((order + 1, len(time), 2))
-        result[0, index < 0] = self.splines[0](0.0)
-        result[0, index == len(self.splines)] = self.splines[-1](self.duration)
-        for i, spline in enumerate(self.splines):
-            here = np.flatnonzero(index == i)
-            if here.size:
-                inside = np.clip(time[here], self.breakpoints[i], self.breakpoints[i + 1])
-                for k in range(min(order, DEGREE) + 1):
-                    result[k, here] = spline(inside, k)
-        return result
-
-
 def as_trajectory(motion: OwnMotion | Trajectory) -> Trajectory:
-    """Return a motion as a trajectory: itself if it has the members of `Trajectory`, otherwise splines of its positions.
+    """Return a motion as a trajectory: itself if it has the members of `Trajectory`, otherwise polynomials through its positions.
 
     Raises:
         TrajectoryError: something is missing, a position is not two finite numbers, the motion doesn't begin and end at rest, its
@@ -115,9 +83,15 @@ def as_trajectory(motion: OwnMotion | Trajectory) -> Trajectory:
     def sampled(at: RealArray) -> RealArray:
         return np.array([_checked(place(time), time) for time in at.tolist()])
 
-    extent = float(np.ptp(sampled(np.linspace(0.0, duration, FEWEST)), axis=0).max())
-    splines = tuple(_spline(sampled, begin, end, ACCURACY * extent) for begin, end in pairwise(points))
-    trajectory = SplineTrajectory(duration, points, splines)
+    extent = float(np.ptp(sampled(np.linspace(0.0, duration, SAMPLES)), axis=0).max())
+    found = [
+        piece
+        for begin, end in pairwise(points)
+        for piece in _pieces(sampled, begin, end, ACCURACY * extent, SHORTEST * duration)
+    ]
+    trajectory = PiecewisePolynomial(
+        np.array([*(start for start, _ in found), duration]), np.stack([each for _, each in found], axis=1)
+    )
     _check_velocity(trajectory)
     return trajectory
 
@@ -145,36 +119,53 @@ def _checked(position: Any, time: float) -> tuple[float, float]:
     return first, second
 
 
-def _spline(sampled: Callable[[RealArray], RealArray], begin: float, end: float, accuracy: float) -> BSpline:
-    """Return the spline between two breakpoints; its samples are doubled until it predicts those between them."""
-    from scipy.interpolate import make_interp_spline  # here, since few motions need scipy
-
-    time = np.linspace(begin, end, FEWEST + 1)
-    values = sampled(time)
-    while True:
-        # predict the samples halfway between the known ones
-        middles = 0.5 * (time[1:] + time[:-1])
-        between = sampled(middles)
-        error = abs(make_interp_spline(time, values, DEGREE)(middles) - between).max(axis=1)
-        time, values = _interleaved(time, middles), _interleaved(values, between)
-        if error.max() <= accuracy:
-            return make_interp_spline(time, values, DEGREE)
-        if len(time) > MOST:
-            worst = middles[int(error.argmax())]
-            raise TrajectoryError(
-                f"the own motion isn't smooth near {worst:.6g} s: add this instant to its `breakpoints` if its acceleration or a "
-                "higher derivative jumps there; position and velocity must not"
-            )
-
-
-def _interleaved(first: RealArray, second: RealArray) -> RealArray:
-    """Return the elements of both arrays in turn, one more of the first one."""
-    result = np.empty((len(first) + len(second), *first.shape[1:]))
-    result[::2], result[1::2] = first, second
-    return result
+def _pieces(
+    sampled: Callable[[RealArray], RealArray], begin: float, end: float, accuracy: float, shortest: float
+) -> list[tuple[float, RealArray]]:
+    """Return start [s] and Taylor coefficients (degree + 1, 2) of each polynomial between two times."""
+    half = 0.5 * (end - begin)
+    values = sampled(begin + half * (1.0 + NODES))
+    # every other node predicts those between them
+    error = abs(_predicted() @ values[::2] - values).max()
+    if error <= accuracy:
+        # Chebyshev coefficients first: rounding errors of the highest stay as small as these
+        fitted, shift = _chebyshev(), _taylor()
+        return [(begin, (shift @ (fitted @ values)) * half ** -np.arange(DEGREE + 1.0)[:, np.newaxis])]
+    middle = begin + half
+    if half < shortest:
+        raise TrajectoryError(
+            f"the own motion isn't smooth near {middle:.6g} s: add this instant to its `breakpoints` if its acceleration or a higher "
+            "derivative jumps there; position and velocity must not"
+        )
+    both = ((begin, middle), (middle, end))
+    return [piece for first, last in both for piece in _pieces(sampled, first, last, accuracy, shortest)]
 
 
-def _check_velocity(motion: SplineTrajectory) -> None:
+@cache
+def _predicted() -> RealArray:
+    """Return the matrix from values at every other node to those of their polynomial at all nodes."""
+    coarse = len(NODES) // 2
+    every = chebyshev.chebvander(NODES, coarse)
+    return np.asarray(every @ np.linalg.inv(every[::2]))
+
+
+@cache
+def _chebyshev() -> RealArray:
+    """Return the matrix from values at the nodes to Chebyshev coefficients up to `DEGREE`; higher ones hold rounding errors."""
+    return np.asarray(np.linalg.inv(chebyshev.chebvander(NODES, len(NODES) - 1))[: DEGREE + 1])
+
+
+@cache
+def _taylor() -> RealArray:
+    """Return the matrix from Chebyshev coefficients to Taylor coefficients about -1; whole numbers."""
+    rows = map(chebyshev.cheb2poly, np.eye(DEGREE + 1))
+    powers = np.array([np.append(row, np.zeros(DEGREE + 1 - len(row))) for row in rows])
+    # powers of x = u - 1 in powers of u
+    shift = [[comb(j, k) * (-1.0) ** (j - k) for j in range(DEGREE + 1)] for k in range(DEGREE + 1)]
+    return np.asarray(np.array(shift) @ powers.T)
+
+
+def _check_velocity(motion: PiecewisePolynomial) -> None:
     """Raise TrajectoryError unless the motion begins and ends at rest, without a jump of the velocity between."""
     points = np.array(motion.breakpoints)
     largest = abs(motion.evaluate(np.linspace(0.0, motion.duration, 1000), 1)[1]).max()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from math import cos, pi
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
 from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
-from flexfmu.trajectories.profiles import BangBang, SeventhDegreePolynomial, Trapezoidal
+from flexfmu.trajectories.own import as_trajectory
+from flexfmu.trajectories.profiles import BangBang, DoubleS, SeventhDegreePolynomial, Trapezoidal
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped_joints import ShapedTrajectory
 
@@ -25,11 +27,25 @@ PROMISE = 1e-12
 
 LEFT, RIGHT = 1, 2
 
+
+class Arch:
+    """An own motion: 20 cm to the right over an arch."""
+
+    duration = 0.4
+
+    def position(self, time: float) -> tuple[float, float]:
+        """x and y [m]."""
+        angle = pi * (1.0 - cos(pi * time / self.duration)) / 2.0
+        return -0.1 * cos(angle), 0.02 * cos(angle) ** 2
+
+
 ROBOT = {
     "lame-poly7": lambda: lame(SeventhDegreePolynomial()),
     "lame-bang-bang": lambda: lame(BangBang()),
     "clothoid-trapezoidal": lambda: robot(ClothoidPair, Trapezoidal(0.2)),
     "polar-bang-bang": lambda: robot(PolarPolynomial, BangBang()),
+    "lame-double-s": lambda: lame(DoubleS(0.3, 0.1)),
+    "own": lambda: as_trajectory(Arch()),
     "shaped": lambda: ShapedTrajectory(lame(BangBang()), ImpulseSequence((0.0, 0.0123, 0.03), (0.5, 0.3, 0.2))),
 }
 
