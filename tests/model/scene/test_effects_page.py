@@ -19,7 +19,10 @@ from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.motion import TrajectorySection
 
 ROOT = Path(__file__).parents[3]
-PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("effects.md", "control-loop.md", "motions.md")]
+PAGES = [
+    (ROOT / "docs" / name).read_text(encoding="utf-8")
+    for name in ("effects.md", "control-loop.md", "motions.md", "motors.md")
+]
 TEXT = "\n".join([(ROOT / "README.md").read_text(encoding="utf-8"), *PAGES])
 
 
