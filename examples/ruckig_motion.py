@@ -20,8 +20,8 @@ ruckig.Ruckig(2).calculate(limits, fastest)
 motion = from_ruckig(fastest)
 print(f"{motion.duration:.4f} s, {len(motion.breakpoints)} breakpoints")
 
-# as a table, which any scene can name
+# the robot's motion, and a table for scene files: trajectory = { kind = "table", file = "ruckig.csv" }
+run = flexfmu.run(scene, trajectory=motion)
 write_table("ruckig.csv", motion)
-run = flexfmu.run(scene.replace({"trajectory": {"kind": "table", "file": "ruckig.csv", "dwell": 0.1}}))
 for name in ("peak_torque_1", "residual_vibration_amplitude"):
     print(name, flexfmu.measure_run(run)[name].value)

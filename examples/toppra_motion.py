@@ -22,8 +22,8 @@ fastest = TOPPRA(limits, toppra.SplineInterpolator(np.linspace(0.0, 1.0, len(pla
 motion = from_toppra(fastest)
 print(f"{motion.duration:.4f} s, {len(motion.breakpoints)} breakpoints")
 
-# as a table, which any scene can name
+# the robot's motion, and a table for scene files: trajectory = { kind = "table", file = "toppra.csv" }
+run = flexfmu.run(scene, trajectory=motion)
 write_table("toppra.csv", motion)
-run = flexfmu.run(scene.replace({"trajectory": {"kind": "table", "file": "toppra.csv", "dwell": 0.1}}))
 for name in ("peak_torque_1", "residual_vibration_amplitude"):
     print(name, flexfmu.measure_run(run)[name].value)

@@ -30,6 +30,12 @@ COLUMNS: Mapping[Coordinates, tuple[tuple[str, str], ...]] = {
 UNITS: Mapping[Coordinates, str] = {"end-effector": "m", "joints": "rad"}
 """Coordinates → unit of the positions."""
 
+JERK = 3
+"""Highest derivative of a table."""
+
+ROUNDING = 1e-9
+"""Jump of acceleration or jerk, relative to the largest one at any breakpoint, below which one row is written."""
+
 DEFAULT_DEGREE = 5
 """Degree of a spline, unless given derivatives need a higher one."""
 
@@ -138,28 +144,31 @@ def write_table(
         trajectory: the motion.
         coordinates: what moves; None for the trajectory's own ``coordinates``, or the end effector if it has none.
         rows: number of intervals into which each interval between breakpoints is divided; None for one if the motion is a
-            `PiecewisePolynomial`, otherwise for 50.
+            `PiecewisePolynomial` of degree 7 or less, otherwise for 50.
 
     Raises:
         TrajectoryError: the file can't be written.
     """
-    exact = isinstance(trajectory, PiecewisePolynomial)
-    knots = trajectory.knots if isinstance(trajectory, PiecewisePolynomial) else np.array(trajectory.breakpoints)
-    parts = rows or (1 if exact else 50)
-    times = np.unique(np.concatenate([np.linspace(a, b, parts + 1) for a, b in pairwise(knots.tolist())]))
-    # both limits at inner breakpoints, the inner ones at start and end
-    jumps = np.isin(times, trajectory.breakpoints[1:-1])
+    knots, parts = trajectory.breakpoints, rows or 50
+    if isinstance(trajectory, PiecewisePolynomial) and trajectory.degree <= 2 * JERK + 1:
+        knots, parts = tuple(trajectory.knots.tolist()), rows or 1
+    times = np.unique(np.concatenate([np.linspace(a, b, parts + 1) for a, b in pairwise(knots)]))
+    # both limits where acceleration or jerk jump, the inner ones at start and end
+    inner = np.array(trajectory.breakpoints[1:-1])
+    before, after = (limits(trajectory, inner, np.full(inner.shape, left), JERK)[2:] for left in (True, False))
+    largest = np.maximum(abs(before), abs(after)).max(axis=(1, 2), initial=0.0, keepdims=True)
+    jumps = np.isin(times, inner[(abs(after - before) > ROUNDING * largest).any(axis=(0, 2))])
     instants = np.repeat(times, 1 + jumps)
     left = np.concatenate([[False], np.diff(instants, append=np.inf)[1:] == 0.0])
     left[-1] = True
-    values = limits(trajectory, instants, left, 3)
+    values = limits(trajectory, instants, left, JERK)
     # position and velocity don't jump
-    after = np.flatnonzero(np.diff(instants) == 0.0) + 1
-    values[:2, after] = values[:2, after - 1]
+    second = np.flatnonzero(np.diff(instants) == 0.0) + 1
+    values[:2, second] = values[:2, second - 1]
     own: Coordinates = getattr(trajectory, "coordinates", "end-effector")
     moving = own if coordinates is None else coordinates
     header = ["time", *(name for pair in COLUMNS[moving] for name in pair)]
-    table = np.column_stack([instants, *(values[order, :, axis] for order in range(4) for axis in range(2))])
+    table = np.column_stack([instants, *(values[order, :, axis] for order in range(JERK + 1) for axis in range(2))])
     lines = [",".join(header), *(",".join(map(repr, row)) for row in table.tolist())]
     try:
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -139,7 +139,7 @@ def test_written_as_it_is_read(tmp_path: Path) -> None:
     write_table(tmp_path / "a.csv", exact, "joints")
     table = read_table(tmp_path / "a.csv")
     instants = np.linspace(0.0, 1.1, 57)
-    assert (table.coordinates, len(table.time)) == ("joints", 6)
+    assert (table.coordinates, len(table.time)) == ("joints", 4)
     np.testing.assert_allclose(table.trajectory().evaluate(instants, 4), exact.evaluate(instants, 4), atol=1e-10)
     # a motion that is no polynomial, with jumps of the acceleration
     path = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
