@@ -65,6 +65,10 @@ def as_trajectory(motion: OwnMotion | Trajectory) -> Trajectory:
         TrajectoryError: something is missing, a position is not two finite numbers, the motion doesn't begin and end at rest, its
             velocity jumps, or it isn't smooth between its breakpoints.
     """
+    if isinstance(motion, type):
+        raise TrajectoryError(
+            f"an own motion is an object of its class: give {motion.__name__}() in place of {motion.__name__}"
+        )
     if all(hasattr(motion, name) for name in ("duration", "breakpoints", "evaluate")):
         return cast(Trajectory, motion)
     for name in ("duration", "position"):

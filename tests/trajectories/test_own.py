@@ -118,6 +118,7 @@ def test_the_duration_may_be_a_method() -> None:
 @pytest.mark.parametrize(
     ("motion", "message"),
     [
+        (Cycloid, r"an own motion is an object of its class: give Cycloid\(\) in place of Cycloid"),
         (object(), "object has no `duration`: an own motion needs `duration`"),
         (changed(Cycloid, duration=0.0), "duration of the own motion must be above zero and finite, got 0 s"),
         (changed(Cycloid, position=lambda self, time: 1.0), r"position\(0\) must return two numbers, got 1\.0"),

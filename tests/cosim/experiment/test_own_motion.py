@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from math import pi, sin
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,3 +138,11 @@ def test_motions_that_the_robot_cannot_make_are_refused() -> None:
     choosing = robot().replace({"effects": {**data, "select": "auto", "tolerance": 0.01, "of": ["peak_torque_1"]}})
     with pytest.raises(InputError, match='has `select = "auto"`, which chooses the effects for the scene\'s own path'):
         flexfmu.run(choosing, trajectory=Line())
+
+
+def test_the_pages_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """docs/motions.md can be copied."""
+    page = (Path(__file__).parents[3] / "docs" / "motions.md").read_text(encoding="utf-8")
+    (example,) = (block for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "class " in block)
+    exec(example, {"__name__": "example"})
+    assert 10.0 < float(capsys.readouterr().out) < 60.0
