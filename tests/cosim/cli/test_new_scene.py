@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene, read_scene_text, scene_path, shipped_scenes
+from flexfmu.model.scene.keys import parse_setting
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
+
+ROOT = Path(__file__).parents[3]
 
 DEFAULT = re.compile(r"^# (\w+ = .*)$", re.M)
 """A key behind a #."""
@@ -76,6 +82,22 @@ def test_a_new_scene_runs_from_its_folder(tmp_path: Path, monkeypatch: pytest.Mo
     assert json.loads(result.stdout)["scene"] == "robot"
 
 
+def test_the_commands_of_the_page_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lists and new files are written in their order; of the others the scene, the settings and the options are right."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    lines = re.findall(r"^    flexfmu (.*)$", (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8"), re.M)
+    assert len(lines) > 6
+    for name, *arguments in (shlex.split(line, comments=True) for line in lines):
+        if name in ("new", "scenes"):
+            assert flexfmu(name, *arguments).exit_code == 0
+            continue
+        command: Any = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+        given = command.make_context(name, arguments).params
+        changes = dict(map(parse_setting, given["settings"] or ()))
+        assert (load_scene(given["scene"], changes) != load_scene(given["scene"])) == bool(changes)
+
+
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_each_key_behind_a_hash_has_its_default_value(name: str, tmp_path: Path) -> None:
     """Without its # a line is valid and changes nothing, in the sections; a wrong default or an old key shows."""
@@ -90,13 +112,14 @@ def test_each_key_behind_a_hash_has_its_default_value(name: str, tmp_path: Path)
 
 
 def test_the_optional_tables_are_valid(tmp_path: Path) -> None:
-    """Without their # the tables of controllers, shaper and imperfection make a scene that torques drive."""
+    """Without their # the tables of controllers, shaper and imperfection and the motors make a scene that torques drive."""
     text = read_scene_text(shipped_scenes()[0])[0].replace('drive = "motion"', 'drive = "torque"')
     head, sign, tail = text.partition("# Without the #")
-    scene = written(tmp_path, head + sign + re.sub(r"^# (?=\[\[|\w+ = )", "", tail, flags=re.M))
+    scene = written(tmp_path, head + sign + re.sub(r"^# (?=\[|\w+ = )", "", tail, flags=re.M))
     assert [each.kind for each in scene.controller] == ["pd", "feedforward"]
     assert [each.kind for each in scene.shaper] == ["zvd"]
     assert [each.kind for each in scene.imperfection] == ["encoder"]
+    assert scene.motor is not None
 
 
 @pytest.mark.parametrize("name", shipped_scenes())
