@@ -10,11 +10,10 @@ import math
 
 import numpy as np
 
-from flexfmu.model.kinematics import RigidForwardKinematics
 from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.mechanism import LinkSection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.jets import Jet, RealArray
+from flexfmu.trajectories.jets import RealArray
 
 
 def load_mass_matrix(scene: Scene, joints: RealArray) -> RealArray:
@@ -25,12 +24,13 @@ def load_mass_matrix(scene: Scene, joints: RealArray) -> RealArray:
     mechanism, count = scene.mechanism, len(joints)
     length = mechanism.proximal.length
     masses = [_mass(link, mechanism.material.density) for link in (mechanism.proximal, mechanism.distal)]
-    angles = Jet.constant(joints[:, 0], 0), Jet.constant(joints[:, 1], 0)
-    position = [each.coefficients[0] for each in RigidForwardKinematics(mechanism).end_effector(*angles)]
-    end = np.stack(position, axis=-1)
-    # elbows, and their velocities for unit rates
+    # elbows, the end effector beside the middle between them, and velocities for unit rates
     cosine, sine = np.cos(joints), np.sin(joints)
     elbows = np.array(bases(mechanism)) + length * np.stack([cosine, sine], axis=-1)
+    line = elbows[:, 1] - elbows[:, 0]
+    side = 1.0 if mechanism.assembly_mode == "left" else -1.0
+    height = side * np.sqrt(mechanism.distal.length**2 / np.sum(line**2, axis=1) - 0.25)
+    end = elbows.mean(axis=1) + height[:, np.newaxis] * np.stack([-line[:, 1], line[:, 0]], axis=-1)
     arms, turning = end[:, np.newaxis] - elbows, length * np.stack([-sine, cosine], axis=-1)
     drive = np.zeros((count, 2, 2))
     for leg in (0, 1):

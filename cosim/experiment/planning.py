@@ -78,6 +78,10 @@ class Tabulated:
         return found
 
 
+POSES = 401
+"""Number of poses at which a motion is examined."""
+
+
 @dataclass(frozen=True, repr=False)
 class MotionPlan:
     """The planned motion of a scene; during the dwell it stands still at the end point.
@@ -140,6 +144,12 @@ class MotionPlan:
         end = np.array([self.duration])
         joints, position = (each.evaluate(end, 0, side="left")[0, 0] for each in (self.joints, self.task))
         return joints, position
+
+    @cached_property
+    def poses(self) -> RealArray:
+        """(`POSES`, 2) joint angles [rad] at equidistant instants of the motion, both ends included."""
+        instants = np.linspace(0.0, self.once.duration, POSES)
+        return np.asarray(self.once.joints.evaluate(instants, 0, "left")[0])
 
     @cached_property
     def tabulated(self) -> tuple[Tabulated, Tabulated]:

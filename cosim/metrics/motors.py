@@ -25,9 +25,6 @@ from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.model.rigid_inertia import load_mass_matrix
 from flexfmu.model.scene.motor import Motor
 
-POSES, REFINEMENTS = 401, 9
-"""Number of poses along the motion among which the largest inertia of the load is looked for, and of searches, each ten times finer."""
-
 
 @dataclass(frozen=True)
 class Margin:
@@ -139,19 +136,9 @@ def motor_loads(run: Run, motors: Motor | Sequence[Motor] | None = None) -> tupl
 
 
 def largest_load_inertia(run: Run) -> tuple[float, float]:
-    """Return the largest inertia of the load [kg.m2] at each joint along the motion, the other motor standing still."""
-    largest = []
-    for joint in (0, 1):
-        # the best pose, then ever nearer ones about it
-        time, spacing = np.linspace(0.0, run.plan.duration, POSES), run.plan.duration / (POSES - 1)
-        for _ in range(REFINEMENTS):
-            joints = run.plan.joints.evaluate(time, 0, "left")[0]
-            inertia = load_mass_matrix(run.robot, joints)[:, joint, joint]
-            best = int(np.argmax(inertia))
-            time = np.clip(time[best] + spacing * np.linspace(-1.0, 1.0, 21), 0.0, run.plan.duration)
-            spacing /= 10.0
-        largest.append(float(inertia[best]))
-    return largest[0], largest[1]
+    """Return the largest inertia of the load [kg.m2] at each joint, the other motor standing still, among the plan's poses."""
+    matrices = load_mass_matrix(run.robot, run.plan.poses)
+    return float(matrices[:, 0, 0].max()), float(matrices[:, 1, 1].max())
 
 
 def inertia_ratios(run: Run) -> tuple[float | None, float | None]:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
@@ -28,8 +29,8 @@ PLACES = np.linspace(0.0, 1.0, 101)
 INSTANTS = np.linspace(0.0, 1.0, 5)
 """Normalised times of each communication step."""
 
-BLOCK = 1000
-"""Communication steps that are evaluated at once, for little memory."""
+BLOCK = 5000
+"""Instants that are evaluated at once, for little memory."""
 
 LINKS: tuple[tuple[str, LinkGroup], ...] = (
     ("link11", "proximal"),
@@ -117,10 +118,10 @@ def _stress(recording: Recording, scene: Scene, link: str, group: LinkGroup) -> 
     if not known or recording.time.size < 2:
         return LinkStress(link, None, None, None, None, limit)
     peaks = [None if family is None else _peak(recording, [family], length) for family in families]
-    combined = _peak(recording, known, length)
+    combined = _peak(recording, known, length) if len(known) == 2 else peaks[0] or peaks[1]
     fewer = [(names[:-1], gains[:-1]) for names, gains in known]
     change = None
-    if all(names for names, _ in fewer) and combined.value:
+    if all(names for names, _ in fewer) and combined is not None and combined.value:
         change = abs(_peak(recording, fewer, length).value / combined.value - 1.0)
     return LinkStress(link, peaks[0], peaks[1], combined, change, limit)
 
@@ -143,15 +144,25 @@ def _family(recording: Recording, scene: Scene, link: str, group: LinkGroup, dir
 def _peak(recording: Recording, families: Sequence[_Family], length: float) -> StressPeak:
     """Return the largest sum of the magnitudes of the families' stresses."""
     signals = [segments(recording, names) for names, _ in families]
+    gains = [gain for _, gain in families]
+    # coordinates at all instants (N, modes), and upper bounds of the stress there
+    values = [np.concatenate(each.evaluate(INSTANTS).swapaxes(0, 1)) for each in signals]
+    bounds = sum((np.abs(q) @ np.abs(gain).max(axis=1) for q, gain in zip(values, gains, strict=True)), np.zeros(1))
+
+    def stress(chosen: NDArray[np.intp]) -> RealArray:
+        parts = [np.abs(q[chosen] @ gain) for q, gain in zip(values, gains, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
+
+    # only instants whose bound reaches the largest stress where the bound is largest
+    reached = float(stress(np.array([np.argmax(bounds)])).max())
+    candidates = np.flatnonzero(bounds >= reached)
     best = StressPeak(0.0, 0.0, float(recording.time[0]))
-    for first in range(0, signals[0].start.size, BLOCK):
-        some = [signal.select(slice(first, first + BLOCK)) for signal in signals]
-        parts = [each.evaluate(INSTANTS) @ gains for each, (_, gains) in zip(some, families, strict=True)]
-        # (instants, steps, places)
-        stress: RealArray = np.sum(np.abs(parts), axis=0)
-        instant, step, place = np.unravel_index(int(np.argmax(stress)), stress.shape)
-        value = float(stress[instant, step, place])
-        if value > best.value:
-            time = some[0].start[step] + INSTANTS[instant] * some[0].duration[step]
-            best = StressPeak(value, length * float(PLACES[place]), float(time))
+    for first in range(0, candidates.size, BLOCK):
+        chosen = candidates[first : first + BLOCK]
+        found = stress(chosen)
+        row, place = np.unravel_index(int(np.argmax(found)), found.shape)
+        if found[row, place] > best.value:
+            step, instant = divmod(int(chosen[row]), INSTANTS.size)
+            time = signals[0].start[step] + INSTANTS[instant] * signals[0].duration[step]
+            best = StressPeak(float(found[row, place]), length * float(PLACES[place]), float(time))
     return best
