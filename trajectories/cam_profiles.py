@@ -71,7 +71,7 @@ class Cycloidal(Smooth):
 class ModifiedSine(CamProfile):
     """Modified sine: the acceleration is a quarter of a fast sine, half a slow one, a quarter of a fast one.
 
-    C_v = 4π/(4 + π) = 1.760, C_a = 4π²/(4 + π) = 5.528: the lowest peak power of the usual profiles.
+    C_v = 4π/(4 + π) = 1.760, C_a = 4π²/(4 + π) = 5.528; the peak of their product, of which the inertial power follows, is 5.46.
     """
 
     @property
@@ -92,7 +92,7 @@ class ModifiedSine(CamProfile):
 class ModifiedTrapezoid(CamProfile):
     """Modified trapezoid: the acceleration is a trapezoid whose flanks are quarters of a sine.
 
-    C_v = 2, C_a = 8π/(2 + π) = 4.888: the lowest peak acceleration of the usual profiles.
+    C_v = 2, C_a = 8π/(2 + π) = 4.888.
     """
 
     @property
