@@ -18,7 +18,7 @@ distributed = pytest.importorskip("distributed")
 SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
     {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "cosimulation.step": 1e-3, "cosimulation.tolerance": 1e-3}
 )
-CASES = {"trajectory.duration": "0.2:0.25:60", "payload.mass": [5.0, 6.0]}
+CASES = {"trajectory.duration": "0.2:0.25:20", "payload.mass": [5.0, 6.0]}
 METRICS = ["end_position_error"]
 
 
