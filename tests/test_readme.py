@@ -1,4 +1,4 @@
-"""The README tells the truth: its code runs, its commands exist, its names are complete and its figures come out."""
+"""README and docs tell the truth: their code runs, their commands exist, their names are complete and their figures come out."""
 
 from __future__ import annotations
 
@@ -33,16 +33,14 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 POLYNOMIAL = "7th order polynomial"
 
 
-def blocks(language: str) -> list[str]:
+def blocks(language: str, text: str = README) -> list[str]:
     """Fenced blocks of a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
-def section(heading: str) -> str:
-    """Text below a heading, down to the next one."""
-    found = re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", README, re.DOTALL | re.MULTILINE)
-    assert found is not None, heading
-    return found.group(1)
+def page(name: str) -> str:
+    """A page of docs/."""
+    return (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
 
 
 def rows(text: str) -> list[list[str]]:
@@ -91,35 +89,51 @@ def test_python_blocks_run(tmp_path: Path) -> None:
     assert (tmp_path / "results.csv").is_file()
 
 
-def test_commands_exist() -> None:
-    """Every command of the README is one of the program's, with these options, and every command of the program is there."""
+@pytest.mark.parametrize("name", ["README", *(path.stem for path in (ROOT / "docs").rglob("*.md"))])
+def test_commands_exist(name: str) -> None:
+    """Every command that a text shows is one of the program's, with these options."""
+    (path,) = [ROOT / "README.md"] if name == "README" else (ROOT / "docs").rglob(f"{name}.md")
+    text = path.read_text(encoding="utf-8")
     commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
-    typed = [line for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
-    typed += [f"$ {line}" for line in re.findall(r"`(flexfmu [^`]*)`", README)]
+    typed = [line for block in blocks("console", text) for line in block.splitlines() if line.startswith("$ flexfmu")]
+    typed += [f"$ {line}" for line in re.findall(r"`(flexfmu [a-z][^`]*)`", text)]
     for line in typed:
-        program, name, *arguments = shlex.split(line.removeprefix("$ ").translate(str.maketrans("", "", "[]")))
-        assert program == "flexfmu"
-        options = {option for parameter in commands[name].params for option in parameter.opts}
-        assert {argument for argument in arguments if argument.startswith("-")} <= options, line
-    assert all(f"**`flexfmu {name}" in README for name in commands)
+        _, command, *arguments = shlex.split(
+            line.removeprefix("$ ").translate(str.maketrans("", "", "[]")), comments=True
+        )
+        options = {option for parameter in commands[command].params for option in parameter.opts} | {"--help"}
+        assert {re.sub("=.*", "", each) for each in arguments if re.match("-[-a-z]", each)} <= options, line
+
+
+def test_every_command_is_named() -> None:
+    """In the README's table, and with its options in docs/commands.md."""
+    for name in get_command(app).commands:  # type: ignore[attr-defined]
+        assert f"`flexfmu {name}" in README
+        assert f"**`flexfmu {name}" in page("commands"), name
 
 
 def test_files_and_targets_exist() -> None:
     """Links lead to files, scripts that are to be run exist, and so do the targets of make."""
-    for link in re.findall(r"\]\(([^)#:]+)\)", README):
+    for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", README):
         assert (ROOT / link).exists(), link
-    for script in re.findall(r"`python (?!-m )([^` ]+)", README):
-        assert (ROOT / script).is_file(), script
+    for text in (README, *(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))):
+        for script in re.findall(r"`python (?!-m )([^` ]+/[^` ]+)", text):
+            assert (ROOT / script).is_file(), script
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"^    make (\w+)", README, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
     assert (ROOT / "docs" / "overview.png").stat().st_size < 300_000
 
 
+def test_readme_is_short() -> None:
+    """What few users need is in docs/."""
+    assert len(README.splitlines()) < 250
+
+
 def test_every_example_is_listed() -> None:
     """Nobody has to find an example by chance."""
     for script in (ROOT / "examples").glob("*.py"):
-        assert f"](examples/{script.name})" in README, script.name
+        assert f"](../examples/{script.name})" in page("examples"), script.name
 
 
 def test_scene_file_is_the_shipped_one() -> None:
@@ -131,16 +145,16 @@ def test_scene_file_is_the_shipped_one() -> None:
 def test_metrics_and_summary_are_complete(run: Run, metrics: dict[str, Measurement]) -> None:
     """The tables name every metric with its unit, and every key of summary.json."""
     for name, info in ALL_METRICS.items():
-        row = next(row for row in rows(section("Results")) if f"`{name}`" in row[0])
+        row = next(row for row in rows(page("metrics")) if f"`{name}`" in row[0])
         units = row[1].split(", ")
         assert info.unit == units[row[0].split(", ").index(f"`{name}`") if len(units) > 1 else 0]
-    keys = " ".join(row[0] for row in rows(section("Results")))
+    keys = " ".join(row[0] for row in rows(page("metrics")))
     assert all(f"`{key}`" in keys for key in summarise(run, metrics))
 
 
 def test_variables_of_the_fmu(run: Run) -> None:
     """All parameters are named, and all inputs and outputs are of the named kinds."""
-    text = section("The FMU")
+    text = page("fmu")
     description = open_fmu(run.fmu_path).description
     assert all(f"`{name}`" in text for name in parameter_names(description))
     for variable in description.modelVariables:
@@ -162,7 +176,7 @@ def test_metrics_of_the_quick_start(metrics: dict[str, Measurement]) -> None:
 
 def test_modes_table() -> None:
     """The shown frequencies are those of the scene."""
-    shown = next(block for block in blocks("console") if "modes" in block).splitlines()[3:]
+    shown = next(block for block in blocks("console", page("commands")) if "modes" in block).splitlines()[3:]
     poses = modes_along_path(plan(load_scene("barnard2012-6kg")), 3)
     for line, pose in zip(shown, poses, strict=True):
         values = [pose.s, pose.x, pose.y, pose.q11, pose.q21, *pose.frequencies[:6]]
@@ -171,7 +185,7 @@ def test_modes_table() -> None:
 
 def test_paper_figures_of_the_trajectories_and_frequencies() -> None:
     """Lengths, accelerations and frequencies beside the paper's, reproduced or not."""
-    text = section("Against the paper")
+    text = page("paper")
     for label, computed in {
         "Table 2: length of the Lamé": 1e3 * blend_length("Lamé"),
         "Table 2: length of the clothoid": 1e3 * blend_length("Clothoid"),
@@ -190,7 +204,7 @@ def test_paper_figures_of_the_trajectories_and_frequencies() -> None:
 @pytest.mark.slow
 def test_paper_figures_of_the_simulations(metrics: dict[str, Measurement]) -> None:
     """Figures of Tables 7, 8, 9 and 11, each with its difference from the printed one."""
-    text = section("Against the paper")
+    text = page("paper")
 
     def measured(scene: str, profile: str, curve: str) -> dict[str, Measurement]:
         return dict(measure_run(run_scene(case_scene(scene, profile, curve))))
@@ -219,8 +233,8 @@ def test_paper_figures_of_the_simulations(metrics: dict[str, Measurement]) -> No
 
 
 def test_printed_figures_are_the_paper_s() -> None:
-    """No printed figure in the README that isn't in the tables of the paper as they are kept."""
-    for row in rows(section("Against the paper")):
+    """No printed figure that isn't in the tables of the paper as they are kept."""
+    for row in rows(page("paper")):
         found = re.match(r"Table (\d+):", row[0])
         if found:
             table = printed_table(f"table-{int(found.group(1)):02d}")
@@ -234,7 +248,7 @@ def test_accuracy_table(run: Run) -> None:
     exact = run_scene(scene, fmu_path=fmu, communication_step=1e-3, tolerance=1e-12)
     peak = measure_run(run)["peak_torque_1"].value
     assert peak is not None
-    stated = [row for row in rows(section("Accuracy and speed")) if row[0] == "1 ms"]
+    stated = [row for row in rows(page("speed")) if row[0] == "1 ms"]
     assert len(stated) == 3
     for _, tolerance, _, _, steps, _, torque, _ in stated:
         result = run_scene(scene, fmu_path=fmu, communication_step=1e-3, tolerance=float(tolerance))

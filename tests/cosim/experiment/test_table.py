@@ -16,7 +16,7 @@ SCRIPT = ROOT / "benchmarks" / "shapers_in_the_loop.py"
 
 @pytest.mark.slow
 def test_the_table(tmp_path: Path) -> None:
-    """Every combination is there, with the README's figures; a shaper takes vibration away with every drive, and a controller rests off the end pose
+    """Every combination is there, with the figures of docs/shapers.md; a shaper takes vibration away with every drive, and a controller rests off the end pose
     where the payload is wrong."""
     command = [sys.executable, str(SCRIPT), "--out", str(tmp_path), "--errors", "3", "--only", "unshaped", "zvd"]
     outcome = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
@@ -33,15 +33,15 @@ def test_the_table(tmp_path: Path) -> None:
             assert float(shaped["peak_torque"]) < float(unshaped["peak_torque"])
             if drive != "perfect drive":
                 assert (float(shaped["rest_offset"]) > 1e-4) == (error != 0.0)
-    assert_readme_agrees(rows)
+    assert_page_agrees(rows)
 
 
-def assert_readme_agrees(rows: Sequence[Mapping[str, str]]) -> None:
-    """The README prints these residual vibrations, to its last digit but for rounding."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def assert_page_agrees(rows: Sequence[Mapping[str, str]]) -> None:
+    """docs/shapers.md prints these residual vibrations, to its last digit but for rounding."""
+    page = (ROOT / "docs" / "shapers.md").read_text(encoding="utf-8")
     for row in rows:
         title = f"#### Residual vibration [µm], {row['drive']}, by payload error"
-        table = readme.split(title)[1].split("####")[0]
+        table = page.split(title)[1].split("####")[0]
         line = next(line for line in table.splitlines() if line.startswith(f"| {row['shaper']} |"))
         column = {-0.3: 3, 0.0: 6, 0.3: 9}[round(float(row["payload_error"]), 6)]
         assert float(line.split("|")[column]) == pytest.approx(1e6 * float(row["residual_vibration"]), abs=0.06)
