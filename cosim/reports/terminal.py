@@ -10,8 +10,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.measure import Measurement
+from rich.style import StyleType
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -37,7 +38,7 @@ def titled_table(title: str, *columns: Column | str, keys: int = 1) -> Table:
         keys: number of first columns that name a row, and are there again where the table goes on.
     """
     heads = [each if isinstance(each, Column) else Column(each) for each in columns]
-    # square brackets are units here, not rich's markup
+    # no markup here either
     for head in heads:
         head.header = Text(head.header) if isinstance(head.header, str) else head.header
     return FittingTable(*heads, title=Text(title), keys=keys)
@@ -52,6 +53,13 @@ class FittingTable(Table):
             *columns, box=box.SIMPLE_HEAD, title=title or None, title_justify="left", title_style="bold", pad_edge=False
         )
         self.keys = keys
+
+    def add_row(
+        self, *renderables: RenderableType | None, style: StyleType | None = None, end_section: bool = False
+    ) -> None:
+        """Add a row, whose texts are no markup: square brackets are units here."""
+        cells = (Text(each) if isinstance(each, str) else each for each in renderables)
+        super().add_row(*cells, style=style, end_section=end_section)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Render the table as it is where it fits, else in parts."""

@@ -14,11 +14,15 @@ from rich.table import Column, Table
 
 from flexfmu.cosim.choices.effects.study import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.choices.shapers.table import terminal_table as shaper_table
+from flexfmu.cosim.cli.compare import _metrics_table as compare_table
 from flexfmu.cosim.cli.fmus import _table as fmus_table
 from flexfmu.cosim.cli.run_ssp import _ranges as ranges_table
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
-from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.cli.run_summary import _motors_table as motors_table
+from flexfmu.cosim.cli.scenes import _table as scenes_table
+from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_table
+from flexfmu.cosim.reports.motors import VALUES
 from flexfmu.cosim.reports.terminal import FittingTable, titled_table
 from flexfmu.cosim.studies.hard.suite import terminal_table as hard_table
 from flexfmu.cosim.studies.workprec.study import terminal_table as workprec_table
@@ -27,6 +31,15 @@ WIDTHS = (60, 80, 120)
 POSES = [
     ModalPose(i / 10, -0.175, 0.32, -1.2345, 2.3456, (31.25, 98.76, 543.21, 6543.2, 65432.1, 7.0)) for i in range(3)
 ]
+
+
+SCENE_FACTS = {
+    "name": "barnard2012-6kg",
+    "description": "The robot",
+    "payload_mass": 6.0,
+    "duration": 0.43,
+    "drive": "motion",
+}
 
 
 def printed(table: Any, width: int) -> str:
@@ -62,6 +75,9 @@ def scene_tables() -> dict[str, Callable[[], Table]]:
             "barnard2012-6kg", dict.fromkeys(METRICS, 1.23456e3), dict.fromkeys(METRICS, 1.23e-4)
         ),
         "run ssp": ssp_ranges,
+        "run, motors": motors,
+        "compare": compared,
+        "scenes": lambda: scenes_table([SCENE_FACTS, SCENE_FACTS | {"payload_mass": 123.456}]),
         "modes": lambda: modes_table("barnard2012-6kg", POSES)[0],
         "shaper": shaper_results,
         "workprec": work_precision,
@@ -79,6 +95,26 @@ def ssp_ranges() -> Table:
     column = SimpleNamespace(values=values, texts=None, unit="kg.m2/s2")
     names = "robot.end_effector.acceleration.x", "robot.link11.bending[1]"
     return ranges_table("system", SimpleNamespace(recording=SimpleNamespace(columns=dict.fromkeys(names, column))))  # type: ignore[arg-type]
+
+
+def motors() -> Table:
+    """Margins of two motors with long names."""
+    margin = {"name": "RMS torque", "value": 0.86194321, "limit": 1.2345, "unit": "N.m", "use": 1.234}
+    of_joint = dict.fromkeys((key for key, *_ in VALUES), 123.456)
+    return motors_table([{"joint": i, "name": "maker XY-12", "margins": [margin], **of_joint} for i in (1, 2)])
+
+
+def compared() -> Table:
+    """Metrics of four runs."""
+    runs = [
+        SimpleNamespace(
+            name=f"results/variant-{i}", metrics={name: Measurement(1.2345e3 / (i + 1.0)) for name in METRICS}
+        )
+        for i in range(4)
+    ]
+    table = compare_table(SimpleNamespace(runs=runs, metric_names=[*METRICS]))  # type: ignore[arg-type]
+    assert table is not None
+    return table
 
 
 def shaper_results() -> Table:
@@ -211,8 +247,8 @@ def test_columns_that_do_not_fit_go_on_below_beside_the_rows_names() -> None:
     assert all(text.count(f"h{i}") == 1 for i in range(10))
 
 
-def test_brackets_in_headings_and_titles_are_units() -> None:
+def test_brackets_in_titles_headings_and_cells_are_units() -> None:
     """rich would take "[m]" for markup."""
     table = titled_table("Scene [m]", "x [m]")
-    table.add_row("1")
-    assert printed(table, 80).split() == ["Scene", "[m]", "x", "[m]", "─" * 5, "1"]
+    table.add_row("1 [s]")
+    assert printed(table, 80).split() == ["Scene", "[m]", "x", "[m]", "─" * 5, "1", "[s]"]
