@@ -64,7 +64,7 @@ def _motors_table(motors: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
-    table = titled_table("Stress", "Link", "Largest stress: from the link's base, when, change by the highest mode")
+    table = titled_table("Stress", "Link", "Largest stress, place, time, change by the last mode")
     for name, text in stress_rows(links).items():
         table.add_row(name, text)
     return table

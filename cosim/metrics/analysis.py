@@ -43,7 +43,7 @@ class Analysis(Protocol):
         """Return what the positive and the negative part of a signal with one channel are.
 
         These are: largest value, negated least value (both at least 0), integrals over time of the positive part and of
-        the negated negative part, and the estimated errors of the extremes and of the integrals.
+        the negated negative part, and the estimated errors of the extremes and of each integral.
         """
         ...
 
@@ -88,13 +88,18 @@ class NumpyAnalysis:
 
     def parts(self) -> tuple[float, ...]:
         """See `Analysis`."""
-        control, (_, bounds), errors = self._signal.control, self._signal.bounds, self.errors
+        control, (ends, bounds), errors = self._signal.control, self._signal.bounds, self.errors
         # values above the least are norms
         size = float(np.abs(control).max(initial=0.0))
         extremes = [max(maximum_norm(sign * control + size) - size, 0.0) for sign in (1.0, -1.0)]
         integrals = integrals_of_parts(control[..., 0], self._signal.duration)
         reaching = bounds + errors >= min(extremes)
-        return *extremes, *integrals, float(errors[reaching].max(initial=0.0)), float(errors @ self._signal.duration)
+        # each integral's error is that of the segments which may have such a part
+        (first, last), rest = control[[0, -1], :, 0], bounds - ends
+        positive, negative = (np.minimum(sign * first, sign * last) >= rest for sign in (1.0, -1.0))
+        doubts = errors * self._signal.duration
+        parts = float(doubts[~negative].sum()), float(doubts[~positive].sum())
+        return *extremes, *integrals, float(errors[reaching].max(initial=0.0)), *parts
 
     def last_time_above(self, level: float) -> float | None:
         """See `Analysis`."""

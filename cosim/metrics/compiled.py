@@ -121,7 +121,7 @@ class CompiledAnalysis:
 
     def parts(self) -> tuple[float, ...]:
         """See `flexfmu.cosim.metrics.analysis.Analysis`."""
-        result = (c_double * 6)()
+        result = (c_double * 7)()
         self._library.metrics_parts(byref(self._signal), result)
         return tuple(result)
 

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
 
 
+SHAPE = 2.0 / 3.0
+"""Largest mean of an interpolation error over a segment in terms of its peak: that of theta (1 - theta); others are slimmer."""
+
+
 def joint_speed(recording: Recording, joint: int, planned: Trajectory | None) -> HermiteSegments | None:
     """Return the angular velocity of a motor [rad/s] with two derivatives; None where it isn't known.
 
@@ -65,11 +69,16 @@ class RecordedPower:
 
     def energy(self, sign: int) -> Measurement:
         """Energy a cycle of the positive part, of the negated negative part, or the sum of both."""
-        positive, negative, error = self._parts[2], self._parts[3], self._parts[5]
-        energy = positive - negative if sign == 0 else positive if sign > 0 else negative
-        return Measurement(energy / self.cycles, error / self.cycles)
+        positive, negative = (
+            Measurement(self._parts[2 + k] / self.cycles, SHAPE * self._parts[5 + k] / self.cycles) for k in (0, 1)
+        )
+        return self._difference(self.cycles) if sign == 0 else positive if sign > 0 else negative
 
     def mean(self) -> Measurement:
         """Mean over time."""
-        total = float(self.segments.duration.sum())
-        return Measurement((self._parts[2] - self._parts[3]) / total, self._parts[5] / total)
+        return self._difference(float(self.segments.duration.sum()))
+
+    def _difference(self, divisor: float) -> Measurement:
+        """Return the integral of both parts over a divisor."""
+        _, _, positive, negative, _, first, second = self._parts
+        return Measurement((positive - negative) / divisor, SHAPE * (first + second) / divisor)

@@ -102,6 +102,9 @@ def link_stresses(run: Run) -> tuple[LinkStress, ...]:
 
     Peaks are looked for at 101 places of each link and 5 instants of each communication step.
 
+    Args:
+        run: with the modal coordinates and their derivatives.
+
     Raises:
         ResultsError: the derivatives of a modal coordinate were not recorded.
     """

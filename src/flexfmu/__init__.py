@@ -19,13 +19,17 @@ if TYPE_CHECKING:
     from flexfmu.api import build, compare, linearize, modes, plan, run, sweep
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
+    from flexfmu.cosim.metrics.motors import motor_loads
     from flexfmu.cosim.metrics.run_metrics import RunMetrics
+    from flexfmu.cosim.metrics.stress import link_stresses
     from flexfmu.model.scene.file import load_scene
+    from flexfmu.model.scene.motor import Motor
     from flexfmu.model.scene.schema import Scene
 
     __version__: str
 
 __all__ = [
+    "Motor",
     "RunMetrics",
     "Scene",
     "__version__",
@@ -33,24 +37,29 @@ __all__ = [
     "compare",
     "display",
     "linearize",
+    "link_stresses",
     "load_scene",
     "measure_run",
     "modes",
+    "motor_loads",
     "plan",
     "run",
     "sweep",
 ]
 
 _HOMES = {
+    "Motor": "flexfmu.model.scene.motor",
     "RunMetrics": "flexfmu.cosim.metrics.run_metrics",
     "Scene": "flexfmu.model.scene.schema",
     "build": "flexfmu.api",
     "compare": "flexfmu.api",
     "display": "flexfmu.cosim.metrics.metric_table",
     "linearize": "flexfmu.api",
+    "link_stresses": "flexfmu.cosim.metrics.stress",
     "load_scene": "flexfmu.model.scene.file",
     "measure_run": "flexfmu.cosim.metrics.metrics",
     "modes": "flexfmu.api",
+    "motor_loads": "flexfmu.cosim.metrics.motors",
     "plan": "flexfmu.api",
     "run": "flexfmu.api",
     "sweep": "flexfmu.api",

@@ -162,13 +162,12 @@ static void add_parts(control *piece, double width, double parts[2], int bisecti
   add_parts(piece, 0.5 * width, parts, bisections - 1);
 }
 
-void metrics_parts(const metrics_signal *s, double result[6]) {
+void metrics_parts(const metrics_signal *s, double result[7]) {
   double size = 0.0, doubtful = 0.0;
-  for (size_t i = 0; i < 6; i++) result[i] = 0.0;
+  for (size_t i = 0; i < 7; i++) result[i] = 0.0;
   for (size_t i = 0; i < s->segments; i++) {
     size = larger(size, s->ends[i]);
     doubtful += 0.0 * s->bounds[i];
-    result[5] += s->errors[i] * s->duration[i];
   }
   for (size_t i = 0; i < s->segments; i++) {
     control piece, copy;
@@ -178,6 +177,8 @@ void metrics_parts(const metrics_signal *s, double result[6]) {
     const int positive = start >= rest && end >= rest, negative = start <= -rest && end <= -rest;
     const int high = s->bounds[i] > result[0] && !negative, low = s->bounds[i] > result[1] && !positive;
     const int mixed = !positive && !negative;
+    if (!negative) result[5] += s->errors[i] * s->duration[i];
+    if (!positive) result[6] += s->errors[i] * s->duration[i];
     if (mixed || high || low) find_control(s, i, &piece);
     for (size_t k = 0; k < 2; k++) {
       if (!(k ? low : high)) continue;
@@ -200,5 +201,5 @@ void metrics_parts(const metrics_signal *s, double result[6]) {
   const double least = result[0] < result[1] ? result[0] : result[1];
   for (size_t i = 0; i < s->segments; i++)
     if (s->bounds[i] + s->errors[i] >= least) result[4] = larger(result[4], s->errors[i]);
-  for (size_t i = 0; i < 6; i++) result[i] += doubtful;
+  for (size_t i = 0; i < 7; i++) result[i] += doubtful;
 }

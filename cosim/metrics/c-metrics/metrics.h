@@ -58,8 +58,8 @@ METRICS_EXPORTED void metrics_products(const metrics_signal *signal, const metri
                                        double result[3]);
 
 /* of a signal with one channel: largest value, negated least value (both at least 0), integrals over time of its positive
- * part and of its negated negative part, estimated errors of the extremes and of the integrals; after metrics_prepare */
-METRICS_EXPORTED void metrics_parts(const metrics_signal *signal, double result[6]);
+ * part and of its negated negative part, estimated errors of the extremes and of each integral; after metrics_prepare */
+METRICS_EXPORTED void metrics_parts(const metrics_signal *signal, double result[7]);
 
 /* the last segment, and theta in it, at which the norm is at least the level; 0 if there is none; after metrics_prepare */
 METRICS_EXPORTED int metrics_last_above(const metrics_signal *signal, double level, size_t *segment, double *theta);

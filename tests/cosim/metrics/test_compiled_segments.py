@@ -109,7 +109,7 @@ def test_no_segments_have_no_peak() -> None:
         assert analysis.peak() == (0.0, 0.0)
         assert analysis.last_time_above(0.0) is None
     for analysis in (analyse(drawn(3, 1, 0).within(1e3, 2e3)), NumpyAnalysis(drawn(3, 1, 0).within(1e3, 2e3))):
-        assert analysis.parts() == (0.0,) * 6
+        assert analysis.parts() == (0.0,) * 7
 
 
 def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -157,8 +157,8 @@ def test_under_the_sanitizers(shape: tuple[int, int], count: int, sanitized: Pat
     text = subprocess.run([str(sanitized)], input=given, check=True, capture_output=True).stdout.decode().split()
     found = [float.fromhex(each) if "x" in each else float(each) for each in text]
     # the program prints integrals, the crossing by segment and theta, and the parts of a single channel
-    found, parts = found[:-6], found[-6:]
-    np.testing.assert_allclose(parts, ours.parts() if channels == 1 else np.zeros(6), rtol=1e-12)
+    found, parts = found[:-7], found[-7:]
+    np.testing.assert_allclose(parts, ours.parts() if channels == 1 else np.zeros(7), rtol=1e-12)
     segment, theta = int(found.pop(-2)), found.pop(-1)
     found.append(signal.start[segment] + theta * signal.duration[segment])
     integrals = np.multiply(ours.mean_products(order), signal.duration.sum())

@@ -38,7 +38,7 @@ int main(void) {
   s.kept = malloc(n * sizeof *s.kept);
   double *parts[] = {read_array(points), read_array(2 * m * points), read_array(points), read_array(2 * METRICS_SAMPLES)};
   const metrics_quadrature q = {points, sizes[4], parts[0], parts[1], parts[2], parts[3]};
-  double peak[2], products[3], parts_of[6] = {0.0}, theta = -1.0;
+  double peak[2], products[3], parts_of[7] = {0.0}, theta = -1.0;
   size_t segment = 0;
   const size_t diverging = metrics_prepare(&s);
   metrics_peak(&s, peak);
@@ -47,7 +47,7 @@ int main(void) {
   const int found = metrics_last_above(&s, *level, &segment, &theta);
   printf("%zu %a %a %a %a %a %d %zu %a\n", diverging, peak[0], peak[1], products[0], products[1], products[2], found, segment,
          theta);
-  for (size_t i = 0; i < 6; i++) printf("%a\n", parts_of[i]);
+  for (size_t i = 0; i < 7; i++) printf("%a\n", parts_of[i]);
   for (size_t i = 0; i < 5; i++) free(input[i]), free(output[i]);
   for (size_t i = 0; i < 4; i++) free(parts[i]);
   free(level);
