@@ -49,10 +49,18 @@ def on_files(files: Files, config: Any) -> Files:
     for path in sorted((ROOT / "docs" / "tutorials").glob("*.md")):
         notebook = json.dumps(notebooks.notebook(path.read_text(encoding="utf-8")), indent=1)
         files.append(File.generated(config, f"tutorials/{path.stem}.ipynb", content=notebook))
+    # the search of pages on the disk, in place of a script that the theme would load from elsewhere
+    config.extra["polyfills"] = ["assets/search_worker.js"]
+    worker = (ROOT / "generators" / "search_worker.js").read_text(encoding="utf-8")
+    files.append(File.generated(config, "assets/search_worker.js", content=worker))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Let links to files outside docs/ lead to their copies."""
+    """Let links to files outside docs/ lead to their copies, and one of each tutorial to its notebook."""
+    folder, _, name = page.file.src_uri.rpartition("/")
+    if folder == "tutorials":
+        title, _, rest = markdown.partition("\n")
+        markdown = f"{title}\n\n[This page as a notebook]({name.replace('.md', '.ipynb')})\n{rest}"
     up = "../" * page.file.src_uri.count("/")
     return OUTSIDE.sub(rf"]({up}files/\1.txt)", markdown)
