@@ -40,8 +40,8 @@ def assert_page_agrees(rows: Sequence[Mapping[str, str]]) -> None:
     """docs/shapers.md prints these residual vibrations, to its last digit but for rounding."""
     page = (ROOT / "docs" / "shapers.md").read_text(encoding="utf-8")
     for row in rows:
-        title = f"#### Residual vibration [µm], {row['drive']}, by payload error"
-        table = page.split(title)[1].split("####")[0]
+        title = f"### Residual vibration [µm], {row['drive']}, by payload error"
+        table = page.split(title)[1].split("\n##")[0]
         line = next(line for line in table.splitlines() if line.startswith(f"| {row['shaper']} |"))
         column = {-0.3: 3, 0.0: 6, 0.3: 9}[round(float(row["payload_error"]), 6)]
         assert float(line.split("|")[column]) == pytest.approx(1e6 * float(row["residual_vibration"]), abs=0.06)
