@@ -65,6 +65,8 @@ LoopSolverSection = Annotated[
 
 
 def _step(value: object) -> object:
+    if isinstance(value, str) and value != "auto":
+        raise ValueError(f'must be a time above 0 s, or "auto" for steps chosen from the motion, got {value!r}')
     return None if value == "auto" else value
 
 

@@ -61,6 +61,10 @@ WRONG_VALUES = {
         {"effects.damping": "nope"},
         r"`effects\.damping\.kind` must be one of 'none', 'modal', 'stiffness', 'mass', 'rayleigh', got 'nope'",
     ),
+    "unknown word for a step": (
+        {"cosimulation.step": "fast"},
+        r"`cosimulation\.step`: must be a time above 0 s, or \"auto\"",
+    ),
     "damping without a kind": (
         {"effects.damping": {"ratio": 0.1}},
         r"`effects\.damping\.kind` must be one of 'none', 'modal', 'stiffness', 'mass', 'rayleigh', but is missing",
