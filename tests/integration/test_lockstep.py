@@ -25,7 +25,7 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
 from flexfmu.cosim.experiment.variants import VariantError, run_variants
 from flexfmu.cosim.metrics.chosen import PeakMetrics, measuring
-from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.batch_build import in_lanes, lanes_of_processor
 from flexfmu.fmu_build.errors import ModelError
@@ -205,12 +205,12 @@ def test_metrics_of_recordings() -> None:
     """All metrics, from runs in lockstep and from those of the FMU: small differences of large numbers lose digits."""
     variants = [{"payload.mass": mass} for mass in np.linspace(2.0, 8.0, 17)]
     options: dict[str, Any] = {"communication_step": STEP, "tolerance": TOLERANCE}
-    side_by_side = run_variants(SCENE, variants, measuring(METRICS), **options)
+    side_by_side = run_variants(SCENE, variants, measuring(COMMON_METRICS), **options)
     singly = run_variants(SCENE, variants, metrics_of, **options)
     for one, other in zip(side_by_side, singly, strict=True):
         assert one.value is not None
         assert other.value is not None
-        assert one.value.keys() == METRICS.keys()
+        assert one.value.keys() == COMMON_METRICS.keys()
         for name, value in other.value.items():
             assert one.value[name] == (None if value is None else pytest.approx(value, rel=1e-3)), name
 

@@ -106,9 +106,9 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
     slave = error.slave if isinstance(error, SlaveError) else active
     reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"
     if isinstance(error, SystemExit):
-        reason = (
-            f"it called sys.exit({'' if error.code is None else repr(error.code)}); raise an exception to end a run"
-        )
+        # tblib, which Dask loads, makes errors pickle without their `code`
+        code = repr(error.args[0]) if error.args else ""
+        reason = f"it called sys.exit({code}); raise an exception to end a run"
     # the slave's own time, if it reports one
     known: float | None = getattr(error, "time", None)
     when = f" at {reached if known is None else known:.9g} s"

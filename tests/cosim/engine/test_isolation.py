@@ -20,6 +20,7 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master import isolation as module
 from flexfmu.cosim.engine.master.isolation import Isolation, isolation
 from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.outcome import message_of
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
@@ -245,3 +246,10 @@ def test_who_is_isolated(foreign_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert isolation(None, [guest], 1.0, theirs=False) is None
     with pytest.raises(InputError, match="needs Linux"):
         isolation(True, [], 1.0, theirs=False)
+
+
+def test_an_exit_that_was_pickled_keeps_its_status() -> None:
+    """Dask's tblib makes SystemExit pickle without its code; the status is among the arguments too."""
+    error = SystemExit(3)
+    error.code = None
+    assert "it called sys.exit(3)" in message_of(error, Outcome.STEP_FAILED, "ramp", 0.5)
