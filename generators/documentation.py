@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +28,16 @@ import scene_reference  # noqa: E402
 
 
 def on_config(config: Any) -> Any:
-    """Link the packages below one folder."""
-    shutil.rmtree(PACKAGES, ignore_errors=True)
-    PACKAGES.mkdir(parents=True)
+    """Link the packages below one folder, which another build may read at the same time."""
+    PACKAGES.mkdir(parents=True, exist_ok=True)
     tops = (ROOT / name for name in ("model", "fmu_build", "trajectories", "cosim"))
-    for path in (*(ROOT / "src" / "flexfmu").glob("*.py"), *tops):
-        (PACKAGES / path.name).symlink_to(path)
+    targets = {path.name: path for path in (*(ROOT / "src" / "flexfmu").glob("*.py"), *tops)}
+    for link in PACKAGES.iterdir():
+        if link.name not in targets:
+            link.unlink(missing_ok=True)
+    for name, path in targets.items():
+        with suppress(FileExistsError):
+            (PACKAGES / name).symlink_to(path)
     return config
 
 
