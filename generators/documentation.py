@@ -27,18 +27,18 @@ import notebooks  # noqa: E402  # the folder of a hook isn't on the path
 import scene_reference  # noqa: E402
 
 
-def on_config(config: Any) -> Any:
-    """Link the packages below one folder, which another build may read at the same time."""
+def on_startup(**_: Any) -> None:
+    """Link the packages below one folder, before mkdocstrings looks whether it exists."""
     PACKAGES.mkdir(parents=True, exist_ok=True)
     tops = (ROOT / name for name in ("model", "fmu_build", "trajectories", "cosim"))
     targets = {path.name: path for path in (*(ROOT / "src" / "flexfmu").glob("*.py"), *tops)}
     for link in PACKAGES.iterdir():
         if link.name not in targets:
             link.unlink(missing_ok=True)
+    # another build may read them at the same time
     for name, path in targets.items():
         with suppress(FileExistsError):
             (PACKAGES / name).symlink_to(path)
-    return config
 
 
 def on_files(files: Files, config: Any) -> Files:
