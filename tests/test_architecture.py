@@ -17,6 +17,7 @@ ROOMS = (
     "model.scene",
     "model",
     "model.selection",
+    "model.reference_design",
     "model.finite_elements",
     "fmu_build",
     "fmu_build.validation",
@@ -34,10 +35,17 @@ ROOMS = (
 
 UNKNOWN: Mapping[str, tuple[str, ...]] = {
     "trajectories": (),
-    "model.finite_elements": ("model.selection",),
-    "fmu_build": ("model.scene", "model.selection", "model.finite_elements"),
-    "fmu_build.validation": ("trajectories", "model.scene", "model", "model.selection", "model.finite_elements"),
-    "cosim.engine": ("model.scene", "model", "model.selection", "model.finite_elements"),
+    "model.finite_elements": ("model.selection", "model.reference_design"),
+    "fmu_build": ("model.scene", "model.selection", "model.reference_design", "model.finite_elements"),
+    "fmu_build.validation": (
+        "trajectories",
+        "model.scene",
+        "model",
+        "model.selection",
+        "model.reference_design",
+        "model.finite_elements",
+    ),
+    "cosim.engine": ("model.scene", "model", "model.selection", "model.reference_design", "model.finite_elements"),
 }
 """Room → rooms below it that it must not know."""
 

@@ -1,0 +1,1 @@
+"""Joint references designed for the flexible robot: inverse dynamics, robust correction, optimal control."""

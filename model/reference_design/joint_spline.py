@@ -1,0 +1,150 @@
+"""Joint references as B-splines in normalised time, which start and end at rest.
+
+Both joints are splines of one degree on uniform knots with full multiplicity at the ends. The first coefficients are equal, and so
+are the last: velocity, acceleration and jerk are zero at both ends. A derivative is a spline whose coefficients are linear in
+those of the spline, and bounds on them bound the derivative everywhere (convex hull).
+
+Source: C. de Boor, *A Practical Guide to Splines*, Springer 2001, chapters IX (basis), X (derivatives, convex hull).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
+
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.errors import TrajectoryError, positive
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.piecewise import PiecewisePolynomial
+from flexfmu.trajectories.sources import from_scipy
+from flexfmu.trajectories.trajectory import Trajectory
+
+REST = 4
+"""Equal coefficients at each end: velocity, acceleration and jerk are zero there."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointSpline:
+    """Joint angles as B-splines in normalised time, both with the same knots.
+
+    Attributes:
+        coefficients: of the basis functions [rad], shape (n, 2); n is the number of intervals + degree.
+        duration: duration of the motion [s].
+        degree: degree of the splines, 4 to 7.
+
+    Raises:
+        TrajectoryError: the duration isn't positive, or the shapes and the degree don't match.
+    """
+
+    coefficients: RealArray
+    duration: float
+    degree: int = 5
+
+    def __post_init__(self) -> None:
+        positive("trajectory duration", self.duration, "s")
+        shape, least = self.coefficients.shape, max(self.degree + 1, 2 * REST)
+        if not 4 <= self.degree <= 7 or len(shape) != 2 or shape[1] != 2 or shape[0] < least:
+            raise TrajectoryError(
+                f"a joint spline has a degree of 4 to 7 and coefficients of shape ({least} or more, 2), "
+                f"got degree {self.degree} and shape {shape}"
+            )
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals between knots."""
+        return len(self.coefficients) - self.degree
+
+    def with_duration(self, duration: float) -> JointSpline:
+        """Return the same motion, faster or slower."""
+        return replace(self, duration=duration)
+
+    def evaluate(self, fraction: ArrayLike, order: int = 2) -> RealArray:
+        """Return joint angles and their time derivatives, shape (order + 1, N, 2) [rad, rad/s, ...].
+
+        Args:
+            fraction: times as fractions of the duration, 0 to 1, shape (N,).
+            order: order of the highest derivative.
+        """
+        points = np.atleast_1d(np.asarray(fraction, dtype=float))
+        rows = [basis(self.degree, self.intervals, points, k) @ self.coefficients for k in range(order + 1)]
+        return np.array([row / self.duration**k for k, row in enumerate(rows)])
+
+    def bounds(self, order: int) -> RealArray:
+        """Return coefficients of a derivative: none of its values is larger than the largest of them.
+
+        Returns:
+            Shape (n - order, 2) [rad/s^order].
+        """
+        return derivative_matrix(self.degree, self.intervals, order) @ self.coefficients / self.duration**order
+
+    def trajectory(self) -> PiecewisePolynomial:
+        """Return the joints' motion in time, exactly."""
+        knots = self.duration * uniform_knots(self.degree, self.intervals)
+        return from_scipy(BSpline(knots, self.coefficients, self.degree), "joints")
+
+
+def uniform_knots(degree: int, intervals: int) -> RealArray:
+    """Knots from 0 to 1, the ends with full multiplicity, shape (intervals + 1 + 2 degree,)."""
+    return np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, intervals + 1), np.ones(degree)])
+
+
+def basis(degree: int, intervals: int, points: RealArray, order: int = 0) -> RealArray:
+    """Return a derivative of all basis functions in normalised time at points (N,) of 0 to 1, shape (N, n)."""
+    knots = uniform_knots(degree, intervals)
+    reduced = knots[order : len(knots) - order]
+    values = BSpline.design_matrix(points, reduced, degree - order).toarray()
+    return np.asarray(values @ derivative_matrix(degree, intervals, order))
+
+
+def derivative_matrix(degree: int, intervals: int, order: int) -> RealArray:
+    """Return the matrix from coefficients to those of a derivative in normalised time, shape (n - order, n).
+
+    Raises:
+        TrajectoryError: the order is higher than the degree.
+    """
+    if order > degree:
+        raise TrajectoryError(f"a spline of degree {degree} has derivatives up to order {degree}, got {order}")
+    matrix, knots = np.eye(intervals + degree), uniform_knots(degree, intervals)
+    for k in range(degree, degree - order, -1):
+        # the derivative's coefficients are divided differences of the spline's
+        inner = knots[degree - k : len(knots) - (degree - k)]
+        matrix = (k / (inner[k + 1 : -1] - inner[1 : -k - 1]))[:, np.newaxis] * np.diff(matrix, axis=0)
+    return matrix
+
+
+def rest_matrix(count: int) -> RealArray:
+    """Return the matrix from free coefficients and the two end values to all, for motions that start and end at rest.
+
+    Args:
+        count: number n of coefficients.
+
+    Returns:
+        Shape (n, n - 2 REST + 2); the columns belong to the start value, the free coefficients in order, and the end value.
+    """
+    columns = np.clip(np.arange(count) - (REST - 1), 0, count - 2 * REST + 1)
+    return np.eye(count - 2 * REST + 2)[columns]
+
+
+def fitted(trajectory: Trajectory, intervals: int, degree: int = 5, side: Side = "right") -> JointSpline:
+    """Return the spline next to a motion of the joints by least squares; it has the same ends and starts and ends at rest.
+
+    Args:
+        trajectory: motion of the joints [rad]; it may be a shaped one.
+        intervals: number of intervals between knots of the spline.
+        degree: degree of the spline.
+        side: the limit that counts at breakpoints.
+    """
+    # points at the nodes of Gauss in every interval
+    nodes = np.polynomial.legendre.leggauss(degree + 1)[0]
+    points = ((np.arange(intervals)[:, np.newaxis] + 0.5 + 0.5 * nodes) / intervals).ravel()
+    duration = trajectory.duration
+    angles = trajectory.evaluate(points * duration, 0, side)[0]
+    ends = trajectory.evaluate([0.0, duration], 0, "right")[0]
+    # the free coefficients
+    rest = rest_matrix(intervals + degree)
+    matrix = basis(degree, intervals, points) @ rest
+    free = np.linalg.lstsq(matrix[:, 1:-1], angles - matrix[:, [0, -1]] @ ends, rcond=None)[0]
+    return JointSpline(rest @ np.vstack([ends[:1], free, ends[1:]]), duration, degree)
