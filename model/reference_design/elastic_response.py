@@ -1,0 +1,271 @@
+"""Elastic motion under joint references, for several variants of a robot at once, with derivatives by the references.
+
+In the normalised time s = t / T the equations of motion F(q, q'/T, q''/T², u) = 0 are integrated by Radau IIA with three stages.
+Its unknowns z are q'' at the stages; q' and q follow linearly, whatever T. Newton's method runs over the whole motion: the
+matrices of all steps are inverted at once, and a recursion from step to step solves the linear equations. The same recursion
+with the columns dF/du du/dx as loads gives the derivatives of the discrete solution by all design variables x, exactly
+(implicit function theorem).
+
+Source: E. Hairer and G. Wanner, *Solving Ordinary Differential Equations II*, Springer 1996, section IV.5 (Radau IIA).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.reference_design.variants import VariantModel
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+
+_R = math.sqrt(6.0)
+STAGES = np.array([(4 - _R) / 10, (4 + _R) / 10, 1.0])
+"""Stages of a step, as fractions of it."""
+
+TABLEAU = np.array(
+    [
+        [(88 - 7 * _R) / 360, (296 - 169 * _R) / 1800, (-2 + 3 * _R) / 225],
+        [(296 + 169 * _R) / 1800, (88 + 7 * _R) / 360, (-2 - 3 * _R) / 225],
+        [(16 - _R) / 36, (16 + _R) / 36, 1 / 9],
+    ]
+)
+"""Weights of the stages in integrals from the start of a step to each stage."""
+
+TWICE = TABLEAU @ TABLEAU
+"""Weights in double integrals."""
+
+CONVERGED = 1e-11
+"""Newton's method has converged when no elastic coordinate changes by more [m or rad]; positions are wanted to 1e-7 m."""
+
+ITERATIONS = 30
+"""Largest number of Newton steps."""
+
+RENEWED = 0.1
+"""The matrices are renewed where a change is larger than this fraction of the one before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Motion of P variants with n elastic coordinates at N stages, with derivatives by m design variables.
+
+    Attributes:
+        position: end effector (P, N, 2) [m].
+        torque: motor torques (P, N, 2) [N m].
+        end: elastic coordinates and their rates at the end of the motion (P, 2, n) [m, m/s].
+        position_by, torque_by: derivatives (P, N, 2, m); m is 0 where none are wanted.
+        end_by: derivatives (P, 2, n, m).
+    """
+
+    position: RealArray
+    torque: RealArray
+    end: RealArray
+    position_by: RealArray
+    torque_by: RealArray
+    end_by: RealArray
+
+
+class ElasticResponse:
+    """The elastic response of P variants of a robot to references of its joints, from static equilibrium.
+
+    Args:
+        scene: the robot.
+        variants: values of the FMU's parameters that differ from the scene's, by name, ``{"payload.mass": 4.2}`` for example.
+        start: joint angles before the motion (2,) [rad].
+        steps: number of equal steps of the integration.
+
+    Raises:
+        SceneError: a parameter doesn't exist.
+        EquilibriumError: there is no static equilibrium at the start.
+    """
+
+    def __init__(self, scene: Scene, variants: Sequence[Mapping[str, float]], start: RealArray, steps: int) -> None:
+        self.model = VariantModel(scene, variants)
+        self.steps = steps
+        self.fractions = ((np.arange(steps)[:, np.newaxis] + STAGES) / steps).ravel()
+        self._start = self.model.rest(start).elastic
+        # stage values z and the matrices from which the next solution starts
+        self._guess = np.zeros((len(self._start), 3 * steps, self.model.n))
+        self._matrices: _Matrices | None = None
+
+    def of_spline(self, motion: JointSpline, *, derivatives: bool = True) -> Response:
+        """The response to a motion from rest to rest; its variables are [free coefficients of joint 1, of joint 2, T].
+
+        Raises:
+            EquilibriumError: Newton's method doesn't converge.
+        """
+        references = np.hstack(list(motion.evaluate(self.fractions)))
+        by = spline_derivatives(motion, self.fractions) if derivatives else None
+        return self.respond(references, motion.duration, by, by_duration=derivatives)
+
+    def respond(
+        self, references: RealArray, duration: float, by: RealArray | None = None, *, by_duration: bool = False
+    ) -> Response:
+        """The response to joint references.
+
+        Args:
+            references: [q_a, v_a, a_a] at ``fractions``, (N, 6) [rad, rad/s, rad/s²].
+            duration: duration T of the motion [s].
+            by: derivatives of the references by design variables at constant fractions, (N, 6, m); None for no derivatives.
+            by_duration: whether the last variable is T itself.
+
+        Raises:
+            EquilibriumError: Newton's method doesn't converge.
+        """
+        z = self._solved(references, duration)
+        if by is None:
+            by, matrices = np.empty((len(references), 6, 0)), None
+            values = self._values(z, references, duration)
+        else:
+            matrices = self._renewed(z, references, duration)
+            values = matrices.values
+        n = self.model.n
+        q_end, rate_end = (each[:, -1] for each in self._integrated(z))
+        end = np.stack([q_end, rate_end / duration], axis=1)
+        if matrices is None:
+            none = np.empty((*values.shape[:2], 2, 0))
+            return Response(values[..., n + 2 :], values[..., n : n + 2], end, none, none, np.empty((*end.shape, 0)))
+        out, end_by = matrices.derivatives(by, end[:, 1], by_duration)
+        return Response(values[..., n + 2 :], values[..., n : n + 2], end, out[:, :, 2:], out[:, :, :2], end_by)
+
+    def _solved(self, references: RealArray, duration: float) -> RealArray:
+        """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
+        z, before, n = self._guess, math.inf, self.model.n
+        matrices = self._matrices or self._renewed(z, references, duration)
+        for _ in range(ITERATIONS):
+            change = matrices.solved(self._values(z, references, duration)[..., :n])
+            size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
+            z = z - change
+            if size < CONVERGED:
+                self._guess = z
+                return z
+            if not np.isfinite(size) or size > 1.0:
+                break
+            if size > RENEWED * before:
+                matrices = self._renewed(z, references, duration)
+            before = size
+        # the next motion starts anew
+        self._guess, self._matrices = np.zeros_like(z), None
+        raise EquilibriumError(
+            f"the elastic motion in {duration:.6g} s has no solution: the links are too soft for its loads"
+        )
+
+    def _integrated(self, z: RealArray, start: RealArray | float | None = None) -> tuple[RealArray, RealArray]:
+        """q and q' at all stages (P, N, n) from z, at rest at the start."""
+        h, (count, stages, n) = 1.0 / self.steps, z.shape
+        of_step = z.reshape(count, self.steps, 3, n)
+        rate, place = h * (TABLEAU @ of_step), h * h * (TWICE @ of_step)
+        # values at the start of each step
+        rates = np.cumsum(rate[:, :, 2], axis=1) - rate[:, :, 2]
+        moves = place[:, :, 2] + h * rates
+        begin = self._start[:, np.newaxis] if start is None else start
+        places = np.cumsum(moves, axis=1) - moves + begin
+        q = places[:, :, np.newaxis] + (h * STAGES)[:, np.newaxis] * rates[:, :, np.newaxis] + place
+        return q.reshape(count, stages, n), (rates[:, :, np.newaxis] + rate).reshape(count, stages, n)
+
+    def _values(self, z: RealArray, references: RealArray, duration: float) -> RealArray:
+        q, rate = self._integrated(z)
+        return self.model.values(q, rate / duration, z / duration**2, references)
+
+    def _renewed(self, z: RealArray, references: RealArray, duration: float) -> _Matrices:
+        q, rate = self._integrated(z)
+        v, a = rate / duration, z / duration**2
+        values, jacobian = self.model.linearised(q, v, a, references)
+        self._matrices = _Matrices(values, jacobian, v, a, duration, self.steps)
+        return self._matrices
+
+
+class _Matrices:
+    """The linearised equations of all steps: loads on the stages and the state s = [q, q'] at the start of a step give the next one.
+
+    Args:
+        values, jacobian: [forces, torques, position] (P, N, n + 4) and their derivatives by [q, v, a, u], (P, N, n + 4, 3 n + 6).
+        v, a: elastic rates and accelerations at the stages (P, N, n).
+        duration: T [s].
+        steps: number of steps.
+    """
+
+    def __init__(
+        self, values: RealArray, jacobian: RealArray, v: RealArray, a: RealArray, duration: float, steps: int
+    ) -> None:
+        self.values, self._duration = values, duration
+        (count, _, n), h = v.shape, 1.0 / steps
+        self._shape = shape = (count, steps, 3, n)
+        by_stage = jacobian.reshape(count, steps, 3, n + 4, 3 * n + 6)
+        by_q, by_v, by_a = (by_stage[..., i * n : (i + 1) * n] / duration**i for i in range(3))
+        # d[forces, outputs] of stage i by z of stage j, and by the state at the start of the step
+        by_z = h * h * TWICE[:, np.newaxis, :, np.newaxis] * by_q[..., np.newaxis, :]
+        by_z += h * TABLEAU[:, np.newaxis, :, np.newaxis] * by_v[..., np.newaxis, :]
+        for i in range(3):
+            by_z[:, :, i, :, i] += by_a[:, :, i]
+        by_state = np.concatenate([by_q, by_v + h * STAGES[:, np.newaxis, np.newaxis] * by_q], axis=-1)
+        by_z = by_z.reshape(count, steps, 3, n + 4, 3 * n)
+        self._inverse = np.linalg.inv(by_z[:, :, :, :n].reshape(count, steps, 3 * n, 3 * n))
+        self._of_state = by_state[:, :, :, :n].reshape(count, steps, 3 * n, 2 * n)
+        self._out_z = by_z[:, :, :, n:].reshape(count, steps, 12, 3 * n)
+        self._out_state = by_state[:, :, :, n:].reshape(count, steps, 12, 2 * n)
+        # from stage values to the next state, and from state to state
+        weights = np.stack([h * h * TWICE[2], h * TABLEAU[2]])
+        inverse = self._inverse.reshape(count, steps, 3, n * 3 * n)
+        self._next = (weights @ inverse).reshape(count, steps, 2 * n, 3 * n)
+        self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._next @ self._of_state
+        # by the references, and by T at constant z
+        self._by_u = by_stage[..., 3 * n :]
+        explicit = by_stage[..., n : 2 * n] @ v.reshape(shape)[..., np.newaxis]
+        explicit += 2 * (by_stage[..., 2 * n : 3 * n] @ a.reshape(shape)[..., np.newaxis])
+        self._by_duration = -explicit[..., 0] / duration
+
+    def solved(self, loads: RealArray) -> RealArray:
+        """z (P, N, n) under loads on the stages of the same shape, from rest."""
+        right = loads.reshape(*self._shape[:2], -1, 1)
+        states = self._states(self._next @ right)
+        return np.asarray(self._inverse @ (right - self._of_state @ states[:, :-1])).reshape(loads.shape)
+
+    def derivatives(self, by: RealArray, rate: RealArray, by_duration: bool) -> tuple[RealArray, RealArray]:
+        """Derivatives of [torques, position] (P, N, 4, m) and of the end state (P, 2, n, m).
+
+        Args:
+            by: derivatives of the references (N, 6, m).
+            rate: elastic rates at the end (P, n).
+            by_duration: whether the last variable is T.
+        """
+        count, steps, _, n = self._shape
+        explicit = self._by_u @ by.reshape(1, steps, 3, 6, -1)
+        if by_duration:
+            explicit[..., -1] += self._by_duration
+        m = explicit.shape[-1]
+        loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, m)
+        states = self._states(self._next @ loads)
+        # outputs: z eliminated
+        through = self._out_z @ self._inverse
+        out = through @ loads + (self._out_state - through @ self._of_state) @ states[:, :-1]
+        out = out.reshape(count, steps, 3, 4, m) + explicit[..., n:, :]
+        end = states[:, -1].reshape(count, 2, n, m).copy()
+        end[:, 1] /= self._duration
+        if by_duration:
+            end[:, 1, :, -1] -= rate / self._duration
+        return out.reshape(count, 3 * steps, 4, m), end
+
+    def _states(self, loads: RealArray) -> RealArray:
+        """States (P, steps + 1, 2 n, r) from rest, with additions (P, steps, 2 n, r) in each step."""
+        count, steps, size, columns = loads.shape
+        states = np.zeros((count, steps + 1, size, columns))
+        for k in range(steps):
+            states[:, k + 1] = self._transition[:, k] @ states[:, k] + loads[:, k]
+        return states
+
+
+def spline_derivatives(motion: JointSpline, fractions: RealArray) -> RealArray:
+    """Derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of T by [free coefficients of joint 1, of joint 2, T]."""
+    free = len(motion.coefficients) - 2 * REST
+    by = np.zeros((len(fractions), 6, 2 * free + 1))
+    for k in range(3):
+        matrix = basis(motion.degree, motion.intervals, fractions, k) / motion.duration**k
+        for joint in range(2):
+            by[:, 2 * k + joint, joint * free : (joint + 1) * free] = matrix[:, REST:-REST]
+        by[:, 2 * k : 2 * k + 2, -1] = -k / motion.duration * (matrix @ motion.coefficients)
+    return by

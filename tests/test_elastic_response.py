@@ -1,0 +1,118 @@
+"""The elastic response under joint references: against the FMU, against finite differences, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.modes import natural_frequencies
+from flexfmu.model.reference_design.elastic_response import STAGES, TABLEAU, ElasticResponse
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, fitted
+from flexfmu.model.reference_design.variants import free_modes
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.trajectories.jets import RealArray
+
+VARIANTS = ({"payload.mass": 4.2}, {"payload.mass": 7.8, "material.youngs_modulus": 63e9, "damping.ratio": 0.01})
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    changes = {"effects.proximal_bending": 1, "effects.distal_axial": 1, "trajectory.dwell": 0.05}
+    return load_scene("barnard2012-6kg").replace(changes)
+
+
+@pytest.fixture(scope="module")
+def motion(scene: Scene) -> JointSpline:
+    return fitted(plan(scene).joints, 20).with_duration(0.3)
+
+
+def response_of(scene: Scene, motion: JointSpline, steps: int = 60) -> ElasticResponse:
+    return ElasticResponse(scene, VARIANTS, motion.coefficients[0], steps)
+
+
+def changed(motion: JointSpline, change: RealArray) -> JointSpline:
+    coefficients = motion.coefficients.copy()
+    coefficients[REST:-REST] += change[:-1].reshape(2, -1).T
+    return JointSpline(coefficients, motion.duration + change[-1])
+
+
+def test_the_tableau_integrates_polynomials_of_degree_two_exactly_at_all_stages() -> None:
+    for power in range(3):
+        np.testing.assert_allclose(TABLEAU @ STAGES**power, STAGES ** (power + 1) / (power + 1), atol=1e-15)
+
+
+def test_the_response_is_that_of_the_fmu(motion: JointSpline) -> None:
+    shipped = load_scene("barnard2012-6kg")
+    elastic = response_of(shipped, motion, 200)
+    found = elastic.of_spline(motion, derivatives=False)
+    for variant, values in enumerate(VARIANTS):
+        run = flexfmu.run(shipped, trajectory=motion.trajectory(), tolerance=1e-8, parameters=values)
+        time, stages = run.recording.time, elastic.fractions * motion.duration
+        for axis, name in enumerate("xy"):
+            signal = run.recording[f"end_effector.position.{name}"].values
+            # linear interpolation at 0.2 ms is good to a few micrometres
+            np.testing.assert_allclose(found.position[variant, :, axis], np.interp(stages, time, signal), atol=4e-6)
+            at_end = signal[np.argmin(abs(time - motion.duration))]
+            assert found.position[variant, -1, axis] == pytest.approx(at_end, abs=1e-8)
+            torque = run.recording[f"joint{axis + 1}.torque"].values
+            assert abs(found.torque[variant, :, axis]).max() == pytest.approx(abs(torque).max(), rel=2e-3)
+
+
+def test_derivatives_are_those_of_finite_differences(scene: Scene, motion: JointSpline) -> None:
+    elastic = response_of(scene, motion)
+    found = elastic.of_spline(motion)
+    direction = np.random.default_rng(0).standard_normal(found.end_by.shape[-1]) * 1e-5
+    above, below = (elastic.of_spline(changed(motion, sign * direction), derivatives=False) for sign in (1, -1))
+    for name in ("position", "torque", "end"):
+        difference = (getattr(above, name) - getattr(below, name)) / 2
+        exact = getattr(found, f"{name}_by") @ direction
+        np.testing.assert_allclose(difference, exact, rtol=1e-5, atol=1e-5 * abs(exact).max())
+
+
+def test_a_response_does_not_depend_on_the_motions_before_it(scene: Scene, motion: JointSpline) -> None:
+    elastic = response_of(scene, motion)
+    elastic.of_spline(motion.with_duration(0.5))
+    after = elastic.of_spline(motion)
+    np.testing.assert_allclose(after.end, response_of(scene, motion).of_spline(motion).end, atol=1e-9)
+
+
+def test_after_motions_without_a_solution_the_next_one_is_found(scene: Scene, motion: JointSpline) -> None:
+    elastic = response_of(scene, motion)
+    with pytest.raises(EquilibriumError, match="has no solution"):
+        elastic.of_spline(motion.with_duration(0.004))
+    assert np.isfinite(elastic.of_spline(motion).torque).all()
+
+
+def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scenes(
+    scene: Scene, motion: JointSpline
+) -> None:
+    joints = motion.coefficients[-1]
+    rest = response_of(scene, motion).model.rest(joints)
+    modes = free_modes(rest)
+    heavy = scene.replace({"payload.mass": 7.8, "mechanism.material.youngs_modulus": 63e9})
+    for variant, of_scene in enumerate((scene.replace({"payload.mass": 4.2}), heavy)):
+        equilibrium = static_equilibrium(of_scene, joints)
+        np.testing.assert_allclose(rest.elastic[variant], equilibrium.elastic, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(rest.torque[variant], equilibrium.torque, rtol=1e-9)
+        np.testing.assert_allclose(
+            modes.frequencies[variant] / (2 * np.pi), natural_frequencies(of_scene, joints), rtol=1e-9
+        )
+
+
+def test_a_rigid_robot_moves_as_its_references_say(scene: Scene, motion: JointSpline) -> None:
+    rigid = scene.replace(
+        {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.damping": {"kind": "none"}}
+    )
+    found = ElasticResponse(rigid, [{}], motion.coefficients[0], 30).of_spline(motion)
+    assert found.end.shape == (1, 2, 0)
+    np.testing.assert_allclose(found.position[0, -1], (0.175, 0.320), atol=1e-9)
+
+
+def test_an_unknown_parameter_is_named(scene: Scene, motion: JointSpline) -> None:
+    with pytest.raises(SceneError, match=r"has no parameter `payload\.weight`"):
+        ElasticResponse(scene, [{"payload.weight": 1.0}], motion.coefficients[0], 10)
