@@ -28,8 +28,8 @@ TABLES = ("joint_friction",)
 VECTORS = ("start", "lift", "gravity", "band")
 """Pairs that aren't one value for each joint, and can't be given as one number."""
 
-WORDS = {"modes": "along-path", "step": "auto"}
-"""Key → word that may stand in place of its value."""
+WORDS = {"modes": ["along-path"], "step": ["auto"], "references": ["rigid", "flexible"]}
+"""Key → words that may stand in place of its value."""
 
 
 def sections(annotation: Any) -> dict[str, type[BaseModel]]:
@@ -92,7 +92,7 @@ def _allow_shorthands(whole: dict[str, Any], definitions: dict[str, Any]) -> Non
     """What may be written shorter than the classes say: kinds as words, keys that a choice of effects fills in."""
     for table in definitions.values():
         for key, field in table["properties"].items():
-            words = [WORDS[key]] if key in WORDS else _kinds(field, definitions) if key not in TABLES else []
+            words = WORDS[key] if key in WORDS else _kinds(field, definitions) if key not in TABLES else []
             if words:
                 options = field.pop("anyOf", None) or [
                     {name: field.pop(name) for name in tuple(field) if name not in ("description", "default", "unit")}

@@ -68,9 +68,10 @@ SELDOM = (
     "cosim.experiment.own_motion",
     "cosim.experiment.table_motion",
     "trajectories.table_file",
+    "model.reference_design",
     "model.symbolic",
 )
-"""What a run without shapers, controllers, imperfections, cycles, own motions and tables doesn't load: functions that need it may
+"""What a run without shapers, controllers, imperfections, cycles, references for the flexible robot, own motions and tables doesn't load: functions that need it may
 import it."""
 
 

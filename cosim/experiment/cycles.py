@@ -135,8 +135,13 @@ def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None, dw
         dwell: duration of each dwell between two motions [s]; None for the scene's own dwell.
 
     Raises:
-        InputError: the number of cycles isn't a positive whole number.
+        InputError: the number of cycles isn't a positive whole number, or the references are for the flexible robot.
     """
+    if plan.design is not None:
+        raise InputError(
+            "references for the flexible robot are those of a single motion: its way back needs others; leave out "
+            "`trajectory.references`, or the way back and controllers that learn"
+        )
     dwell = plan.scene.trajectory.dwell if dwell is None else dwell
     if sample_time is not None:
         samples = ceil((plan.duration + dwell) / sample_time * (1.0 - 1e-9))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.loop import Loop
-from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.planning import MotionPlan, with_references
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.motion import TrajectorySection
@@ -51,7 +51,9 @@ def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
                 f"effector there with {wanted.round(6).tolist()} rad: give these, or change `mechanism.working_mode`"
             )
         joints = given
-    return MotionPlan(scene, task, kinematics, task, joints, source=f"own motion {type(own).__name__}")
+    planned = MotionPlan(scene, task, kinematics, task, joints, source=f"own motion {type(own).__name__}")
+    # a motion of the joints is taken as it is
+    return planned if by_joints else with_references(planned)
 
 
 def own_loop(scene: Scene, own: OwnMotion | Trajectory) -> Loop:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
+from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.table import TableSection
@@ -21,9 +22,11 @@ from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import JointTrajectory, check_margins
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES
+from flexfmu.trajectories.standstill import Standstill
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits
 
 if TYPE_CHECKING:
+    from flexfmu.model.reference_design.inverse_dynamics import FlexibleReferences
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 Law = tuple[str, tuple[tuple[str, float | tuple[float, ...]], ...]]
@@ -90,10 +93,13 @@ class MotionPlan:
         scene: the scene.
         along_path: the scene's motion before shaping, in x, y [m]; a `TaskTrajectory` where the scene has path and profile.
         kinematics: the mechanism's rigid inverse kinematics.
-        task: end-effector trajectory of the rigid mechanism in x, y [m].
+        task: motion of the end effector in x, y [m]: that of the rigid mechanism, or with references for the flexible robot
+            what its end effector shall do.
         joints: joint trajectory in q11, q21 [rad].
         repetition: single motion and number of cycles; None for a motion without repetition.
         source: what gives the motion, in a few words; empty for path and profile of the scene.
+        rigid: the same motion with references for the rigid robot; None where these are them.
+        design: references for the flexible robot; None where they are for the rigid one.
     """
 
     scene: Scene
@@ -103,6 +109,8 @@ class MotionPlan:
     joints: Trajectory
     repetition: Repetition | None = None
     source: str = ""
+    rigid: MotionPlan | None = None
+    design: FlexibleReferences | None = None
 
     def __repr__(self) -> str:
         """Return a line: whose motion, and how long it and the dwell take."""
@@ -140,10 +148,21 @@ class MotionPlan:
 
     @cached_property
     def end_pose(self) -> tuple[RealArray, RealArray]:
-        """Joint angles (2,) [rad] and end-effector position (2,) [m] at the end of the motion."""
+        """Joint angles (2,) [rad] and the rigid robot's end-effector position (2,) [m] at the end of the motion."""
         end = np.array([self.duration])
         joints, position = (each.evaluate(end, 0, side="left")[0, 0] for each in (self.joints, self.task))
-        return joints, position
+        return joints, position if self.design is None else self._rigid_position(joints)
+
+    @property
+    def start(self) -> Point:
+        """Position x, y of the rigid end effector at the start of the motion [m]."""
+        if self.design is None:
+            return self.scene.start
+        x, y = self._rigid_position(self.joints.evaluate(0.0, 0, "left")[0, 0]).tolist()
+        return x, y
+
+    def _rigid_position(self, joints: RealArray) -> RealArray:
+        return np.array(end_effector(self.scene.mechanism, (float(joints[0]), float(joints[1]))))
 
     @cached_property
     def poses(self) -> RealArray:
@@ -158,10 +177,38 @@ class MotionPlan:
 
 
 def plan(scene: Scene) -> MotionPlan:
-    """Plan the scene's motion and check it along the whole path.
+    """Plan the scene's motion and check it along the whole path, with references for the rigid or the flexible robot.
 
     Raises:
-        TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
+        TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity, or no references
+            make the flexible end effector follow it.
+    """
+    return with_references(plan_rigid(scene))
+
+
+def with_references(motion: MotionPlan) -> MotionPlan:
+    """The motion with references as its scene wants them: for the rigid robot, or for the flexible one.
+
+    While a scene leaves the choice of effects open, there is no flexible robot yet, and the references are for the rigid one.
+
+    Raises:
+        TrajectoryError: no references make the flexible end effector follow the motion.
+    """
+    scene, section = motion.scene, motion.scene.trajectory.references
+    if section is None or scene.effects.select is not None:
+        return motion
+    from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references  # which few scenes need
+
+    # the joints start before the end effector, and stop after it
+    design = flexible_references(scene, motion.task, motion.joints, section.knot_spacing)
+    return replace(motion, task=Standstill(motion.task, LEAD), joints=design.joints, rigid=motion, design=design)
+
+
+def plan_rigid(scene: Scene) -> MotionPlan:
+    """Plan the scene's motion with references for the rigid robot.
+
+    Raises:
+        TrajectoryError: as for `plan`.
     """
     section = scene.trajectory
     if isinstance(section, TableSection):
@@ -209,6 +256,11 @@ def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     Raises:
         TrajectoryError: the end effector comes too near to a singularity or to the workspace's boundary.
     """
+    if motion.design is not None:
+        raise TrajectoryError(
+            "shaped joint references would no longer be those of the flexible robot: shape the motion along the path "
+            '(`apply = "path"`), or leave out `trajectory.references`'
+        )
     from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory
 
     joints = ShapedTrajectory(motion.joints, sequence)
@@ -223,6 +275,8 @@ def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     Raises:
         TrajectoryError: negative impulses make the motion go backwards, or the joint references are shaped already.
     """
+    if motion.rigid is not None:
+        return with_references(shape_path(motion.rigid, sequence))
     from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
 
     if not isinstance(motion.task, TaskTrajectory):

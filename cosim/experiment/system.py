@@ -98,6 +98,9 @@ def scene_system(
         settings[INTEGRATOR.name] = section.integrator
     if section.integrator_step > 0.0:
         settings[FIXED_STEP] = section.integrator_step
+    if loop.motion.design is not None:
+        # the flexible end effector is at the start of the path, the rigid one isn't
+        settings |= dict(zip(("start.x", "start.y"), loop.motion.start, strict=True))
     # without a controller, constant torques hold the start pose
     unfed = {} if loop.controllers else holding_torques(scene)
     settings |= unfed

@@ -210,8 +210,9 @@ class VariantTask(Generic[T]):
         measure = self.measure
         if not isinstance(measure, PeakMeasure | SignalMeasure):
             return
-        # shapers and pauses last as long in motions of other durations
-        scales = isinstance(measure, PeakMeasure) and not self.scene.shaper and self._is_single(variants)
+        # shapers, pauses and vibrations last as long in motions of other durations
+        rigid = not self.scene.shaper and self.scene.trajectory.references is None
+        scales = isinstance(measure, PeakMeasure) and rigid and self._is_single(variants)
         for members in _groups(dict(enumerate(variants)), _shape if scales else lambda variant: variant.scene):
             lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)] if scales else members
             lasting.sort(key=lambda i: -self._duration(variants[i]) if scales else i)

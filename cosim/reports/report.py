@@ -61,6 +61,7 @@ def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
         "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
         "Stress of the links": stress_rows(summary.get("stresses", ())),
         "Shaping": _shaping_rows(summary.get("shaping")),
+        "References for the flexible robot": _reference_rows(summary.get("references")),
         "Learning": _learning_rows(summary.get("learning")),
         "Health": _health_rows(summary["health"]),
         "Slaves": _slave_rows(summary["slaves"]),
@@ -137,6 +138,17 @@ def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
         "added time": f"{1e3 * shaping['added_time']:.4g} ms",
         "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
     }
+
+
+def _reference_rows(references: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return what references for the flexible robot are like."""
+    if references is None:
+        return {}
+    rows = {
+        "knots": f"{1e3 * references['knot_spacing']:.4g} ms apart, {1e3 * references['lead']:g} ms before and after the motion",
+        "joint jerk": f"up to {references['largest_joint_jerk']:.4g} rad/s³",
+    }
+    return rows | ({"warning": references["warning"]} if "warning" in references else {})
 
 
 def _learning_rows(learning: Mapping[str, Any] | None) -> dict[str, str]:

@@ -20,6 +20,7 @@ from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.metrics.stress import link_stresses
+from flexfmu.cosim.reports.reference_facts import reference_facts
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene
 
@@ -67,6 +68,8 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         units: recorded signal → unit.
         motion: only for an own motion in place of the scene's: what gives it.
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
+        references: only with references for the flexible robot: distance of the knots [s], time before and after the end effector's
+            motion [s], largest jerk of the joints [rad/s³], largest jump of the motion's jerk [m/s³], and a sentence on it.
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
         cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
         motors: only with ``[motor]``: margins, losses and power of each motor, and a sentence for each limit that is exceeded.
@@ -82,6 +85,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "health": _health(run, measurements),
         **({"motion": run.plan.source} if run.plan.source else {}),
         **_shaping(run),
+        **_references(run),
         **_motors(run),
         **_stresses(run),
         **_cycles(run),
@@ -163,12 +167,19 @@ def _scene(run: Run) -> dict[str, Any]:
 
 def _shaping(run: Run) -> dict[str, Any]:
     """Return the time that shapers add [s] and the deviation of the rigid end effector from its path [m]; empty without."""
-    motion = run.plan.once
+    motion = run.plan.once.rigid or run.plan.once
     if motion.task is motion.along_path:
         return {}
 
     added = motion.duration - motion.along_path.duration
     return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
+
+
+def _references(run: Run) -> dict[str, Any]:
+    """Return facts of references for the flexible robot; empty for those of the rigid one."""
+    if run.plan.design is None:
+        return {}
+    return {"references": reference_facts(run.plan)}
 
 
 def _cycles(run: Run) -> dict[str, Any]:

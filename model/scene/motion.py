@@ -87,8 +87,23 @@ class BlendSection(Section):
     width: Length
 
 
+class ReferencesSection(Section):
+    """References of the joints with which the end effector of the flexible robot follows the motion.
+
+    They are splines with knots `knot_spacing` apart. Joints start 2 ms before the end effector and stop 2 ms after it.
+    """
+
+    kind: Literal["flexible"]
+    knot_spacing: Seconds = 0.002
+
+
+def _none_for_rigid(value: Any) -> Any:
+    """None for references of the rigid robot, which are the usual ones."""
+    return None if value in ("rigid", {"kind": "rigid"}) else named_kind(value)
+
+
 class MotionSection(Section):
-    """Any motion: how long it takes, the way back, and the standstill after it.
+    """Any motion: how long it takes, the way back, the standstill after it, and for which robot the references are.
 
     With a way back it is a number of cycles: there, `pause`, the same motion reversed in time, `pause`, and so on.
     """
@@ -98,6 +113,7 @@ class MotionSection(Section):
     way_back: Literal["none", "same-path"] = "none"
     cycles: Annotated[int, quantity("1", ge=1)] = 1
     pause: SecondsOrZero = 0.0
+    references: Annotated[ReferencesSection | None, BeforeValidator(_none_for_rigid)] = None
 
     @property
     def moving_time(self) -> float:
@@ -110,6 +126,11 @@ class MotionSection(Section):
         for key, value, usual in (("cycles", self.cycles, 1), ("pause", self.pause, 0.0)):
             if self.way_back == "none" and value != usual:
                 raise ValueError(f'`{key}` = {value:g} needs a way back: add `way_back = "same-path"`')
+        if self.way_back != "none" and self.references is not None:
+            raise ValueError(
+                '`references = "flexible"` is for a single motion, its way back needs others: leave out `way_back`, or the '
+                "references"
+            )
         return self
 
 

@@ -43,6 +43,11 @@ class TableSection(MotionSection):
 
         self._table = read_table(self.file, self.coordinates)
         self._table.degree(self.degree, self.noise)
+        if self.references is not None and self._table.coordinates == "joints":
+            raise ValueError(
+                f'`references = "flexible"` needs a motion of the end effector, but {self.file} is one of the joints, which are '
+                "references already: leave out `references`"
+            )
         if "duration" not in self.model_fields_set:
             self.__dict__["duration"] = self._table.duration
         return self

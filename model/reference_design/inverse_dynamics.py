@@ -1,0 +1,200 @@
+"""Joint references with which the flexible end effector follows a motion, by spline collocation.
+
+Unknowns are the motor angles and the elastic coordinates, all quintic splines on the same uniform knots, at rest at both ends.
+At the knots the equations of the elastic motion hold, and the end effector is where the motion wants it; Newton's method solves
+for all coefficients at once. The inverse dynamics are unstable in time (non-minimum phase), but a spline over the whole motion is
+not integrated: it is the bounded solution, which moves a little before and after the end effector does.
+
+Source: Devasia, Chen and Paden, Nonlinear inversion-based output tracking, IEEE Transactions on Automatic Control 41 (1996); U. M.
+Ascher, R. M. M. Mattheij and R. D. Russell, *Numerical Solution of Boundary Value Problems for Ordinary Differential Equations*,
+SIAM 1995, chapter 5 (collocation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.reference_design.variants import VariantModel
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.piecewise import PiecewisePolynomial
+from flexfmu.trajectories.trajectory import Trajectory
+
+DEGREE = 5
+"""Degree of the splines: the jerk is continuous."""
+
+LEAD = 0.002
+"""Time [s] for which the joints may move before the end effector starts and after it has stopped. The slowest unstable zeros of a
+five-bar lie near 1 kHz, so what it cuts off is e^-12 of the motion's own start."""
+
+KNOT_SPACING = 0.002
+"""Usual distance of the knots [s]."""
+
+LEAST_INTERVALS = 10
+"""Smallest number of intervals: fewer have hardly a free coefficient."""
+
+CONVERGED = 1e-12
+"""Newton's method has converged when no coefficient changes by more than this [rad, m]: the path is met to about 1 pm."""
+
+ITERATIONS = 12
+"""Largest number of Newton steps; four are usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlexibleReferences:
+    """References of the motors for a flexible robot.
+
+    Attributes:
+        model: the robot.
+        motors: motor angles [rad] over the motion and `LEAD` before and after it.
+        elastic: coefficients of the elastic coordinates, splines on the same knots, (intervals + `DEGREE`, n) [m, rad].
+    """
+
+    model: VariantModel
+    motors: JointSpline
+    elastic: RealArray
+
+    @property
+    def joints(self) -> PiecewisePolynomial:
+        """Motion of the motors in time [rad]; it starts `LEAD` before the end effector."""
+        return self.motors.trajectory()
+
+    @property
+    def largest_jerk(self) -> float:
+        """Largest jerk of a motor [rad/s³]; jerks are parabolas between knots, so ten points an interval suffice."""
+        fractions = np.linspace(0.0, 1.0, 10 * self.motors.intervals + 1)
+        return float(np.abs(self.motors.evaluate(fractions, 3)[3]).max())
+
+    def torque(self, time: RealArray) -> RealArray:
+        """Motor torques [N m] at times (N,) [s] from the start of ``joints``, shape (N, 2); those at rest outside of it."""
+        fractions = np.clip(np.asarray(time, dtype=float) / self.motors.duration, 0.0, 1.0)
+        orders = [basis(DEGREE, self.motors.intervals, fractions, k) / self.motors.duration**k for k in range(3)]
+        q, v, a = ((matrix @ self.elastic)[np.newaxis] for matrix in orders)
+        references, n = np.hstack(list(self.motors.evaluate(fractions))), self.model.n
+        return np.asarray(self.model.values(q, v, a, references)[0, :, n : n + 2])
+
+
+def flexible_references(
+    scene: Scene, motion: Trajectory, rigid: Trajectory, knot_spacing: float = KNOT_SPACING
+) -> FlexibleReferences:
+    """Design references of the motors such that the end effector of the flexible robot makes a motion.
+
+    Args:
+        scene: the robot, with its payload.
+        motion: x and y [m] of the end effector, at rest before and after it.
+        rigid: q11 and q21 [rad] with which the rigid robot makes this motion: the first guess.
+        knot_spacing: largest distance of the splines' knots [s]. At the knots the end effector is where it should be; between
+            them it errs by about the fourth power of the distance.
+
+    Raises:
+        TrajectoryError: the knots are too far apart for the motion, or no references make this motion.
+    """
+    # knots; the end effector is at rest at both ends, to the third derivative
+    duration = motion.duration + 2.0 * LEAD
+    intervals = ceil(duration / knot_spacing * (1.0 - 1e-9))
+    if intervals < LEAST_INTERVALS:
+        raise TrajectoryError(
+            f"knots {knot_spacing:g} s apart are too few for references over {duration:g} s: at least {LEAST_INTERVALS} "
+            f"intervals are needed, so reduce `knot_spacing` to {duration / LEAST_INTERVALS:.2g} s or less"
+        )
+    knots = np.arange(2, intervals - 1) / intervals
+    targets = motion.evaluate(knots * duration - LEAD, 0)[0]
+    matrices = [basis(DEGREE, intervals, knots, k) / duration**k for k in range(3)]
+    # rest before and after the motion, and straight lines of the corrections between them as a first guess
+    model = VariantModel(scene, [{}])
+    ends = [_at_rest(model, rigid.evaluate(t, 0)[0, 0], motion.evaluate(t, 0)[0, 0]) for t in (0.0, motion.duration)]
+    guess = _guess(rigid, ends, intervals)
+    # Newton's method over all coefficients
+    free = slice(REST, intervals + DEGREE - REST)
+    for _ in range(ITERATIONS):
+        values, by = _linearised(model, *(matrix @ guess for matrix in matrices))
+        values[:, -2:] -= targets
+        change = splu(_assembled(matrices, by, free)).solve(values.ravel()).reshape(len(knots), -1)
+        guess[free] -= change
+        largest = np.abs(change).max()
+        if not largest > CONVERGED:
+            break
+    if not largest <= CONVERGED:
+        raise TrajectoryError(
+            f"scene {scene.name}: no references of the motors make the flexible end effector follow the motion within "
+            f"{duration:g} s; make it slower, or keep it away from singular poses"
+        )
+    return FlexibleReferences(model, JointSpline(guess[:, :2].copy(), duration, DEGREE), guess[:, 2:].copy())
+
+
+def _linearised(model: VariantModel, y: RealArray, v: RealArray, a: RealArray) -> tuple[RealArray, RealArray]:
+    """[elastic forces, end effector] and their derivatives by [y, v, a] for y = [q_a, q_e] of the first variant.
+
+    Returns:
+        Shapes (N, m) and (N, m, 3, m) for y, v, a of shape (N, m).
+    """
+    n, instants = model.n, len(y)
+    references = np.hstack([y[:, :2], v[:, :2], a[:, :2]])
+    values, by = (
+        x[0] for x in model.linearised(y[np.newaxis, :, 2:], v[np.newaxis, :, 2:], a[np.newaxis, :, 2:], references)
+    )
+    rows = [*range(n), n + 2, n + 3]
+    # columns: each derivative with its joints first
+    joints, elastic = (
+        by[:, rows, 3 * n :].reshape(instants, n + 2, 3, 2),
+        by[:, rows, : 3 * n].reshape(instants, n + 2, 3, n),
+    )
+    return values[:, rows], np.concatenate([joints, elastic], axis=3)
+
+
+def _at_rest(model: VariantModel, joints: RealArray, position: RealArray) -> RealArray:
+    """Motor angles and elastic coordinates (2 + n,) with which the robot rests with its end effector at a position [m].
+
+    Raises:
+        EquilibriumError: Newton's method doesn't converge.
+    """
+    zeros = np.zeros((1, 2 + model.n))
+    y = zeros.copy()
+    y[0, :2] = joints
+    for _ in range(ITERATIONS):
+        values, by = _linearised(model, y, zeros, zeros)
+        values[0, -2:] -= position
+        change = np.linalg.solve(by[0, :, 0], values[0])
+        y[0] -= change
+        if np.abs(change).max() < CONVERGED:
+            return np.asarray(y[0])
+    raise EquilibriumError(
+        f"the robot can't rest with its end effector at (x, y) = ({position[0]:g}, {position[1]:g}) m"
+    )
+
+
+def _guess(rigid: Trajectory, ends: list[RealArray], intervals: int) -> RealArray:
+    """Coefficients (intervals + `DEGREE`, 2 + n) of the rigid robot's motion, plus a straight line between corrections at rest."""
+    start, end = ends
+    # a spline is near its coefficients at the means of the knots (Schoenberg's operator)
+    knots = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, 1.0, intervals + 1), np.ones(DEGREE)])
+    means = np.array([knots[i + 1 : i + 1 + DEGREE].mean() for i in range(intervals + DEGREE)])
+    duration = rigid.duration + 2.0 * LEAD
+    angles = rigid.evaluate(means * duration - LEAD, 0)[0]
+    still = rigid.evaluate([0.0, rigid.duration], 0)[0]
+    guess = start + means[:, np.newaxis] * (end - start)
+    guess[:, :2] += angles - still[0] - means[:, np.newaxis] * (still[1] - still[0])
+    guess[:REST], guess[-REST:] = start, end
+    return guess
+
+
+def _assembled(matrices: list[RealArray], by: RealArray, free: slice) -> csc_array:
+    """The matrix of Newton's method: of all values at all knots by all free coefficients."""
+    place, column = np.nonzero(matrices[0][:, free])
+    size = by.shape[1]
+    blocks = np.zeros((len(place), size, size))
+    for k, matrix in enumerate(matrices):
+        blocks += matrix[:, free][place, column, np.newaxis, np.newaxis] * by[place, :, k]
+    rows = place[:, np.newaxis, np.newaxis] * size + np.arange(size)[:, np.newaxis]
+    columns = column[:, np.newaxis, np.newaxis] * size + np.arange(size)
+    shape = (len(by) * size, len(by) * size)
+    rows, columns = (np.broadcast_to(each, blocks.shape).ravel() for each in (rows, columns))
+    return csc_array((blocks.ravel(), (rows, columns)), shape=shape)
