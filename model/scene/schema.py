@@ -21,6 +21,7 @@ from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.messages import sentence
 from flexfmu.model.scene.motion import TrajectorySection, with_kind
 from flexfmu.model.scene.motor import MotorSection, one_table
+from flexfmu.model.scene.plan import PlanSection
 from flexfmu.model.scene.section import Section, as_tuple
 from flexfmu.model.scene.shapers import ShaperSection
 from flexfmu.model.scene.table import TableSection
@@ -49,6 +50,7 @@ class Scene(Section):
     shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
     imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
+    plan: PlanSection | None = None
 
     def __repr__(self) -> str:
         """Return five lines with the beginning of each section; `print` shows all keys."""

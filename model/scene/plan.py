@@ -1,0 +1,135 @@
+"""The section `plan`: what `flexfmu plan` shall reach, and what it must keep to."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from flexfmu.model.scene.section import NotNegative, Positive, SecondsOrZero, Section, as_tuple, quantity
+
+Aim = Literal["time", "torque", "rms_torque", "energy", "residual"]
+"""What a plan minimises."""
+
+
+class Ratio(Section):
+    """A limit as a multiple of what the given motion needs."""
+
+    ratio: Annotated[float, quantity("1", gt=0.0)]
+
+
+def _polygon(value: Any) -> Any:
+    return (
+        tuple(tuple(point) if isinstance(point, list) else point for point in value)
+        if isinstance(value, list)
+        else value
+    )
+
+
+class BoxRegion(Section):
+    """A rectangle with its sides along x and y, between two opposite corners."""
+
+    kind: Literal["box"]
+    corners: Annotated[tuple[tuple[float, float], tuple[float, float]], BeforeValidator(_polygon), quantity("m")]
+
+    @property
+    def outline(self) -> tuple[tuple[float, float], ...]:
+        """Corners, counter-clockwise [m]."""
+        (x, X), (y, Y) = (sorted(values) for values in zip(*self.corners, strict=True))
+        return (x, y), (X, y), (X, Y), (x, Y)
+
+
+class PolygonRegion(Section):
+    """A polygon by its corners, in any sense of rotation."""
+
+    kind: Literal["polygon"]
+    points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(_polygon), Field(min_length=3), quantity("m")]
+
+    @property
+    def outline(self) -> tuple[tuple[float, float], ...]:
+        """Corners [m]."""
+        return self.points
+
+
+FAR = 10.0
+"""How far a region without an end reaches [m]."""
+
+
+class HeightRegion(Section):
+    """All that is above, or below, a height for |x - center| < half_width."""
+
+    kind: Literal["above", "below"]
+    height: Annotated[float, quantity("m")]
+    half_width: Annotated[Positive, quantity("m")]
+    center: Annotated[float, quantity("m")] = 0.0
+
+    @property
+    def outline(self) -> tuple[tuple[float, float], ...]:
+        """Corners, counter-clockwise [m]."""
+        x, X = self.center - self.half_width, self.center + self.half_width
+        y, Y = sorted((self.height, self.height + (FAR if self.kind == "above" else -FAR)))
+        return (x, y), (X, y), (X, Y), (x, Y)
+
+
+Region = Annotated[BoxRegion | PolygonRegion | HeightRegion, Field(discriminator="kind")]
+
+
+Limit = Positive | Ratio | None
+"""A limit in an SI unit, or `{ ratio = 1.0 }` of the given motion's value."""
+
+
+class PlanLimits(Section):
+    """Limits of the planned motion, in SI units or as `{ ratio = 1.0 }` of what the given motion needs.
+
+    The default keeps torques to those of the given motion at the same payload, and the references to 2.5 times its speed,
+    acceleration and jerk.
+    """
+
+    torque: Annotated[Limit, quantity("N.m")] = Ratio(ratio=1.0)
+    speed: Annotated[Limit, quantity("rad/s")] = Ratio(ratio=2.5)
+    acceleration: Annotated[Limit, quantity("rad/s2")] = Ratio(ratio=2.5)
+    jerk: Annotated[Limit, quantity("rad/s3")] = Ratio(ratio=2.5)
+    rms_torque: Annotated[Limit, quantity("N.m")] = None
+    power: Annotated[Limit, quantity("W")] = None
+    reaction: Annotated[Limit, quantity("N")] = None
+    stress: Annotated[Limit, quantity("Pa")] = None
+    off_path: Annotated[Positive | None, quantity("m")] = None
+
+
+class PlanSection(Section):
+    """The wishes for a planned motion; all have defaults."""
+
+    minimise: Aim = "time"
+    duration: Annotated[Positive | None, quantity("s")] = None
+    residual: Annotated[Positive, quantity("m")] = 1e-6
+    settled_within: SecondsOrZero = 0.0
+    payload_band: Annotated[
+        Annotated[float, Field(ge=0.0, lt=1.0)] | tuple[NotNegative, NotNegative],
+        BeforeValidator(as_tuple),
+        quantity("1 or kg"),
+    ] = 0.3
+    stiffness_band: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
+    damping_band: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
+    margin: Annotated[Positive, quantity("m")] = 1e-4
+    corridor: Annotated[float, quantity("m", ge=0.0)] = 0.01
+    keep_out: Annotated[tuple[Region, ...] | None, BeforeValidator(as_tuple)] = None
+    limits: PlanLimits = PlanLimits()
+    seed: int = 0
+
+    @model_validator(mode="after")
+    def _duration_goes_with_its_aim(self) -> Self:
+        if (self.duration is None) != (self.minimise == "time"):
+            if self.minimise == "time":
+                raise ValueError(
+                    f'`duration` = {self.duration} s and `minimise = "time"` contradict each other: leave one out'
+                )
+            raise ValueError(f'`minimise = "{self.minimise}"` needs `duration`, the total time in s')
+        return self
+
+    @model_validator(mode="after")
+    def _band_ascends(self) -> Self:
+        if isinstance(self.payload_band, tuple) and self.payload_band[0] > self.payload_band[1]:
+            raise ValueError(
+                f"`payload_band` is the lightest and the heaviest payload in kg, got {list(self.payload_band)}"
+            )
+        return self
