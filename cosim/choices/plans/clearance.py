@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from flexfmu.trajectories.jets import RealArray
+
+
+FEW = 50
+"""Polygons with more corners have about equal sides."""
+
+TOUCHING = 1e-9
+"""Distance [m] below which a point lies on the outline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,37 +34,43 @@ class Polygon:
     def of(points: Sequence[Sequence[float]] | RealArray) -> Polygon:
         """The polygon of these corners, in any sense of rotation."""
         corners = np.asarray(points, dtype=float)
+        if len(corners) > FEW:
+            corners = _evenly(corners)
         x, y = corners.T
         area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
         return Polygon(corners if area > 0.0 else corners[::-1].copy())
 
     def distance(self, points: RealArray) -> tuple[RealArray, RealArray]:
         """Distances (N,) [m] of points (N, 2), negative inside, and their gradients (N, 2)."""
-        start = self.corners
-        side = np.roll(start, -1, axis=0) - start
-        length = np.einsum("kj,kj->k", side, side)
-        from_start = points[:, None] - start
-        # the nearest point of each side, then of all
-        along = np.clip(np.einsum("nkj,kj->nk", from_start, side) / length, 0.0, 1.0)
-        away = from_start - along[..., None] * side
-        nearest = np.einsum("nkj,nkj->nk", away, away).argmin(axis=1)
-        rows = np.arange(len(points))
-        away = away[rows, nearest]
+        side = np.roll(self.corners, -1, axis=0) - self.corners
+        sides = self._near(points)
+        # the nearest point of each of these sides, then of all
+        away = points[:, None] - self.corners[sides]
+        along = np.einsum("nkj,nkj->nk", away, side[sides]) / np.einsum("nkj,nkj->nk", side[sides], side[sides])
+        away = away - np.clip(along, 0.0, 1.0)[..., None] * side[sides]
+        rows, nearest = np.arange(len(points)), np.einsum("nkj,nkj->nk", away, away).argmin(axis=1)
+        chosen, along, away = sides[rows, nearest], along[rows, nearest], away[rows, nearest]
+        # outside is where the normal points to; at a corner the sum of both sides' normals
+        unit = side / np.hypot(*side.T)[:, None]
+        normals = np.column_stack([unit[:, 1], -unit[:, 0]])
+        other = np.where(along <= 0.0, chosen - 1, np.where(along >= 1.0, (chosen + 1) % len(side), chosen))
+        normal = normals[chosen] + normals[other]
         distance = np.hypot(*away.T)
-        sign = np.where(self._inside(points), -1.0, 1.0)
-        # on the outline the gradient is the side's normal
-        chosen = side[nearest] / np.sqrt(length[nearest])[:, None]
-        normal = np.column_stack([chosen[:, 1], -chosen[:, 0]])
-        away_from = away * (sign / np.maximum(distance, 1e-300))[:, None]
-        return sign * distance, np.where((distance > 1e-9)[:, None], away_from, normal)
+        sign = np.where(np.einsum("nj,nj->n", away, normal) < 0.0, -1.0, 1.0)
+        gradient = away * (sign / np.maximum(distance, TOUCHING))[:, None]
+        return sign * distance, np.where((distance > TOUCHING)[:, None], gradient, normals[chosen])
 
-    def _inside(self, points: RealArray) -> RealArray:
-        """Whether points lie inside, by the crossings of a ray along x."""
-        x, y = points[:, 0, None], points[:, 1, None]
-        (x1, y1), (x2, y2) = self.corners.T, np.roll(self.corners, -1, axis=0).T
-        crosses = (y1 > y) != (y2 > y)
-        slope = np.divide(x2 - x1, y2 - y1, out=np.zeros_like(x1), where=y1 != y2)
-        return np.asarray((crosses & (x < x1 + (y - y1) * slope)).sum(axis=1) % 2 == 1)
+    def _near(self, points: RealArray) -> NDArray[np.intp]:
+        """Sides (N, k) of which one is the nearest to each point; few of many equal ones, otherwise all."""
+        count = len(self.corners)
+        if count <= FEW:
+            return np.broadcast_to(np.arange(count), (len(points), count))
+        _, corners = self._tree.query(points, 3)
+        return np.concatenate([corners, corners - 1], axis=1) % count
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +103,16 @@ class Clearance:
         """Gradients (N, 2) of `distance`."""
         distance, gradient = self.distances(points)
         return np.asarray(gradient[distance.argmin(axis=0), np.arange(len(points))])
+
+
+def _evenly(corners: RealArray) -> RealArray:
+    """The corners with more between them, so that all sides are about as long as the shortest half."""
+    side = np.roll(corners, -1, axis=0) - corners
+    length = np.hypot(*side.T)
+    kept = length > TOUCHING
+    corners, side, length = corners[kept], side[kept], length[kept]
+    parts = np.ceil(length / (1.5 * np.median(length))).astype(int)
+    return np.concatenate([a + b * (np.arange(n) / n)[:, None] for a, b, n in zip(corners, side, parts, strict=True)])
 
 
 def clearance_of_trace(trace: RealArray, corridor: float, below: float) -> Clearance:
