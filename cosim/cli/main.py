@@ -32,6 +32,7 @@ from flexfmu.cosim.cli.export import export
 from flexfmu.cosim.cli.fmus import fmus
 from flexfmu.cosim.cli.modes import modes
 from flexfmu.cosim.cli.paper import paper
+from flexfmu.cosim.cli.plan import plan
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.scenes import new, scenes
 from flexfmu.cosim.cli.schema import schema
@@ -114,6 +115,7 @@ for _command in (
     run,
     compare,
     sweep,
+    plan,
     paper,
     modes,
     effects,

@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, compare, linearize, modes, plan, run, sweep
+    from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, sweep
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.motors import motor_loads
@@ -43,6 +43,7 @@ __all__ = [
     "modes",
     "motor_loads",
     "plan",
+    "plan_motion",
     "run",
     "sweep",
 ]
@@ -61,6 +62,7 @@ _HOMES = {
     "modes": "flexfmu.api",
     "motor_loads": "flexfmu.cosim.metrics.motors",
     "plan": "flexfmu.api",
+    "plan_motion": "flexfmu.api",
     "run": "flexfmu.api",
     "sweep": "flexfmu.api",
 }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from flexfmu.cosim.choices.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.planning import plan as plan_motion
+from flexfmu.cosim.experiment.planning import plan as plan_of
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
@@ -22,6 +23,7 @@ from flexfmu.model.scene.schema import Scene
 if TYPE_CHECKING:
     import control
 
+    from flexfmu.cosim.choices.plans.planner import PlanResult
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
     from flexfmu.cosim.studies.sweep.result import SweepResult
@@ -194,10 +196,74 @@ def plan(scene: SceneSource, trajectory: OwnMotion | Trajectory | None = None) -
 
     robot = _scene(scene)
     if trajectory is None:
-        return in_cycles(plan_motion(robot))
+        return in_cycles(plan_of(robot))
     from flexfmu.cosim.experiment.own_motion import plan_own
 
     return in_cycles(plan_own(robot, trajectory))
+
+
+def plan_motion(
+    scene: SceneSource,
+    *,
+    methods: Collection[str] | None = None,
+    candidates: Mapping[str, OwnMotion | Trajectory] | None = None,
+    processes: int | None = None,
+    budget: float | None = None,
+    out: str | Path | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+    **wishes: Any,
+) -> PlanResult:
+    """Plan the motion that serves best within limits that hold over a band of payloads: the fastest one by default.
+
+        result = flexfmu.plan_motion("barnard2012-6kg", payload_band=0.2, limits={"torque": 80.0}, out="planned")
+        result.chosen.time, result.to_pandas()
+
+    Calls `flexfmu.cosim.choices.plans.planner.plan_scene`.
+
+    Args:
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        methods: which of ``search``, ``flexible`` and ``optimal``; None for all.
+        candidates: name → further motion that is judged beside those found, as `run` takes it.
+        processes: number of processes of the search; None for one on each processor.
+        budget: time [s] after which nothing new is begun; None for no limit.
+        out: folder for ``planned.toml``, which every command takes, ``front.csv``, ``plan.json`` and ``plan.html``; None for no
+            files.
+        progress: function that is called with what is being done, and the finished fraction where it is known.
+        wishes: keys of the scene file's section ``plan``, such as ``minimise``, ``residual`` [m] or ``limits``; they replace the
+            scene's.
+
+    Returns:
+        The chosen and the given motion with their figures, and the Pareto front of all candidates. After Ctrl-C the best so far.
+
+    Raises:
+        SceneError: the scene doesn't exist, or a key, a wish or its value is invalid.
+        TrajectoryError: the given motion is not feasible.
+        InputError: wishes contradict each other, or a method is unknown.
+        BuildError: the FMU can't be built.
+        ResultsError: the given motion can't be run, or a file can't be written.
+        TypeError: ``scene`` is of another type.
+    """
+    from flexfmu.cosim.choices.plans.assessment import Candidate
+    from flexfmu.cosim.choices.plans.planned_files import write_plan
+    from flexfmu.cosim.choices.plans.planner import METHODS, plan_scene
+    from flexfmu.trajectories.own import as_trajectory
+
+    robot = _scene(scene)
+    if wishes:
+        robot = robot.replace({f"plan.{key}": value for key, value in wishes.items()})
+    result = plan_scene(
+        robot,
+        methods=METHODS if methods is None else tuple(methods),
+        candidates=[
+            Candidate(name, "csv", robot, as_trajectory(motion)) for name, motion in (candidates or {}).items()
+        ],
+        processes=processes or os.cpu_count() or 1,
+        budget=budget,
+        show=progress or (lambda text, fraction: None),
+    )
+    if out is not None:
+        write_plan(result, Path(out))
+    return result
 
 
 def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:
@@ -223,7 +289,7 @@ def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:
             or the run failed.
         TypeError: ``scene`` is of another type.
     """
-    return modes_along_path(plan_motion(resolved(_scene(scene))), poses)
+    return modes_along_path(plan_of(resolved(_scene(scene))), poses)
 
 
 def linearize(

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from flexfmu.trajectories.jets import RealArray
 
-
 FEW = 50
 """Polygons with more corners have about equal sides."""
 

@@ -1,0 +1,230 @@
+"""`flexfmu plan`: the motion that serves best within limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.engine.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from flexfmu.cosim.choices.plans.planner import PlanResult
+    from flexfmu.model.scene.schema import Scene
+
+
+def plan(
+    scene: SceneArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE.toml", help="Also write the planned scene here.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-plan."),
+    ] = None,
+    minimise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHAT",
+            help="time, torque, rms_torque, energy or residual; all but time need --duration. Default: the scene's, or time.",
+            show_default=False,
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Total time, for all but time.", show_default=False)
+    ] = None,
+    residual: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES", help="Largest residual vibration. Default: the scene's, or 1e-6.", show_default=False
+        ),
+    ] = None,
+    payload_band: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BAND",
+            help="Payloads for which the limits hold: 0.3 for 30 % to both sides, or 4,8 for 4 to 8 kg. Default: the scene's, or 0.3.",
+            show_default=False,
+        ),
+    ] = None,
+    stiffness_band: Annotated[
+        float | None,
+        typer.Option(metavar="FRACTION", help="Relative change of Young's modulus to both sides.", show_default=False),
+    ] = None,
+    damping_band: Annotated[
+        float | None,
+        typer.Option(metavar="FRACTION", help="Relative change of the damping to both sides.", show_default=False),
+    ] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed, "
+            "acceleration, jerk, rms_torque, power, reaction, stress, off_path; may be repeated. Default: torque=1x, "
+            "speed=2.5x, acceleration=2.5x, jerk=2.5x.",
+            show_default=False,
+        ),
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="How far it may come into what is kept clear. Default: the scene's, or 1e-4.",
+            show_default=False,
+        ),
+    ] = None,
+    corridor: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="How far it may swing beyond the given path. Default: the scene's, or 0.01.",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="search, flexible or optimal; may be repeated. Default: all.", show_default=False
+        ),
+    ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", min=0.0, help="Begin nothing new after this time. Default: no limit.", show_default=False
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Seed of the search. Default: the scene's, or 0.", show_default=False),
+    ] = None,
+    processes: Annotated[
+        int | None,
+        typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
+    ] = None,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Plan the fastest motion that leaves no vibration, within limits that hold over a band of payloads.
+
+    Writes planned.toml, which every command takes, the Pareto front as front.csv, and plan.html with the planned motion
+    beside the given one. After Ctrl-C the best motion so far is written.
+    """
+    import os
+
+    from flexfmu.cosim.choices.plans.planned_files import summary, write_plan, write_scene
+    from flexfmu.cosim.choices.plans.planner import METHODS, plan_scene
+    from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+    from flexfmu.cosim.reports.text import to_json
+
+    if output is not None and output.suffix != ".toml":
+        raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
+    robot = load_changed(scene, settings)
+    wishes: dict[str, Any] = {
+        "minimise": minimise, "duration": duration, "residual": residual, "payload_band": _band(payload_band),
+        "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
+    }  # fmt: skip
+    robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
+    folder = out or RESULTS / f"{robot.name}-plan"
+    OutputFolder(folder).prepare()
+    with progress() as show:
+        result = plan_scene(
+            robot, methods=method or METHODS, processes=processes or os.cpu_count() or 1, budget=budget, show=show
+        )
+        show("writing the results", None)
+        files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
+    for message in result.failures:
+        show_note(message)
+    if result.interrupted:
+        show_note("interrupted: this is the best motion so far")
+    if json:
+        print_text(to_json({**summary(result), "files": [str(path) for path in files]}))
+    else:
+        _print(result, [str(path) for path in files])
+    return FAILURE if result.missed else 0
+
+
+def _band(text: str | None) -> float | list[float] | None:
+    """A payload band by its option.
+
+    Raises:
+        InputError: it is neither a fraction nor two masses.
+    """
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 2:
+        raise InputError(f"--payload-band takes a fraction, 0.3, or two masses in kg, 4,8; got {text!r}")
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:
+    """The scene with the wishes of the options in its section `plan`.
+
+    Raises:
+        InputError: a limit has another form.
+        SceneError: a wish is invalid.
+    """
+    changes = {f"plan.{key}": value for key, value in wishes.items()}
+    for text in limits:
+        name, _, value = text.partition("=")
+        number = value.removesuffix("x")
+        try:
+            changes[f"plan.limits.{name.strip()}"] = {"ratio": float(number)} if value != number else float(number)
+        except ValueError:
+            raise InputError(f"--limit takes NAME=VALUE, torque=80 in SI units or torque=1.2x; got {text!r}") from None
+    return scene.replace(changes) if changes else scene
+
+
+def _print(result: PlanResult, files: list[str]) -> None:
+    """The front, the limits of the chosen motion, and the files."""
+    from rich.text import Text
+
+    chosen, given = result.chosen, result.given
+    faster = "" if chosen is given else f", {chosen.time / given.time:.3g} of the given time"
+    head = f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
+    print_rich(Text(head), _limits(result), _front(result), Text(result.verdict[0].upper() + result.verdict[1:] + "."))
+    print_rich(Text(f"results: {', '.join(files)}"))
+
+
+def _limits(result: PlanResult) -> Table:
+    """How close the chosen motion comes to each limit."""
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    table = titled_table("Limits of the chosen motion")
+    for name in ("limit", "value", "of", "unit", "used", "where"):
+        table.add_column(name, justify="left" if name in ("limit", "unit", "where") else "right")
+    for use in result.chosen.uses:
+        unit = "" if use.unit == "1" else use.unit
+        table.add_row(use.name, f"{use.value:.3g}", f"{use.limit:.3g}", unit, f"{100 * use.share:.0f} %", use.where)
+    return table
+
+
+def _front(result: PlanResult) -> Table:
+    """The Pareto front."""
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    table = titled_table("Pareto front")
+    for name in ("motion", "time s", "residual µm", "torque N.m", "energy J", "off path mm", "limits"):
+        table.add_column(name, justify="left" if name in ("motion", "limits") else "right")
+    for each in result.front:
+        missed = ", ".join(use.name for use in each.uses if not use.met)
+        figures = (
+            f"{each.time:.3f}",
+            f"{1e6 * each.residual:.2f}",
+            f"{each.torque:.1f}",
+            f"{each.energy:.1f}",
+            f"{1e3 * each.off_path:.2f}",
+        )
+        table.add_row(each.candidate.label, *figures, f"misses {missed}" if missed else "kept")
+    return table
