@@ -1,0 +1,138 @@
+"""Wishes that contradict each other, or what the robot can do: told before long work."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.choices.plans.goals import Goals
+
+GRID = 160
+"""Points along each side of the grid on which a way around the regions is looked for."""
+
+
+def check_goals(goals: Goals) -> None:
+    """Check wishes before anything is simulated.
+
+    Raises:
+        InputError: no motion can keep to them; the message names the wish, its value and the remedy.
+    """
+    _check_ends(goals)
+    _check_way(goals)
+    _check_holding_torque(goals)
+    _check_duration(goals)
+
+
+def _check_ends(goals: Goals) -> None:
+    """Start and end may not lie where the end effector must not be."""
+    for name, point in (("start", goals.trace[0]), ("end", goals.trace[-1])):
+        distance = float(goals.clearance.distance(point[None])[0])
+        if distance < -goals.wishes.margin:
+            raise InputError(
+                f"`plan.keep_out` contains the {name} of the motion, ({point[0]:g}, {point[1]:g}) m, {1e3 * -distance:.3g} mm "
+                f"within its outline: make the region smaller"
+            )
+
+
+def _check_way(goals: Goals) -> None:
+    """There must be a way from start to end within the workspace, around the user's regions."""
+    if not goals.wishes.keep_out:
+        return
+    mechanism = goals.scene.mechanism
+    reach = mechanism.base_half_distance + mechanism.proximal.length + mechanism.distal.length
+    side = np.linspace(-reach, reach, GRID)
+    points = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
+    flat = points.reshape(-1, 2)
+    kinematics = goals.given.kinematics
+    reachable = np.all([each.values > each.required for each in kinematics.margins(flat)], axis=0)
+    # half a cell: a narrow way isn't taken for blocked
+    free = reachable & (goals.clearance.distance(flat) > -goals.wishes.margin - 0.5 * (side[1] - side[0]))
+    start, end = (
+        int(np.argmin(np.hypot(*(flat - point).T) + np.where(free, 0.0, 1e3))) for point in goals.trace[[0, -1]]
+    )
+    if not _connected(free.reshape(GRID, GRID), divmod(start, GRID), divmod(end, GRID)):
+        x, y = goals.trace[-1]
+        raise InputError(
+            f"`plan.keep_out` leaves no way within the workspace from the start to the end, ({x:g}, {y:g}) m: open a gap, or "
+            f"make a region smaller"
+        )
+
+
+def _connected(free: NDArray[np.bool_], start: tuple[int, int], end: tuple[int, int]) -> bool:
+    """Whether free cells lead from one to another."""
+    seen = np.zeros_like(free)
+    seen[start] = True
+    queue = deque([start])
+    while queue:
+        cell = queue.popleft()
+        if cell == end:
+            return True
+        for i in (-1, 0, 1):
+            for j in (-1, 0, 1):
+                other = cell[0] + i, cell[1] + j
+                if min(other) >= 0 and max(other) < len(free) and free[other] and not seen[other]:
+                    seen[other] = True
+                    queue.append(other)
+    return False
+
+
+def _check_holding_torque(goals: Goals) -> None:
+    """The motors must be able to hold the heaviest payload at the places."""
+    limit = goals.limits.get("torque")
+    if limit is None or limit.value is None:
+        return
+    low, high = goals.band
+    robots = [each for each in goals.variations(2) if each.payload in (low, high)]
+    motion = goals.given.once
+    for name, instant in (("start", 0.0), ("end", motion.duration)):
+        joints = motion.joints.evaluate([instant], 0, "left")[0, 0]
+        for robot in robots:
+            torque = float(np.abs(static_equilibrium(robot.of(goals.scene), joints).torque).max())
+            if torque > limit.value:
+                raise InputError(
+                    f"`plan.limits.torque` = {limit.value:g} N.m is below {torque:.4g} N.m, which hold {robot} at the {name} of the "
+                    f"motion against gravity: allow more, or carry less"
+                )
+
+
+def _check_duration(goals: Goals) -> None:
+    """The motors must be able to turn from start to end within the wished time."""
+    duration = goals.wishes.duration
+    if duration is None:
+        return
+    motion = goals.given.once
+    ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
+    turn = float(np.abs(ends[1] - ends[0]).max())
+    peaks = _reference_peaks(goals)
+    # the shortest times from rest to rest: at full speed, by full acceleration, by full jerk
+    for k, (name, least) in enumerate(
+        (
+            ("speed", lambda x: turn / x),
+            ("acceleration", lambda x: 2 * (turn / x) ** 0.5),
+            ("jerk", lambda x: (32 * turn / x) ** (1 / 3)),
+        )
+    ):
+        limit = goals.limits.get(name)
+        if limit is None:
+            continue
+        value = limit.value if limit.value is not None else (limit.ratio or 1.0) * peaks[k]
+        if duration < least(value):
+            raise InputError(
+                f"`plan.duration` = {duration:g} s is below {least(value):.4g} s, which a joint needs to turn by {turn:.4g} rad with "
+                f"`plan.limits.{name}` of {value:.4g} {limit.unit}: allow more time or more {name}"
+            )
+
+
+def _reference_peaks(goals: Goals) -> RealArray:
+    """Largest joint velocity, acceleration and jerk of the given motion."""
+    motion = goals.given.once
+    instants = np.linspace(0.0, motion.duration, 2001)
+    return np.asarray(np.abs(motion.joints.evaluate(instants, 3, "left")[1:]).max(axis=(1, 2)))
