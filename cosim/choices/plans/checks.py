@@ -112,21 +112,16 @@ def _check_duration(goals: Goals) -> None:
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
     turn = float(np.abs(ends[1] - ends[0]).max())
     peaks = _reference_peaks(goals)
-    # the shortest times from rest to rest: at full speed, by full acceleration, by full jerk
-    for k, (name, least) in enumerate(
-        (
-            ("speed", lambda x: turn / x),
-            ("acceleration", lambda x: 2 * (turn / x) ** 0.5),
-            ("jerk", lambda x: (32 * turn / x) ** (1 / 3)),
-        )
-    ):
+    for k, name in enumerate(("speed", "acceleration", "jerk")):
         limit = goals.limits.get(name)
         if limit is None:
             continue
-        value = limit.value if limit.value is not None else (limit.ratio or 1.0) * peaks[k]
-        if duration < least(value):
+        value = limit.value if limit.value is not None else (limit.ratio or 1.0) * float(peaks[k])
+        # the shortest time from rest to rest: at full speed, by full acceleration, by full jerk
+        least = (turn / value, 2 * (turn / value) ** 0.5, (32 * turn / value) ** (1 / 3))[k]
+        if duration < least:
             raise InputError(
-                f"`plan.duration` = {duration:g} s is below {least(value):.4g} s, which a joint needs to turn by {turn:.4g} rad with "
+                f"`plan.duration` = {duration:g} s is below {least:.4g} s, which a joint needs to turn by {turn:.4g} rad with "
                 f"`plan.limits.{name}` of {value:.4g} {limit.unit}: allow more time or more {name}"
             )
 
