@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.choices.plans.goals import Goals, goals_of
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.choices.plans.goals import Goals
 
 GRID = 160
 """Points along each side of the grid on which a way around the regions is looked for."""
 
 
-def check_goals(goals: Goals) -> None:
-    """Check wishes before anything is simulated.
+def checked_goals(scene: Scene) -> Goals:
+    """The wishes of a scene in numbers, checked before anything is simulated.
 
     Raises:
-        InputError: no motion can keep to them; the message names the wish, its value and the remedy.
+        TrajectoryError: the given motion isn't feasible.
+        InputError: no motion can keep to the wishes; the message names the wish, its value and the remedy.
     """
+    goals = goals_of(scene)
     _check_ends(goals)
     _check_way(goals)
     _check_holding_torque(goals)
     _check_duration(goals)
+    return goals
 
 
 def _check_ends(goals: Goals) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.choices.effects.choice import resolved
-from flexfmu.cosim.choices.plans.checks import check_goals
 from flexfmu.cosim.choices.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
@@ -172,9 +171,7 @@ def goals_of(scene: Scene) -> Goals:
         for name in type(wishes.limits).model_fields
         if (value := getattr(wishes.limits, name)) is not None
     }
-    goals = Goals(longer, wishes, limits, _clearance(longer, wishes))
-    check_goals(goals)
-    return goals
+    return Goals(longer, wishes, limits, _clearance(longer, wishes))
 
 
 def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:

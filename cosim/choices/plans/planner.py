@@ -9,7 +9,8 @@ from time import monotonic, process_time
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, LimitUse
-from flexfmu.cosim.choices.plans.goals import Goals, goals_of
+from flexfmu.cosim.choices.plans.checks import checked_goals
+from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
@@ -153,7 +154,7 @@ def plan_scene(
     if unknown := [name for name in methods if name not in METHODS]:
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = process_time(), monotonic()
-    goals = goals_of(scene)
+    goals = checked_goals(scene)
     show("the given motion", None)
     judge = Judge(goals, SCREENED)
     found, failures = [judge.given], list[str]()

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.cosim.choices.plans.goals import goals_of
+from flexfmu.cosim.choices.plans.checks import checked_goals
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -37,7 +37,7 @@ SCENE = load_scene("barnard2012-6kg")
 )
 def test_wishes_that_contradict(wishes: dict[str, Any], message: str) -> None:
     with pytest.raises((InputError, SceneError)) as error:
-        goals_of(SCENE.replace({f"plan.{key}": value for key, value in wishes.items()}))
+        checked_goals(SCENE.replace({f"plan.{key}": value for key, value in wishes.items()}))
     text = str(error.value)
     assert message in text
     assert "\n" not in text
@@ -45,19 +45,19 @@ def test_wishes_that_contradict(wishes: dict[str, Any], message: str) -> None:
 
 def test_regions_with_a_gap_are_no_contradiction() -> None:
     wall = {"kind": "box", "corners": [[-0.01, 0.30], [0.01, 1.0]]}
-    goals_of(SCENE.replace({"plan.keep_out": [wall]}))
+    checked_goals(SCENE.replace({"plan.keep_out": [wall]}))
 
 
 def test_a_torque_driven_scene_is_told_what_to_do() -> None:
     with pytest.raises(InputError, match="torque drive or controllers"):
-        goals_of(SCENE.replace({"cosimulation.drive": "torque"}))
+        checked_goals(SCENE.replace({"cosimulation.drive": "torque"}))
 
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(0.0, 0.9), st.floats(0.0, 0.5), st.floats(0.0, 0.9))
 def test_bands_hold_their_ends(payload: float, stiffness: float, damping: float) -> None:
     wishes = {"payload_band": payload, "stiffness_band": stiffness, "damping_band": damping}
-    goals = goals_of(SCENE.replace({f"plan.{key}": value for key, value in wishes.items()}))
+    goals = checked_goals(SCENE.replace({f"plan.{key}": value for key, value in wishes.items()}))
     robots = goals.variations(5)
     low, high = goals.band
     assert (min(each.payload for each in robots), max(each.payload for each in robots)) == (low, high)
@@ -66,4 +66,4 @@ def test_bands_hold_their_ends(payload: float, stiffness: float, damping: float)
 
 
 def test_a_payload_of_zero_has_a_band_of_one_payload() -> None:
-    assert [each.payload for each in goals_of(SCENE.replace({"payload.mass": 0.0})).variations(7)] == [0.0]
+    assert [each.payload for each in checked_goals(SCENE.replace({"payload.mass": 0.0})).variations(7)] == [0.0]
