@@ -109,6 +109,9 @@ def plan(
         int | None,
         typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
     ] = None,
+    robust: Annotated[
+        bool, typer.Option("--robust/--no-robust", help="Judge the chosen motion in richer models too.")
+    ] = True,
     settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -136,7 +139,12 @@ def plan(
     OutputFolder(folder).prepare()
     with progress() as show:
         result = plan_scene(
-            robot, methods=method or METHODS, processes=processes or os.cpu_count() or 1, budget=budget, show=show
+            robot,
+            methods=method or METHODS,
+            processes=processes or os.cpu_count() or 1,
+            budget=budget,
+            robust=robust,
+            show=show,
         )
         show("writing the results", None)
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
@@ -193,7 +201,8 @@ def _print(result: PlanResult, files: list[str]) -> None:
     chosen, given = result.chosen, result.given
     faster = "" if chosen is given else f", {chosen.time / given.time:.3g} of the given time"
     head = f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
-    print_rich(Text(head), _limits(result), _front(result), Text(result.verdict[0].upper() + result.verdict[1:] + "."))
+    tables = [_limits(result), _front(result), *([_robustness(result)] if result.robustness else [])]
+    print_rich(Text(head), *tables, Text(result.verdict[0].upper() + result.verdict[1:] + "."))
     print_rich(Text(f"results: {', '.join(files)}"))
 
 
@@ -227,4 +236,18 @@ def _front(result: PlanResult) -> Table:
             f"{1e3 * each.off_path:.2f}",
         )
         table.add_row(each.candidate.label, *figures, f"misses {missed}" if missed else "kept")
+    return table
+
+
+def _robustness(result: PlanResult) -> Table:
+    """The chosen motion in other models."""
+    from flexfmu.cosim.choices.plans.planned_files import robustness_table
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    lines = robustness_table(result)
+    table = titled_table(lines.title)
+    for name in lines.header:
+        table.add_column(name, justify="left" if name in ("Model", "Worst for", "Limits") else "right")
+    for row in lines.rows:
+        table.add_row(*row)
     return table

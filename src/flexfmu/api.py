@@ -209,6 +209,7 @@ def plan_motion(
     candidates: Mapping[str, OwnMotion | Trajectory] | None = None,
     processes: int | None = None,
     budget: float | None = None,
+    robust: bool = True,
     out: str | Path | None = None,
     progress: Callable[[str, float | None], None] | None = None,
     **wishes: Any,
@@ -226,6 +227,7 @@ def plan_motion(
         candidates: name → further motion that is judged beside those found, as `run` takes it.
         processes: number of processes of the search; None for one on each processor.
         budget: time [s] after which nothing new is begun; None for no limit.
+        robust: whether the chosen motion is judged in richer models too, up to half a minute.
         out: folder for ``planned.toml``, which every command takes, ``front.csv``, ``plan.json`` and ``plan.html``; None for no
             files.
         progress: function that is called with what is being done, and the finished fraction where it is known.
@@ -259,6 +261,7 @@ def plan_motion(
         ],
         processes=processes or os.cpu_count() or 1,
         budget=budget,
+        robust=robust,
         show=progress or (lambda text, fraction: None),
     )
     if out is not None:

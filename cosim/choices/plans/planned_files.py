@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
@@ -150,6 +151,18 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "verdict": result.verdict,
         "interrupted": result.interrupted,
         "failures": list(result.failures),
+        "robustness": [
+            {
+                "model": line.model,
+                "residual": line.residual if math.isfinite(line.residual) else None,
+                "where": line.where,
+                "torque_ratio": line.torque_ratio,
+                "off_path": line.off_path,
+                "missed": list(line.missed),
+                "note": line.note,
+            }
+            for line in result.robustness
+        ],
         "cpu_time": result.cpu_time,
     }
 
@@ -163,7 +176,9 @@ def report(result: PlanResult) -> str:
     ]
     plots = [_front_plot(result), _ways_plot(result, runs)]
     title = f"{result.goals.scene.name}: planned motion"
-    return render_comparison(compared, [limits_table(result.chosen), front_table(result)], plots, title)
+    return render_comparison(
+        compared, [limits_table(result.chosen), front_table(result), robustness_table(result)], plots, title
+    )
 
 
 def limits_table(found: Assessment) -> Table:
@@ -204,6 +219,23 @@ def front_table(result: PlanResult) -> Table:
         "Within limits",
     ]
     return Table("Pareto front", header, rows, "No other motion found is better in every figure.")
+
+
+def robustness_table(result: PlanResult) -> Table:
+    """The chosen motion in other models."""
+    rows = [
+        [
+            line.model,
+            f"{1e6 * line.residual:.3g}" if math.isfinite(line.residual) else "-",
+            line.where,
+            "-" if line.torque_ratio is None else f"{line.torque_ratio:.3f}",
+            "-" if line.off_path is None else f"{1e3 * line.off_path:.3g}",
+            f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note,
+        ]
+        for line in result.robustness
+    ]
+    header = ["Model", "Residual [µm]", "Worst for", "Torque ratio", "Off path [mm]", "Limits"]
+    return Table("In other models", header, rows, "Torques are relative to the given motion's in the same model.")
 
 
 def _missed(each: Assessment) -> str:

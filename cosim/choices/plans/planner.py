@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, LimitUse
 from flexfmu.cosim.choices.plans.checks import checked_goals
 from flexfmu.cosim.choices.plans.goals import Goals
+from flexfmu.cosim.choices.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
@@ -49,7 +50,8 @@ class PlanResult:
         assessed: all candidates, in the order in which they were found.
         failures: message of each candidate or method that failed.
         interrupted: whether the plan ended before its methods did.
-        cpu_time: processor time of this process [s].
+        cpu_time: processor time of planning in this process [s].
+        robustness: what remains of the chosen motion's figures in richer models, beyond the bands, and in a loop.
     """
 
     goals: Goals
@@ -59,6 +61,7 @@ class PlanResult:
     failures: tuple[str, ...]
     interrupted: bool
     cpu_time: float
+    robustness: tuple[RobustnessLine, ...] = ()
 
     def __repr__(self) -> str:
         """Return the chosen motion beside the given one, in a few lines."""
@@ -132,6 +135,7 @@ def plan_scene(
     candidates: Sequence[Candidate] = (),
     processes: int = 1,
     budget: float | None = None,
+    robust: bool = True,
     show: Show = lambda text, fraction: None,
 ) -> PlanResult:
     """Plan a motion for the wishes of a scene's section `plan`.
@@ -142,6 +146,7 @@ def plan_scene(
         candidates: further motions that are assessed beside those found.
         processes: number of processes of the search.
         budget: time [s] after which nothing new is begun; None for no limit.
+        robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.choices.plans.robustness`.
         show: is called with what is being done.
 
     Returns:
@@ -175,7 +180,15 @@ def plan_scene(
     show("the chosen motion, with all payloads", None)
     final = Judge(goals, JUDGED)
     chosen = _chosen(found, goals, final)
-    return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, process_time() - work)
+    work = process_time() - work
+    lines = list[RobustnessLine]()
+    try:
+        for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
+            show(f"the chosen motion in other models: {line.model}", None)
+            lines.append(line)
+    except KeyboardInterrupt:
+        interrupted = True
+    return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
 
 
 def _candidates(
