@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from time import monotonic, process_time
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, LimitUse
@@ -50,7 +51,7 @@ class PlanResult:
         assessed: all candidates, in the order in which they were found.
         failures: message of each candidate or method that failed.
         interrupted: whether the plan ended before its methods did.
-        cpu_time: processor time of planning in this process [s].
+        cpu_time: processor time of planning [s], of all processes.
         robustness: what remains of the chosen motion's figures in richer models, beyond the bands, and in a loop.
     """
 
@@ -158,7 +159,7 @@ def plan_scene(
     """
     if unknown := [name for name in methods if name not in METHODS]:
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
-    work, clock = process_time(), monotonic()
+    work, clock = _processor_time(), monotonic()
     goals = checked_goals(scene)
     show("the given motion", None)
     judge = Judge(goals, SCREENED)
@@ -180,7 +181,7 @@ def plan_scene(
     show("the chosen motion, with all payloads", None)
     final = Judge(goals, JUDGED)
     chosen = _chosen(found, goals, final)
-    work = process_time() - work
+    work = _processor_time() - work
     lines = list[RobustnessLine]()
     try:
         for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
@@ -215,6 +216,11 @@ def _stage(name: str) -> Stage:
     """A method by its name: the function of this name in the module of this name."""
     stage: Stage = getattr(import_module(f"flexfmu.cosim.choices.plans.{name}"), name)
     return stage
+
+
+def _processor_time() -> float:
+    """Processor time [s] of this process and of those that it has started and that have ended."""
+    return sum(os.times()[:4])
 
 
 def _dominates(one: Assessment, other: Assessment) -> bool:

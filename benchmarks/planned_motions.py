@@ -1,0 +1,82 @@
+"""What `flexfmu plan` reaches: total time, residual vibration over the payload band, use of the limits, and the time it takes.
+
+python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [SCENE ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from flexfmu import load_scene
+from flexfmu.cosim.choices.plans.planned_files import summary, write_scene
+from flexfmu.cosim.choices.plans.planner import METHODS, PlanResult, plan_scene
+from flexfmu.model.scene.schema import Scene
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCENES = ("barnard2012-6kg", "barnard2012-0.1kg", str(EXAMPLES / "tubes.toml"), str(EXAMPLES / "steel.toml"))
+
+
+def main() -> None:
+    """Plan and print."""
+    parser = argparse.ArgumentParser(description="What flexfmu plan reaches.")
+    parser.add_argument("scenes", nargs="*", default=SCENES)
+    parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    parser.add_argument("--robust", action="store_true", help="judge in richer models too")
+    parser.add_argument("--method", action="append", choices=METHODS, help="only these methods")
+    parser.add_argument("--damping", type=float, help="modal damping ratio instead of the scene's")
+    parser.add_argument("--out", type=Path, help="folder for the planned scenes")
+    options = parser.parse_args()
+    found = []
+    for name in options.scenes:
+        scene = load_scene(name)
+        if options.damping is not None:
+            scene = scene.replace({"effects.damping": {"kind": "modal", "ratio": options.damping}})
+        result = planned(scene, tuple(options.method or METHODS), robust=options.robust)
+        found.append(summary(result))
+        if options.out is not None:
+            write_scene(result, options.out / f"{result.goals.scene.name}-planned.toml")
+        if not options.json:
+            show(result)
+    if options.json:
+        print(json.dumps(found, indent=1))
+
+
+def planned(scene: Scene, methods: tuple[str, ...], *, robust: bool) -> PlanResult:
+    """The plan, with what it does on standard error."""
+
+    def told(text: str, fraction: float | None) -> None:
+        print(f"  {text}", file=sys.stderr)
+
+    return plan_scene(scene, methods=methods, processes=os.cpu_count() or 1, robust=robust, show=told)
+
+
+def show(result: PlanResult) -> None:
+    """Print the chosen motion and the front."""
+    chosen, given = result.chosen, result.given
+    print(
+        f"\n{result.goals.scene.name}: {chosen.candidate.label} ({chosen.candidate.method}), CPU {result.cpu_time:.0f} s"
+    )
+    print(
+        f"  time {chosen.time:.4f} s = {chosen.time / given.time:.3f} of {given.time:g} s; residual {1e6 * chosen.residual:.3f} um"
+    )
+    for use in chosen.uses:
+        print(f"  {use.name:18} {use.value:10.4g} of {use.limit:10.4g} {use.unit:7} {use.where}")
+    for row in result.rows():
+        figures: dict[str, Any] = row
+        print(
+            f"    {figures['motion'][:50]:50} {figures['time']:.4f} s {1e6 * figures['residual']:8.3f} um "
+            f"torque {figures['torque_ratio']:.3f} off {1e3 * figures['off_path']:.2f} mm {'' if figures['feasible'] else 'not within limits'}"
+        )
+    for line in result.robustness:
+        print(f"  {line.model:40} {1e6 * line.residual:8.3f} um {line.where:24} {', '.join(line.missed)} {line.note}")
+    for message in result.failures:
+        print(f"  failed: {message}")
+
+
+if __name__ == "__main__":
+    main()
