@@ -25,7 +25,7 @@ DRAFT = "http://json-schema.org/draft-07/schema#"
 TABLES = ("joint_friction",)
 """Tables whose `kind` can't stand for them as a word."""
 
-VECTORS = ("start", "lift", "gravity", "band")
+VECTORS = ("start", "lift", "gravity", "band", "corners", "points", "payload_band")
 """Pairs that aren't one value for each joint, and can't be given as one number."""
 
 WORDS = {"modes": ["along-path"], "step": ["auto"], "references": ["rigid", "flexible"]}
@@ -81,7 +81,7 @@ def _as_in_toml(field: Any, key: str) -> Any:
     if isinstance(field.get("items"), dict):
         field["items"] = _as_in_toml(field["items"], key)
     if "prefixItems" in field:
-        item = field["items"] = field.pop("prefixItems")[0]
+        item = field["items"] = _as_in_toml(field.pop("prefixItems")[0], key)
         if key not in VECTORS:
             pair = {name: field.pop(name) for name in ("type", "items", "minItems", "maxItems")}
             field["anyOf"] = [item, pair]
