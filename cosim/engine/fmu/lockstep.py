@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from ctypes import CDLL, POINTER, Structure, c_char_p, c_double, c_int, c_size_t, create_string_buffer
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +115,7 @@ class Lockstep:
         lanes: int | None = None,
     ) -> None:
         self.lanes = lanes_of_processor() if lanes is None else lanes
-        self._library = _load(batch_library(fmu, self.lanes))
+        self._library = _library(fmu, fmu.stat().st_mtime_ns if fmu.exists() else 0, self.lanes)
         self._instants, self._shape = course.instants.size, (len(outputs), order + 1)
         # value references: inputs, then parameters, then outputs
         variables = {each.name: each for each in open_fmu(fmu).description.modelVariables}
@@ -226,6 +226,12 @@ def _number(variables: Mapping[str, Any], settings: Mapping[str, Value]) -> Call
 
 def _pointer(array: NDArray[Any]) -> Any:
     return array.ctypes.data_as(_DOUBLES if array.dtype == float else _INTS)
+
+
+@lru_cache(maxsize=16)
+def _library(fmu: Path, changed: int, lanes: int) -> Any:
+    """The library of an FMU that was changed last at some time [ns], found once: its name is the hash of all sources."""
+    return _load(batch_library(fmu, lanes))
 
 
 @cache

@@ -1,0 +1,217 @@
+"""Quick runs of a motion-driven robot: one motion after another, each with all variants of the robot side by side.
+
+Between communication points the joint references are quintic polynomials with the motion's position, velocity and acceleration
+at both ends, so that a motion is known by its values at these points alone. They are for comparing motions: with steps of 1 ms
+peaks and residual vibrations are found to about 1 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
+from flexfmu.cosim.experiment.parameters import parameters_for
+from flexfmu.fmu_build.choices import INITIAL
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+
+KINDS = ("position", "velocity", "acceleration")
+"""Last part of the references' names, by the order of the time derivative."""
+
+OUTPUTS = ("end_effector.position.x", "end_effector.position.y", "joint1.torque", "joint2.torque")
+"""The recorded outputs."""
+
+TOLERANCE = 1e-5
+"""Relative tolerance of the integrator."""
+
+BETWEEN = 3
+"""Number of positions that are interpolated in each step."""
+
+QUINTIC = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+        [-60.0, -36.0, -9.0, 60.0, -24.0, 3.0],
+        [360.0, 192.0, 36.0, -360.0, 168.0, -24.0],
+        [-720.0, -360.0, -60.0, 720.0, -360.0, 60.0],
+    ]
+)
+"""Derivatives at the beginning of the quintic on 0..1 from value, first and second derivative at 0 and at 1."""
+
+
+_FRACTIONS = np.arange(1, BETWEEN + 1) / (BETWEEN + 1.0)
+MIDDLES = np.stack(
+    [
+        -_FRACTIONS * (_FRACTIONS - 1.0) * (_FRACTIONS - 2.0) / 6.0,
+        (_FRACTIONS + 1.0) * (_FRACTIONS - 1.0) * (_FRACTIONS - 2.0) / 2.0,
+        -(_FRACTIONS + 1.0) * _FRACTIONS * (_FRACTIONS - 2.0) / 2.0,
+        (_FRACTIONS + 1.0) * _FRACTIONS * (_FRACTIONS - 1.0) / 6.0,
+    ],
+    axis=1,
+)
+"""(`BETWEEN`, 4) weights of four equidistant values for positions between the second and the third."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Joint references at communication points, from the start of the motion to its end.
+
+    Attributes:
+        time: (N,) equidistant points from 0 to the duration [s].
+        values: (3, N, 2) q11 and q21 [rad], with first and second time derivative.
+    """
+
+    time: RealArray
+    values: RealArray
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return float(self.time[-1])
+
+    @cached_property
+    def polynomials(self) -> RealArray:
+        """(N - 1, 6, 2) derivatives 0 to 5 at the beginning of the quintic of each step."""
+        steps = np.diff(self.time)
+        scale = steps[:, None] ** np.arange(3)
+        ends = [np.einsum("kni,nk->nki", values, scale) for values in (self.values[:, :-1], self.values[:, 1:])]
+        found = np.einsum("jk,nki->nji", QUINTIC, np.concatenate(ends, axis=1))
+        return np.asarray(found / (steps[:, None] ** np.arange(6))[:, :, None])
+
+    @cached_property
+    def peaks(self) -> RealArray:
+        """(3,) largest speed [rad/s], acceleration [rad/s2] and jerk [rad/s3] of a joint."""
+        return np.array([*np.abs(self.values[1:]).max(axis=(1, 2)), np.abs(self.jerks).max()])
+
+    @property
+    def jerks(self) -> RealArray:
+        """(N - 1, 2) mean jerks of the steps [rad/s3]."""
+        return np.asarray(np.diff(self.values[2], axis=0) / (self.time[1] - self.time[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class QuickRun:
+    """A run of all V variants.
+
+    Attributes:
+        motion: the joint references.
+        time: (N,) communication points [s], motion and dwell.
+        position: (V, N, 2) end effector [m].
+        torque: (V, N, 2) [N.m].
+        rest: (V, 2) equilibrium of the end effector at the end pose [m].
+    """
+
+    motion: JointMotion
+    time: RealArray
+    position: RealArray
+    torque: RealArray
+    rest: RealArray
+
+    @property
+    def moving(self) -> int:
+        """Number of communication points until the motion's end, included."""
+        return len(self.motion.time)
+
+    @cached_property
+    def peak_torques(self) -> RealArray:
+        """(V, 2) largest torque of each motor over the motion [N.m]."""
+        return np.asarray(np.abs(self.torque[:, : self.moving]).max(axis=1))
+
+    @cached_property
+    def powers(self) -> RealArray:
+        """(V, N, 2) mechanical power of each motor during the motion [W]."""
+        return np.asarray(self.torque[:, : self.moving] * self.motion.values[1])
+
+    @cached_property
+    def track(self) -> RealArray:
+        """(V, M, 2) positions [m], with `BETWEEN` more in each step by cubics through the four nearest."""
+        p = self.position
+        inner = np.einsum("jk,kvni->vnji", MIDDLES, np.stack([p[:, k : p.shape[1] - 3 + k] for k in range(4)]))
+        rows = np.concatenate([p[:, 1:-2, None], inner], axis=2)
+        return np.asarray(rows.reshape(len(p), -1, 2))
+
+    def residuals(self, settled_within: float = 0.0) -> RealArray:
+        """(V,) largest distance from the equilibrium, from some time [s] after the motion's end on [m]."""
+        return np.asarray(np.linalg.norm(self.vibration(settled_within), axis=2).max(axis=1))
+
+    def vibration(self, settled_within: float = 0.0) -> RealArray:
+        """(V, M, 2) deviations from the equilibrium from that time on [m]."""
+        late = self.time >= self.motion.duration + settled_within - 1e-9
+        return np.asarray(self.position[:, late] - self.rest[:, None])
+
+
+class QuickRobot:
+    """A robot that follows motions, with variants of its parameters.
+
+    Args:
+        scene: motion-driven scene.
+        fmu_path: its FMU.
+        variants: changed FMU parameters of each variant.
+        rest: (V, 2) equilibria of the end effector where the motions end [m].
+        step: longest communication step [s].
+        dwell: standstill after a motion [s].
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        fmu_path: Path,
+        variants: Sequence[Mapping[str, float]],
+        rest: RealArray,
+        step: float,
+        dwell: float,
+    ) -> None:
+        description = open_fmu(fmu_path).description
+        settings = parameters_for(scene, parameter_names(description))
+        self._path, self._settings = fmu_path, dict[str, Value](settings) | {INITIAL.name: "static"}
+        self._rest, self.step, self._dwell = rest, step, dwell
+        # the inputs: joint number and order of the derivative of each
+        names = [each.name for each in description.modelVariables if each.causality == "input"]
+        self._names, self._joints = names, [int(name[5]) - 1 for name in names]
+        self._kinds = [KINDS.index(name.rpartition(".")[2]) for name in names]
+        # values of the parameters that any variant changes
+        self._changed = sorted({name for each in variants for name in each})
+        values = [[each.get(name, settings[name]) for name in self._changed] for each in variants]
+        self._values = np.array(values, dtype=float).reshape(len(variants), -1)
+
+    def steps(self, duration: float) -> int:
+        """Number of communication steps of a motion of this duration [s]."""
+        return max(2, int(np.ceil(duration / self.step - 1e-9)))
+
+    def run(self, motion: JointMotion) -> QuickRun:
+        """Run all variants.
+
+        Raises:
+            CosimError: a variant can't be simulated.
+        """
+        course = self._course(motion)
+        solver = Lockstep(self._path, self._settings, course, self._changed, OUTPUTS, order=0, tolerance=TOLERANCE)
+        found, failed = solver.record(self._values)
+        if failed.any():
+            raise CosimError("a variant of the robot can't follow the motion")
+        outputs = np.swapaxes(found[:, :, 0], 1, 2)
+        return QuickRun(motion, course.times, outputs[:, :, :2], outputs[:, :, 2:], self._rest)
+
+    def _course(self, motion: JointMotion) -> Course:
+        """The references at communication points, and the standstill after them."""
+        late = motion.duration + np.arange(1, int(np.ceil(self._dwell / self.step)) + 1) * self.step
+        still = np.zeros((late.size, 6, 2))
+        still[:, 0] = motion.values[0, -1]
+        joints = np.concatenate([motion.polynomials, still])
+        # of each input: derivatives of the joint from its own order on
+        inputs = np.zeros((len(joints), 6, len(self._names)))
+        for i, (joint, kind) in enumerate(zip(self._joints, self._kinds, strict=True)):
+            inputs[:, : 6 - kind, i] = joints[:, kind:, joint]
+        before = np.where(np.array(self._kinds) == 0, motion.values[0, 0][self._joints], 0.0)
+        times = np.concatenate([motion.time, late])
+        jumps = np.zeros(times.size, dtype=bool)
+        return Course(times, jumps, self._names, before, inputs, self._kinds, len(motion.time) - 1)
