@@ -73,7 +73,7 @@ def best_change(
     )
     if found.x is None:
         return np.zeros(len(low)), 0.0
-    return np.asarray(found.x[: len(low)]), float(now - found.fun)
+    return np.asarray(found.x[: len(low)]), now - float(found.fun or 0.0)
 
 
 def _part(rows: RealArray, further: Sequence[RealArray], reach: float, limit: float) -> tuple[RealArray, RealArray]:

@@ -6,7 +6,7 @@ then costs a millisecond.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from typing import Any
@@ -19,6 +19,7 @@ from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.path import PickAndPlacePath
@@ -179,7 +180,7 @@ def references(scene: Scene, design: Design, steps: int) -> JointMotion:
     section = scene.trajectory
     assert isinstance(section, TrajectorySection)
     corner = design.blend, *design.corner
-    table = path_table(scene, corner, design.height)
+    table = path_table(scene.mechanism, section.start, section.lift, section.width, design.height, corner)
     on_path, on_joints = design.sequence("path"), design.sequence("joints")
     total = design.duration + on_path.duration + on_joints.duration
     time = np.linspace(0.0, total, steps + 1)
@@ -198,26 +199,20 @@ def references(scene: Scene, design: Design, steps: int) -> JointMotion:
     return JointMotion(time, shaped)
 
 
-def path_table(scene: Scene, corner: tuple[str, float, float], height: float) -> PathTable:
-    """The path of a scene with these corners (kind, height, width [m]) and this lift [m].
-
-    Raises:
-        TrajectoryError: the path is not feasible or leaves the workspace.
-    """
-    section = scene.trajectory
-    assert isinstance(section, TrajectorySection)
-    return _path_table(scene.mechanism, section.start, section.lift, section.width, height, corner)
-
-
 @lru_cache(maxsize=16)
-def _path_table(
+def path_table(
     mechanism: Mechanism,
-    start: tuple[float, float],
-    lift: tuple[float, float],
+    start: Point,
+    lift: Point,
     width: float,
     height: float,
     corner: tuple[str, float, float],
 ) -> PathTable:
+    """The path with these corners: kind, height and width [m]; other arguments as for `PickAndPlacePath`.
+
+    Raises:
+        TrajectoryError: the path is not feasible or leaves the workspace.
+    """
     kind, *extent = corner
     path = PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))
     nodes = np.union1d(np.linspace(0.0, path.length, NODES), path.knots)
@@ -247,10 +242,10 @@ def polynomial(shape: Sequence[float]) -> Values:
     eta = np.polynomial.Polynomial([0.0, 1.0])
     factor = np.polynomial.Legendre([1.0, *shape], domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
     law = ((eta * (1.0 - eta)) ** 2 * factor).integ()
-    coefficients = law.coef / law(1.0)
+    coefficients = np.asarray(law.coef, dtype=float) / float(law(1.0))
     return (("coefficients", tuple(coefficients.tolist())),)
 
 
-def changed(scene: Scene, design: Design, further: Mapping[str, Any] | None = None) -> Scene:
+def changed(scene: Scene, design: Design) -> Scene:
     """The scene with the motion of a design."""
-    return scene.replace({**design.changes, **(further or {})})
+    return scene.replace(design.changes)

@@ -31,7 +31,8 @@ from flexfmu.trajectories.jets import RealArray
 if TYPE_CHECKING:
     from flexfmu.cosim.choices.plans.planner import Show
 
-T, S = TypeVar("T"), TypeVar("S")
+T = TypeVar("T")
+S = TypeVar("S")
 
 QUICK, CONFIRMED = (7, 1e-3), (25, 5e-4)
 """Payloads of the band and communication step [s] of quick runs, and of those that confirm what is reported."""
@@ -139,14 +140,15 @@ class Search:
             yield from self._confirmed(races)
             # the best recipes
             fronts = [race.front for race in races]
-            for done, races in self._rounds(pool, races, ROUNDS):
+            last = races
+            for done, last in self._rounds(pool, races, ROUNDS):
                 progress(0.15 + 0.65 * done, "the best recipes")
-                fronts += [race.front for race in races]
-                yield from self._confirmed(races)
+                fronts += [race.front for race in last]
+                yield from self._confirmed(last)
             # without some limit
             for name in self._relaxable:
                 progress(0.8, f"without the {name}")
-                yield from self._relaxed(pool, races, name)
+                yield from self._relaxed(pool, last, name)
             yield from self._front(merged(fronts))
             progress(1.0, "done")
 
@@ -179,9 +181,7 @@ class Search:
         free = [replace(race, tighter={**race.tighter, name: 0.0}, radius=0.1, front=()) for race in races]
         chosen = list(dict.fromkeys(race.recipe for race in races))
         others = [replace(each, tighter={**each.tighter, name: 0.0}) for each in self._begun(pool, chosen)]
-        last: list[Race] = []
-        for _, last in self._rounds(pool, [*free, *others], RELAXED):
-            pass
+        *_, (_, last) = self._rounds(pool, [*free, *others], RELAXED)
         yield from self._confirmed(last)
         self._reported = own
 

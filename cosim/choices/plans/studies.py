@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, inf
+from math import inf
 
 import numpy as np
 
 from flexfmu.cosim.choices.plans.assessment import INSTANTS
-from flexfmu.cosim.choices.plans.goals import Goals
+from flexfmu.cosim.choices.plans.goals import Goals, Limit
 from flexfmu.cosim.choices.plans.quick_runs import JointMotion, QuickRobot
 from flexfmu.cosim.choices.plans.race import Study
 from flexfmu.cosim.choices.plans.recipes import Space
@@ -80,21 +80,23 @@ def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:
     free = Bounds(wishes.minimise, wishes.residual, wishes.settled_within, np.full_like(run.peak_torques, inf))
     usual = {**Score(run, free).values, **dict(zip(("speed", "acceleration", "jerk"), _rates(given), strict=True))}
     limits = {
-        name: CLOSE.get(name, 1.0) * (limit.value if limit.ratio is None else limit.ratio * usual[name])
+        name: CLOSE.get(name, 1.0) * float(_limited(limit, np.array(usual[name])))
         for name, limit in goals.limits.items()
-        if name in usual and (limit.value or limit.ratio)
+        if name in usual
     }
     # torques of each motor and robot
-    torque = goals.limits.get("torque")
     largest = np.full_like(run.peak_torques, inf)
-    if torque is not None:
-        largest = CLOSE["torque"] * (
-            np.full_like(largest, torque.value) if torque.ratio is None else torque.ratio * run.peak_torques
-        )
+    if (torque := goals.limits.get("torque")) is not None:
+        largest = CLOSE["torque"] * _limited(torque, run.peak_torques)
     limits.pop("torque", None)
     bounded = bool(clearance.regions) or len(clearance.origins) > 0
     distance = clearance.distance if bounded else None
     return Bounds(wishes.minimise, wishes.residual, wishes.settled_within, largest, limits, distance, wishes.margin)
+
+
+def _limited(limit: Limit, usual: RealArray) -> RealArray:
+    """A limit in SI units, from what the given motion needs."""
+    return usual * limit.ratio if limit.ratio is not None else np.full_like(usual, limit.value)
 
 
 def _rates(motion: MotionPlan) -> Sequence[float]:
