@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flexfmu.cosim.choices.plans.scoring import CLEARANCE, WORTH, Score
+from flexfmu.cosim.choices.plans.scoring import CLEARANCE, INSIDE, WORTH, Score
 from flexfmu.trajectories.jets import RealArray
 
 NEAR, REACH = 0.35, 10.0
@@ -53,7 +53,7 @@ def best_change(
     unit = float(score.minimised.max()) or 1.0
     parts = [_part(score.minimised / unit, [each.minimised / unit for each in others], NEAR, 0.0)]
     now, weights = 1.0, [1.0]
-    for name, factor in ((name, tighter.get(name, 1.0)) for name in score.rows):
+    for name, factor in ((name, tighter.get(name, INSIDE)) for name in score.rows):
         if factor > 0.0:
             worst = factor * float(score.rows[name].max())
             unit, reach = (1.0, REACH) if name == CLEARANCE else (max(1.0, worst), NEAR)

@@ -19,6 +19,9 @@ WORTH = 2.0
 """Weight of exceeded limits: the relative excess counts twice as much as what is minimised, so that no motion gains by exceeding
 a limit, since torques fall with the square of the time and residual vibrations faster."""
 
+INSIDE = 1.002
+"""Factor of the uses for which motions are improved, so that they end within the limits rather than at them."""
+
 LENGTH = 2e-4
 """Distance [m] beyond the margin that counts as much as a limit exceeded by 100 %."""
 
@@ -138,10 +141,10 @@ class Score:
         """The objective with exceeded limits added.
 
         Args:
-            tighter: factors of the uses; 0 for limits that play no part.
+            tighter: factors of the uses, by default `INSIDE`; 0 for limits that play no part.
         """
         return self.objective + WORTH * sum(
-            excess(name, use * tighter.get(name, 1.0)) for name, use in self.uses.items()
+            excess(name, use * tighter.get(name, INSIDE)) for name, use in self.uses.items()
         )
 
 

@@ -58,7 +58,7 @@ PIECE = 2
 BETTER = 3e-3
 """Least relative improvement that is reported."""
 
-SAFETY = 1.003
+SAFETY = 1.005
 """Factor of what a limit is exceeded by between the variants and instants of the quick runs."""
 
 WIDEST = 1.5
@@ -198,7 +198,7 @@ class Search:
         exceeded = {
             name: judged.score.uses[name] / use
             for name, use in race.best.score.uses.items()
-            if name != CLEARANCE and use * race.tighter.get(name, 1.0) <= 1.0 + 1e-9 < judged.score.uses[name]
+            if name != CLEARANCE and race.tighter.get(name, 1.0) and use <= 1.0 < judged.score.uses[name]
         }
         if exceeded:
             further = {name: min(SAFETY * ratio, WIDEST) for name, ratio in exceeded.items()}
