@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
+from math import isfinite
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -32,6 +35,14 @@ class BoxRegion(Section):
     kind: Literal["box"]
     corners: Annotated[tuple[tuple[float, float], tuple[float, float]], BeforeValidator(_polygon), quantity("m")]
 
+    @model_validator(mode="after")
+    def _has_an_area(self) -> Self:
+        if any(a == b for a, b in zip(*self.corners, strict=True)):
+            raise ValueError(
+                f"`corners` are two opposite corners of a box, whose x and y differ; got {[list(each) for each in self.corners]} m"
+            )
+        return self
+
     @property
     def outline(self) -> tuple[tuple[float, float], ...]:
         """Corners, counter-clockwise [m]."""
@@ -45,10 +56,38 @@ class PolygonRegion(Section):
     kind: Literal["polygon"]
     points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(_polygon), Field(min_length=3), quantity("m")]
 
+    @model_validator(mode="after")
+    def _has_an_inside(self) -> Self:
+        corners = self.outline
+        sides = list(zip(corners, (*corners[1:], *corners[:1]), strict=True))
+        if len(corners) < 3 or all(_turn(*sides[0], corner) == 0.0 for corner in corners):
+            raise ValueError("`points` lie on one line: a polygon needs three corners that don't")
+        for (k, one), (n, other) in combinations(enumerate(sides), 2):
+            if _cross(one, other):
+                raise ValueError(
+                    f"sides {k} and {n} of `points` cross: list the corners in the order of the outline, or name two regions"
+                )
+        return self
+
     @property
     def outline(self) -> tuple[tuple[float, float], ...]:
-        """Corners [m]."""
-        return self.points
+        """Corners [m], without those that repeat the one before."""
+        return tuple(
+            point
+            for point, last in zip(self.points, (*self.points[-1:], *self.points[:-1]), strict=True)
+            if point != last
+        )
+
+
+def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Twice the signed area of a triangle [m2]: positive if c lies to the left of the line from a to b."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _cross(one: Sequence[tuple[float, float]], other: Sequence[tuple[float, float]]) -> bool:
+    """Whether two sides cross within both."""
+    (a, b), (c, d) = one, other
+    return _turn(a, b, c) * _turn(a, b, d) < 0.0 and _turn(c, d, a) * _turn(c, d, b) < 0.0
 
 
 FAR = 10.0
@@ -74,7 +113,33 @@ class HeightRegion(Section):
 Region = Annotated[BoxRegion | PolygonRegion | HeightRegion, Field(discriminator="kind")]
 
 
-Limit = Positive | Ratio | None
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _limit(value: Any) -> Any:
+    """Tell in one sentence what a limit may be; pydantic tells one for each form."""
+    ratio: Any = value.get("ratio") if isinstance(value, dict) and len(value) == 1 else value
+    if isinstance(value, Ratio) or value is None or (_number(ratio) and ratio > 0.0):
+        return value
+    raise ValueError(
+        f"a limit must be above 0, a number in SI units or {{ ratio = 1.0 }} of the given motion's, got {value!r}"
+    )
+
+
+def _band(value: Any) -> Any:
+    """Tell in one sentence what a band of payloads may be."""
+    if _number(value) and 0.0 <= value < 1.0:
+        return value
+    if isinstance(value, list | tuple) and len(value) == 2 and all(_number(each) and each >= 0.0 for each in value):
+        return tuple(value)
+    form = list(value) if isinstance(value, tuple) else value
+    raise ValueError(
+        f"must be a fraction to both sides, from 0 to below 1, or [lightest, heaviest] in kg, from 0, got {form!r}"
+    )
+
+
+Limit = Annotated[Positive | Ratio | None, BeforeValidator(_limit)]
 """A limit in an SI unit, or `{ ratio = 1.0 }` of the given motion's value."""
 
 
@@ -105,7 +170,7 @@ class PlanSection(Section):
     settled_within: SecondsOrZero = 0.0
     payload_band: Annotated[
         Annotated[float, Field(ge=0.0, lt=1.0)] | tuple[NotNegative, NotNegative],
-        BeforeValidator(as_tuple),
+        BeforeValidator(_band),
         quantity("1 or kg"),
     ] = 0.3
     stiffness_band: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0

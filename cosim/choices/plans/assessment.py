@@ -224,7 +224,9 @@ class Judge:
         joints = run.plan.joints
         instants = np.linspace(0.0, joints.duration, INSTANTS)
         moving = np.abs(joints.evaluate(instants, 3, "left")[1:]).max(axis=(1, 2))
-        assessment = Assessment(candidate, joints.duration, tuple(found), (moving[0], moving[1], moving[2]))
+        assessment = Assessment(
+            candidate, joints.duration, tuple(found), (float(moving[0]), float(moving[1]), float(moving[2]))
+        )
         return Assessment(
             candidate, assessment.time, assessment.peaks, assessment.references,
             tuple(self._uses(assessment, assessment if given else self.given)),

@@ -20,7 +20,7 @@ from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
 
 LEAST_DWELL = 0.25
-"""Standstill after the motion [s], at least, over which the residual vibration is judged."""
+"""Standstill after the motion and `settled_within` [s], at least, over which the residual vibration is judged."""
 
 TRACE = 601
 """Points of the given motion's trace."""
@@ -66,16 +66,12 @@ class Variation:
     damping: float = 1.0
 
     def changes(self, scene: Scene) -> dict[str, float]:
-        """Parameters of the FMU that differ from the scene's.
-
-        Raises:
-            InputError: the scene has no damping that could vary.
-        """
+        """Parameters of the FMU that differ from the scene's."""
         found = {"payload.mass": self.payload}
         if self.stiffness != 1.0:
             found["material.youngs_modulus"] = self.stiffness * scene.mechanism.material.youngs_modulus
-        if self.damping != 1.0 and (key := _damping_key(scene)) is not None:
-            found[f"damping.{key}"] = self.damping * getattr(scene.effects.damping, key)
+        if self.damping != 1.0:
+            found |= {f"damping.{key}": self.damping * value for key, value in _damping(scene).items()}
         return found
 
     def of(self, scene: Scene) -> Scene:
@@ -92,10 +88,10 @@ class Variation:
         return text + (f", {100 * (self.damping - 1):+.0f} % damping" if self.damping != 1.0 else "")
 
 
-def _damping_key(scene: Scene) -> str | None:
-    """The key of the damping's strength; None without damping."""
+def _damping(scene: Scene) -> dict[str, float]:
+    """Keys and values of the damping's strength; none without damping."""
     damping = scene.effects.damping
-    return next((key for key in ("ratio", "time") if getattr(damping, key, None) is not None), None)
+    return {key: value for key in ("ratio", "rate", "time") if (value := getattr(damping, key, 0.0))}
 
 
 @dataclass(frozen=True)
@@ -162,7 +158,12 @@ def goals_of(scene: Scene) -> Goals:
             f'scene {scene.name} has a torque drive or controllers: plan with `cosimulation.drive = "motion"`, then run the '
             f"planned motion with your controllers"
         )
-    changes: dict[str, Any] = {"trajectory.dwell": max(scene.trajectory.dwell, LEAST_DWELL)}
+    if wishes.damping_band and not _damping(scene):
+        raise InputError(
+            f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
+            f"leave the band out, or set `effects.damping`"
+        )
+    changes: dict[str, Any] = {"trajectory.dwell": max(scene.trajectory.dwell, wishes.settled_within + LEAST_DWELL)}
     if wishes.limits.reaction is not None:
         changes["effects.reactions"] = True
     longer = scene.replace(changes)
