@@ -14,6 +14,7 @@ from flexfmu.cosim.engine.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from flexfmu.cosim.choices.plans.assessment import Assessment
     from flexfmu.cosim.choices.plans.planner import PlanResult
     from flexfmu.model.scene.schema import Scene
 
@@ -219,14 +220,31 @@ def _limits(result: PlanResult) -> Table:
     return table
 
 
+SHOWN = 12
+"""Motions of the front that the terminal shows."""
+
+
+def _shown(result: PlanResult) -> list[Assessment]:
+    """Motions over the whole front, the given and the chosen one among them."""
+    front = list(result.front)
+    if len(front) <= SHOWN:
+        return front
+    chosen = {round(k * (len(front) - 1) / (SHOWN - 3)) for k in range(SHOWN - 2)}
+    names = {result.chosen.candidate.label, result.given.candidate.label}
+    return [each for k, each in enumerate(front) if k in chosen or each.candidate.label in names]
+
+
 def _front(result: PlanResult) -> Table:
     """The Pareto front."""
     from flexfmu.cosim.reports.terminal import titled_table
 
-    table = titled_table("Pareto front")
+    front, shown = result.front, _shown(result)
+    table = titled_table(
+        "Pareto front" if len(shown) == len(front) else f"Pareto front: {len(shown)} of {len(front)}, all in front.csv"
+    )
     for name in ("motion", "time s", "residual µm", "torque N.m", "energy J", "off path mm", "limits"):
         table.add_column(name, justify="left" if name in ("motion", "limits") else "right")
-    for each in result.front:
+    for each in shown:
         missed = ", ".join(use.name for use in each.uses if not use.met)
         figures = (
             f"{each.time:.3f}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,6 +36,9 @@ SCREENED, JUDGED = 7, 25
 
 FRONT: Mapping[str, str] = {"time": "s", "residual": "m", "torque": "N.m", "energy": "J", "off_path": "m"}
 """Figures that the Pareto front weighs against each other, with their units."""
+
+ALIKE = 1e-3
+"""Relative difference of all figures of `FRONT` below which the front has one of two motions."""
 
 FAILURES = (CosimError, TrajectoryError, SceneError, EquilibriumError)
 """Errors of one candidate, which don't end the plan."""
@@ -84,8 +88,12 @@ class PlanResult:
         everyone = [self.given, *self.assessed]
         if self.chosen.candidate not in [each.candidate for each in everyone]:
             everyone.append(self.chosen)
-        kept = [each for each in everyone if not any(_dominates(other, each) for other in everyone)]
-        return tuple(sorted(kept, key=lambda each: each.time))
+        best = [each for each in everyone if not any(_dominates(other, each) for other in everyone)]
+        kept = list[Assessment]()
+        for each in sorted(best, key=lambda each: (each.time, each is not self.chosen)):
+            if not any(_are_alike(each, other) for other in kept):
+                kept.append(each)
+        return tuple(kept)
 
     @property
     def missed(self) -> tuple[LimitUse, ...]:
@@ -227,6 +235,11 @@ def _dominates(one: Assessment, other: Assessment) -> bool:
     """Whether one is at least as good in every figure, and better in one."""
     pairs = [(getattr(one, name), getattr(other, name)) for name in FRONT]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def _are_alike(one: Assessment, other: Assessment) -> bool:
+    """Whether two motions have the same figures for all purposes."""
+    return all(math.isclose(getattr(one, name), getattr(other, name), rel_tol=ALIKE) for name in FRONT)
 
 
 def _ranked(found: Sequence[Assessment], goals: Goals) -> list[Assessment]:
