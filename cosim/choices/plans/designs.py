@@ -239,11 +239,20 @@ def polynomial(shape: Sequence[float]) -> Values:
 
     It is at rest with zero acceleration at both ends; without a shape it is the polynomial of fifth degree.
     """
+    law = np.array([1.0, *shape]) @ _laws(len(shape))
+    return (("coefficients", tuple((law / law.sum()).tolist())),)
+
+
+@lru_cache
+def _laws(count: int) -> RealArray:
+    """(count + 1, count + 6) coefficients of the integrals of (η(1 - η))² P_k(2η - 1)."""
     eta = np.polynomial.Polynomial([0.0, 1.0])
-    factor = np.polynomial.Legendre([1.0, *shape], domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
-    law = ((eta * (1.0 - eta)) ** 2 * factor).integ()
-    coefficients = np.asarray(law.coef, dtype=float) / float(law(1.0))
-    return (("coefficients", tuple(coefficients.tolist())),)
+    found = np.zeros((count + 1, count + 6))
+    for k in range(count + 1):
+        wave = np.polynomial.Legendre.basis(k, domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
+        law = ((eta * (1.0 - eta)) ** 2 * wave).integ()
+        found[k, : len(law.coef)] = law.coef
+    return found
 
 
 def changed(scene: Scene, design: Design) -> Scene:

@@ -32,8 +32,9 @@ OUTPUTS = ("end_effector.position.x", "end_effector.position.y", "joint1.torque"
 TOLERANCE = 1e-5
 """Relative tolerance of the integrator."""
 
-BETWEEN = 3
-"""Number of positions that are interpolated in each step."""
+BETWEEN, EVERY = 1, 3
+"""Number of positions of a track that are interpolated in each step, and of variants for each that is examined: positions change
+little and steadily with the payload."""
 
 QUINTIC = np.array(
     [
@@ -133,8 +134,8 @@ class QuickRun:
 
     @cached_property
     def track(self) -> RealArray:
-        """(V, M, 2) positions [m], with `BETWEEN` more in each step by cubics through the four nearest."""
-        p = self.position
+        """(V / `EVERY`, M, 2) positions during the motion [m], with `BETWEEN` more in each step by cubics through the four nearest."""
+        p = self.position[::EVERY, : self.moving + 2]
         inner = np.einsum("jk,kvni->vnji", MIDDLES, np.stack([p[:, k : p.shape[1] - 3 + k] for k in range(4)]))
         rows = np.concatenate([p[:, 1:-2, None], inner], axis=2)
         return np.asarray(rows.reshape(len(p), -1, 2))

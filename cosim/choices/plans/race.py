@@ -12,7 +12,7 @@ from flexfmu.cosim.choices.plans.descent import best_change
 from flexfmu.cosim.choices.plans.designs import Design, references
 from flexfmu.cosim.choices.plans.quick_runs import QuickRobot
 from flexfmu.cosim.choices.plans.recipes import Recipe, Space
-from flexfmu.cosim.choices.plans.scoring import Bounds, Score
+from flexfmu.cosim.choices.plans.scoring import Bounds, Figures, Score
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -46,6 +46,14 @@ class Trial:
 
     design: Design
     score: Score
+
+
+@dataclass(frozen=True)
+class Member:
+    """A motion of a front."""
+
+    design: Design
+    figures: Figures
 
 
 @dataclass(frozen=True)
@@ -97,7 +105,7 @@ class Race:
     point: RealArray
     best: Trial | None = None
     radius: float = RADIUS
-    front: tuple[Trial, ...] = ()
+    front: tuple[Member, ...] = ()
     tighter: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -171,24 +179,28 @@ def _step(study: Study, race: Race) -> Race:
     return race
 
 
-def _kept(race: Race, trial: Trial) -> tuple[Trial, ...]:
-    """The front of a race with a further trial, if it is within limits and no other is better in all figures."""
+def _kept(race: Race, trial: Trial) -> tuple[Member, ...]:
+    """The front of a race with a further motion, if it is within limits and no other is better in all figures."""
+    # of the run only the figures are needed later, or all again
+    member = Member(trial.design, trial.score.figures)
+    trial.score.cost(race.tighter)
+    trial.score.forget()
     allowed = {name for name, factor in race.tighter.items() if factor == 0.0}
-    return undominated((*race.front, trial)) if set(trial.score.exceeded) <= allowed else race.front
+    return undominated((*race.front, member)) if set(member.figures.exceeded) <= allowed else race.front
 
 
-def undominated(trials: Sequence[Trial]) -> tuple[Trial, ...]:
-    """The trials of a front without those that the last one beats in all figures of `FRONT`; without it if one beats it."""
-    figures = np.array([[each.score.values[name] for name in FRONT] for each in trials])
+def undominated(members: Sequence[Member]) -> tuple[Member, ...]:
+    """The members of a front without those that the last one beats in all figures of `FRONT`; without it if one beats it."""
+    figures = np.array([[each.figures.values[name] for name in FRONT] for each in members])
     if (figures[:-1] <= figures[-1]).all(axis=1).any():
-        return tuple(trials[:-1])
+        return tuple(members[:-1])
     beaten = (figures[:-1] >= figures[-1]).all(axis=1)
-    return (*(each for each, out in zip(trials[:-1], beaten, strict=True) if not out), trials[-1])
+    return (*(each for each, out in zip(members[:-1], beaten, strict=True) if not out), members[-1])
 
 
-def merged(fronts: Sequence[tuple[Trial, ...]]) -> tuple[Trial, ...]:
+def merged(fronts: Sequence[tuple[Member, ...]]) -> tuple[Member, ...]:
     """One front of several."""
-    front: tuple[Trial, ...] = ()
-    for trial in (each for trials in fronts for each in trials):
-        front = undominated((*front, trial))
+    front: tuple[Member, ...] = ()
+    for member in (each for members in fronts for each in members):
+        front = undominated((*front, member))
     return front

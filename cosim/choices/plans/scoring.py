@@ -53,6 +53,28 @@ class Bounds:
     margin: float = 0.0
 
 
+@dataclass(frozen=True)
+class Figures:
+    """What a motion is worth, without its run.
+
+    Attributes:
+        values, uses: see `Score`.
+    """
+
+    values: Mapping[str, float]
+    uses: Mapping[str, float]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all limits are kept."""
+        return not self.exceeded
+
+    @property
+    def exceeded(self) -> tuple[str, ...]:
+        """Names of the limits that aren't kept."""
+        return tuple(name for name, use in self.uses.items() if use > 1.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Score:
     """Figures of a motion, the worst of all variants, and what each limit is used of.
@@ -112,15 +134,25 @@ class Score:
         """Name of each limit → what is used of it; 1 is at the limit."""
         return {name: float(rows.max()) for name, rows in self.rows.items()}
 
+    @cached_property
+    def figures(self) -> Figures:
+        """Values and uses, without the run."""
+        return Figures(self.values, self.uses)
+
     @property
     def feasible(self) -> bool:
         """Whether all limits are kept."""
-        return not self.exceeded
+        return self.figures.feasible
 
     @property
     def exceeded(self) -> tuple[str, ...]:
         """Names of the limits that aren't kept."""
-        return tuple(name for name, use in self.uses.items() if use > 1.0)
+        return self.figures.exceeded
+
+    def forget(self) -> None:
+        """Drop the rows, which take a megabyte and a few milliseconds to calculate again."""
+        for name in ("rows", "minimised", "_rates"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def minimised(self) -> RealArray:
@@ -132,7 +164,7 @@ class Score:
             return _both(run.torque[:, : run.moving].ravel())
         return np.array([self.values[bounds.minimise]])
 
-    @property
+    @cached_property
     def objective(self) -> float:
         """The logarithm of what is minimised."""
         return log(max(float(self.minimised.max()), 1e-12))

@@ -20,7 +20,7 @@ import numpy as np
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
 from flexfmu.cosim.choices.plans.designs import changed
 from flexfmu.cosim.choices.plans.goals import Goals
-from flexfmu.cosim.choices.plans.race import Race, Study, Trial, begun, improved, merged
+from flexfmu.cosim.choices.plans.race import Member, Race, Study, Trial, begun, improved, merged
 from flexfmu.cosim.choices.plans.recipes import BLENDS, LAWS, Recipe, recipes, shaper_uses
 from flexfmu.cosim.choices.plans.scoring import CLEARANCE
 from flexfmu.cosim.choices.plans.studies import study_of
@@ -207,14 +207,14 @@ class Search:
             self._reported = race.cost if judged.score.feasible or without else inf
             yield Found(judged, without)
 
-    def _front(self, front: Sequence[Trial]) -> Iterator[Found]:
+    def _front(self, front: Sequence[Member]) -> Iterator[Found]:
         """Yield slower motions with less residual vibration."""
-        feasible = [each for each in front if each.score.feasible]
-        fastest = min((each.score.values["time"] for each in feasible), default=0.0)
+        feasible = [each for each in front if each.figures.feasible]
+        fastest = min((each.figures.values["time"] for each in feasible), default=0.0)
         reported = set[int]()
         for stretch in STRETCHES:
-            within = [each for each in feasible if each.score.values["time"] <= stretch * fastest]
-            best = min(within, key=lambda each: each.score.values["residual"], default=None)
+            within = [each for each in feasible if each.figures.values["time"] <= stretch * fastest]
+            best = min(within, key=lambda each: each.figures.values["residual"], default=None)
             if best is None or id(best) in reported:
                 continue
             reported.add(id(best))

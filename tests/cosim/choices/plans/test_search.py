@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
 from types import SimpleNamespace
@@ -15,8 +15,9 @@ from flexfmu.cosim.choices.plans.assessment import Candidate, Judge
 from flexfmu.cosim.choices.plans.descent import best_change
 from flexfmu.cosim.choices.plans.designs import Design, ShaperChoice, changed, polynomial, references
 from flexfmu.cosim.choices.plans.goals import goals_of
-from flexfmu.cosim.choices.plans.race import Study, Trial, begun, improved, undominated
+from flexfmu.cosim.choices.plans.race import Member, Study, begun, improved, undominated
 from flexfmu.cosim.choices.plans.recipes import LAWS, Recipe
+from flexfmu.cosim.choices.plans.scoring import Figures
 from flexfmu.cosim.choices.plans.search import Search, search
 from flexfmu.cosim.choices.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError
@@ -184,19 +185,16 @@ def test_least_residual_at_a_given_time() -> None:
     assert last.best.score.feasible
 
 
-def test_fronts_keep_what_no_other_motion_beats(study: Study) -> None:
-    class Figures:
-        def __init__(self, *values: float) -> None:
-            self.values = dict(zip(("time", "residual", "torque", "energy"), values, strict=True))
+def test_fronts_keep_what_no_other_motion_beats() -> None:
+    def member(*values: float) -> Member:
+        names = ("time", "residual", "torque", "energy")
+        return Member(design(), Figures(dict(zip(names, values, strict=True)), {}))
 
-    def trials(*rows: Sequence[float]) -> Iterator[Trial]:
-        return (Trial(design(), Figures(*row)) for row in rows)  # type: ignore[arg-type]
-
-    front: tuple[Trial, ...] = ()
-    for trial in trials((1, 1, 1, 1), (2, 2, 2, 2), (0.5, 2, 1, 1), (0.5, 1, 1, 1)):
-        front = undominated((*front, trial))
-    assert [each.score.values["residual"] for each in front] == [1]
-    assert [each.score.values["time"] for each in front] == [0.5]
+    front: tuple[Member, ...] = ()
+    for each in (member(1, 1, 1, 1), member(2, 2, 2, 2), member(0.5, 2, 1, 1), member(0.5, 1, 1, 1)):
+        front = undominated((*front, each))
+    assert [each.figures.values["residual"] for each in front] == [1]
+    assert [each.figures.values["time"] for each in front] == [0.5]
 
 
 def test_a_search_needs_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
