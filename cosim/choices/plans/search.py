@@ -122,7 +122,7 @@ class Search:
         self._study, self._judge, self._processes = study, judge, processes
         self._random, self._relaxable = np.random.default_rng(seed), relaxable
         self._tighter: Mapping[str, float] = {}
-        self._reported = inf
+        self._reported, self._within = inf, False
 
     def found(self, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Iterator[Found]:
         """Yield ever better motions, then what would be possible without limits, then the rest of the front."""
@@ -177,13 +177,13 @@ class Search:
 
     def _relaxed(self, pool: _Processes, races: Sequence[Race], name: str) -> Iterator[Found]:
         """Yield the best motion that may exceed a limit, if it gains by that."""
-        own = self._reported
+        own = self._reported, self._within
         free = [replace(race, tighter={**race.tighter, name: 0.0}, radius=0.1, front=()) for race in races]
         chosen = list(dict.fromkeys(race.recipe for race in races))
         others = [replace(each, tighter={**each.tighter, name: 0.0}) for each in self._begun(pool, chosen)]
         *_, (_, last) = self._rounds(pool, [*free, *others], RELAXED)
         yield from self._confirmed(last)
-        self._reported = own
+        self._reported, self._within = own
 
     def _confirmed(self, races: Sequence[Race]) -> Iterator[Found]:
         """Yield the best motion if it is better than all before and the judge finds it within limits too."""
@@ -203,8 +203,11 @@ class Search:
         if exceeded:
             further = {name: min(SAFETY * ratio, WIDEST) for name, ratio in exceeded.items()}
             self._tighter = {**self._tighter, **further}
-        elif set(judged.score.exceeded) <= set(without) or self._reported == inf:
-            self._reported = race.cost if judged.score.feasible or without else inf
+            return
+        # until limits hold, what exceeds them least
+        within = set(judged.score.exceeded) <= set(without)
+        if within or not self._within:
+            self._reported, self._within = race.cost, self._within or within
             yield Found(judged, without)
 
     def _front(self, front: Sequence[Member]) -> Iterator[Found]:
