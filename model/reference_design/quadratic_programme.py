@@ -1,0 +1,84 @@
+"""Convex quadratic programmes with dense matrices: minimise x'Hx / 2 + c'x subject to A x <= b and lower <= x <= upper.
+
+A primal-dual interior-point method with Mehrotra's predictor and corrector. The matrices of the normal equations have the size of
+x, however many limits there are.
+
+Source: J. Nocedal and S. Wright, *Numerical Optimization*, Springer 2006, section 16.6.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from flexfmu.trajectories.jets import RealArray
+
+ITERATIONS = 60
+"""Largest number of iterations; 15 to 30 are usual."""
+
+TOLERANCE = 1e-8
+"""Complementarity per limit and relative residuals at which the solution is found."""
+
+
+def solve_quadratic(
+    hessian: RealArray, cost: RealArray, matrix: RealArray, right: RealArray, lower: RealArray, upper: RealArray
+) -> RealArray:
+    """Solve a convex quadratic programme that has a solution.
+
+    Args:
+        hessian: H (n, n), positive semidefinite.
+        cost: c (n,).
+        matrix, right: A (N, n) and b (N,).
+        lower, upper: bounds (n,), infinite where there is none; lower < upper.
+
+    Returns:
+        x (n,).
+    """
+    n, rows = len(cost), len(right)
+    low, high = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
+
+    def product(x: RealArray) -> RealArray:
+        return np.concatenate([matrix @ x, -x[low], x[high]])
+
+    def transposed(y: RealArray) -> RealArray:
+        found = y[:rows] @ matrix
+        found[low] -= y[rows : rows + len(low)]
+        found[high] += y[rows + len(low) :]
+        return found
+
+    limits = np.concatenate([right, -lower[low], upper[high]])
+    x = np.clip(np.zeros(n), lower, upper)
+    slack = np.maximum(limits - product(x), 1.0)
+    dual = np.ones_like(slack)
+    for _ in range(ITERATIONS):
+        r_dual = hessian @ x + cost + transposed(dual)
+        r_limit = product(x) + slack - limits
+        gap = float(slack @ dual) / len(slack)
+        if gap < TOLERANCE and np.abs(r_limit).max() < TOLERANCE and np.abs(r_dual).max() < 1e-6:
+            break
+        weight = dual / slack
+        normal = hessian + (matrix.T * weight[:rows]) @ matrix
+        normal[low, low] += weight[rows : rows + len(low)]
+        normal[high, high] += weight[rows + len(low) :]
+        normal[np.diag_indices(n)] += 1e-12 * (1 + np.diag(normal))
+        factor = cho_factor(normal, check_finite=False)
+        right = -r_dual - transposed(weight * r_limit)
+        # predictor, and corrector towards the centre
+        complement = slack * dual
+        for corrector in (False, True):
+            dx = cho_solve(factor, right + transposed(complement / slack), check_finite=False)
+            d_slack = -r_limit - product(dx)
+            d_dual = -(complement + dual * d_slack) / slack
+            if not corrector:
+                step = _longest(slack, d_slack), _longest(dual, d_dual)
+                after = float((slack + step[0] * d_slack) @ (dual + step[1] * d_dual)) / len(slack)
+                complement = slack * dual + d_slack * d_dual - (after / gap) ** 3 * gap
+        size = 0.995 * min(_longest(slack, d_slack), _longest(dual, d_dual))
+        x, slack, dual = x + size * dx, slack + size * d_slack, dual + size * d_dual
+    return x
+
+
+def _longest(values: RealArray, change: RealArray) -> float:
+    """Longest step, up to 1, that keeps values positive."""
+    falling = change < 0.0
+    return min(1.0, float((-values[falling] / change[falling]).min(initial=1.0)))

@@ -1,0 +1,134 @@
+"""Fastest motions within limits that hold for a band of payloads: their limits, judged by the FMU, and the programmes below."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import flexfmu
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
+from flexfmu.model.reference_design.motion_limits import GROUPS, LimitRows, MotionLimits, ResidualVibration
+from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
+from flexfmu.model.reference_design.time_optimal import Improvement, fastest_motion, spread
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+
+PAYLOADS = np.array([5.4, 6.0, 6.6])
+
+
+def above(points: RealArray) -> tuple[RealArray, RealArray]:
+    """Distances from a table at y = 0.27 m."""
+    return points[np.newaxis, :, 1] - 0.27, np.broadcast_to([0.0, 1.0], (1, *points.shape))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("barnard2012-6kg")
+
+
+@pytest.fixture(scope="module")
+def variants() -> list[dict[str, float]]:
+    return [{"payload.mass": float(mass)} for mass in PAYLOADS]
+
+
+@pytest.fixture(scope="module")
+def given(scene: Scene) -> JointSpline:
+    return fitted(plan(scene).joints, 20)
+
+
+@pytest.fixture(scope="module")
+def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -> MotionLimits:
+    response = ElasticResponse(scene, variants, given.coefficients[0], 60).of_spline(given, derivatives=False)
+    return MotionLimits(abs(response.torque).max(axis=1), 20.0, 500.0, 4e4, 5e-6, above)
+
+
+@pytest.fixture(scope="module")
+def improvements(
+    scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
+) -> list[Improvement]:
+    return list(fastest_motion(scene, variants, limits, given.with_duration(0.24)))
+
+
+def test_quadratic_programmes_without_curvature_have_the_solution_of_linear_ones() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        cost, matrix, right = random.standard_normal(6), random.standard_normal((30, 6)), random.uniform(0.5, 2.0, 30)
+        bound = np.full(6, 3.0)
+        x = solve_quadratic(np.zeros((6, 6)), cost, matrix, right, -bound, bound)
+        assert cost @ x == pytest.approx(linprog(cost, matrix, right, bounds=(-3.0, 3.0)).fun, abs=1e-6)
+        assert (matrix @ x - right).max() < 1e-6
+
+
+def test_quadratic_programmes_find_the_nearest_point_of_a_half_space() -> None:
+    normal, wished = np.array([3.0, 4.0]), np.array([2.0, 2.0])
+    x = solve_quadratic(
+        np.eye(2), -wished, normal[np.newaxis], np.array([5.0]), np.full(2, -np.inf), np.full(2, np.inf)
+    )
+    np.testing.assert_allclose(x, wished - (normal @ wished - 5.0) / 25.0 * normal, atol=1e-6)
+
+
+def test_derivatives_of_the_limits_are_those_of_finite_differences(
+    scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
+) -> None:
+    motion = given.with_duration(0.25)
+    elastic = ElasticResponse(scene, variants[::2], motion.coefficients[0], 32)
+    rows = LimitRows(MotionLimits(limits.torque[::2], 20.0, 500.0, 4e4, 2e-6, above), motion.degree, motion.intervals)
+    found = rows.rows(motion, elastic.of_spline(motion))
+    direction = 1e-6 * np.random.default_rng(0).standard_normal(2 * rows.free + 1)
+
+    def moved(sign: int) -> RealArray:
+        coefficients = motion.coefficients.copy()
+        coefficients[4:-4] += sign * direction[:-1].reshape(2, -1).T
+        other = JointSpline(coefficients, motion.duration + sign * direction[-1])
+        return rows.values(other, elastic.of_spline(other, derivatives=False))[0]
+
+    difference, exact = 0.5 * (moved(1) - moved(-1)), found.jacobian @ direction
+    # signs of torques change at zero alone, where no limit is near
+    clear = found.values > -0.99
+    np.testing.assert_allclose(difference[clear], exact[clear], atol=2e-4 * abs(exact).max())
+
+
+def test_the_predicted_residual_bounds_that_of_the_fmu(scene: Scene, given: JointSpline) -> None:
+    motion = given.with_duration(0.3)
+    elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 128)
+    bound = ResidualVibration(elastic, motion.coefficients[-1]).largest(
+        elastic.of_spline(motion, derivatives=False).end
+    )
+    run = flexfmu.run(scene, trajectory=motion.trajectory(), tolerance=1e-8)
+    residual = float(run.metrics["residual_vibration_amplitude"])
+    assert 0.4 * bound[0] < residual < 1.02 * bound[0]
+
+
+def test_the_fastest_motion_meets_its_limits_for_all_payloads_in_the_fmu(
+    scene: Scene, improvements: list[Improvement], limits: MotionLimits
+) -> None:
+    best = improvements[-1]
+    assert best.checked
+    assert best.motion.duration < 0.27
+    assert max(best.violations.values()) < 1e-4
+    for mass, torque in zip(PAYLOADS, limits.torque, strict=True):
+        run = flexfmu.run(
+            scene, trajectory=best.motion.trajectory(), tolerance=1e-8, parameters={"payload.mass": float(mass)}
+        )
+        assert float(run.metrics["residual_vibration_amplitude"]) < limits.residual
+        peaks = np.array([float(run.metrics[f"peak_torque_{joint}"]) for joint in (1, 2)])
+        assert (peaks < 1.003 * torque).all()
+        assert run.recording["end_effector.position.y"].values.min() > 0.27 - 2e-5
+    speeds, accelerations, jerks = (abs(best.motion.bounds(order)).max() for order in (1, 2, 3))
+    assert (speeds, accelerations, jerks) < (20.002, 500.05, 40004.0)
+
+
+def test_the_way_to_the_fastest_motion_is_reported(improvements: list[Improvement]) -> None:
+    assert all(tuple(each.violations) == GROUPS for each in improvements)
+    assert not any(each.checked for each in improvements[:-1])
+    assert improvements[-1].residual < improvements[0].residual
+
+
+def test_spread_indices_have_both_ends() -> None:
+    assert spread(25, 7) == [0, 2, 7, 12, 17, 22, 24]
+    assert spread(3, 7) == [0, 1, 2]
+    assert spread(1, 1) == [0]
