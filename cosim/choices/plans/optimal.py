@@ -11,6 +11,7 @@ from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
 from flexfmu.cosim.choices.plans.clearance import Polygon
 from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.choices.plans.planner import Show
+from flexfmu.cosim.choices.plans.robust_optimal import robust_optimal
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.reference_design.control_limits import Area, ReferenceLimits, Robot
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
@@ -35,6 +36,8 @@ def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Sho
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     given = found[0]
+    if goals.wishes.minimise == "time":
+        yield from robust_optimal(goals, found, show)
     start = fitted(goals.given.once.joints, COARSE.splines, COARSE.degree)
     limits, area, robots = reference_limits(goals, given), area_of(goals), robots_of(goals, given)
     show("optimal control", None)

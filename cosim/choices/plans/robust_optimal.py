@@ -1,0 +1,89 @@
+"""Optimal control for the bands of a plan: the fastest motion whose limits hold for all robots within them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
+from flexfmu.cosim.choices.plans.goals import Goals
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.joint_spline import fitted
+from flexfmu.model.reference_design.motion_limits import MotionLimits
+from flexfmu.model.reference_design.time_optimal import NODES, Improvement, fastest_motion, spread
+from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.choices.plans.planner import Show
+
+INTERVALS = 40
+"""Intervals between the knots of the splines: 30 give motions that are 2 % slower."""
+
+PAYLOADS = 25
+"""Payloads of the band for which the limits hold."""
+
+GIVEN_STEPS = 300
+"""Steps of the integration for the given motion's torques."""
+
+STARTS = (0.5, 0.65, 0.8)
+"""Durations of the first motions, relative to the given one: the next one serves where the one before finds nothing."""
+
+RESERVE = 0.9995, 0.8, 0.9
+"""Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest."""
+
+NO_LIMIT = 1e9
+"""Stands for a limit that isn't set."""
+
+
+def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Iterator[Candidate]:
+    """The fastest motions within the bands, from the given one on."""
+    variations = goals.variations(PAYLOADS)
+    variants = [each.changes(goals.scene) for each in variations]
+    payloads = sum(each.stiffness == each.damping == 1.0 for each in variations)
+    nodes = [*spread(payloads, NODES), *range(payloads, len(variations))]
+    limits, joints = _limits(goals, found[0], variants), goals.given.once.joints
+    for share in STARTS:
+        start = fitted(joints, INTERVALS, side="left").with_duration(share * joints.duration)
+        last: Improvement | None = None
+        for last in fastest_motion(goals.scene, variants, limits, start, nodes):
+            show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
+        if last is not None and max(last.violations.values()) < 1e-2:
+            label = f"optimal control, robust, {last.motion.duration:.4g} s"
+            yield Candidate(label, "optimal control", goals.scene, last.motion.trajectory())
+            return
+
+
+def _limits(goals: Goals, given: Assessment, variants: Sequence[dict[str, float]]) -> MotionLimits:
+    """The goals' limits in numbers, torques for each robot."""
+    share, clear, quiet = RESERVE
+    references = [
+        _limit(goals, name, np.array(value)).item()
+        for name, value in zip(("speed", "acceleration", "jerk"), given.references, strict=True)
+    ]
+
+    def distances(points: RealArray) -> tuple[RealArray, RealArray]:
+        distance, gradient = goals.clearance.distances(points)
+        return distance + clear * goals.wishes.margin, gradient
+
+    torque = share * _limit(goals, "torque", _given_torques(goals, variants))
+    return MotionLimits(torque, *references, quiet * goals.wishes.residual, distances)
+
+
+def _limit(goals: Goals, name: str, given: RealArray) -> RealArray:
+    """A limit in the SI unit, from what the given motion needs."""
+    limit = goals.limits.get(name)
+    if limit is None:
+        return np.full_like(given, NO_LIMIT)
+    return given * limit.ratio if limit.ratio is not None else np.full_like(given, limit.value)
+
+
+def _given_torques(goals: Goals, variants: Sequence[dict[str, float]]) -> RealArray:
+    """The largest torques of the given motion (P, 2) [N m]."""
+    joints = goals.given.once.joints
+    start = joints.evaluate([0.0], 0, "right")[0, 0]
+    response = ElasticResponse(goals.scene, variants, start, GIVEN_STEPS)
+    references = joints.evaluate(response.fractions * joints.duration, 2, "left")
+    torque = response.respond(np.hstack(list(references)), joints.duration).torque
+    return np.asarray(np.abs(torque).max(axis=1))
