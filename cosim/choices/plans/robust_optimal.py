@@ -58,17 +58,17 @@ def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Ite
 def _limits(goals: Goals, given: Assessment, variants: Sequence[dict[str, float]]) -> MotionLimits:
     """The goals' limits in numbers, torques for each robot."""
     share, clear, quiet = RESERVE
-    references = [
+    speed, acceleration, jerk = (
         _limit(goals, name, np.array(value)).item()
         for name, value in zip(("speed", "acceleration", "jerk"), given.references, strict=True)
-    ]
+    )
 
     def distances(points: RealArray) -> tuple[RealArray, RealArray]:
         distance, gradient = goals.clearance.distances(points)
         return distance + clear * goals.wishes.margin, gradient
 
     torque = share * _limit(goals, "torque", _given_torques(goals, variants))
-    return MotionLimits(torque, *references, quiet * goals.wishes.residual, distances)
+    return MotionLimits(torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances)
 
 
 def _limit(goals: Goals, name: str, given: RealArray) -> RealArray:
