@@ -133,7 +133,7 @@ class Search:
                 races.append(race)
                 progress(0.05 * len(races) / len(starts), "shapers")
                 yield from self._confirmed([race])
-            best = [each.recipe.shapers for each in sorted(races, key=lambda race: race.cost)[:KEPT]]
+            best = [each.recipe.shapers for each in sorted(races, key=_without_clearance)[:KEPT]]
             progress(0.05, "corners and time laws")
             races += self._begun(pool, recipes(best))
             races += self._begun(pool, recipes(best, [FIRST.law]), near=True)
@@ -224,6 +224,11 @@ class Search:
             judged = self._judge.tried(best.design)
             if judged is not None and judged.score.feasible:
                 yield Found(judged)
+
+
+def _without_clearance(race: Race) -> float:
+    """Cost of a race but for the clearance, which depends on corners rather than on shapers."""
+    return inf if race.best is None else race.best.score.cost({**race.tighter, CLEARANCE: 0.0})
 
 
 class _Processes:
