@@ -20,7 +20,7 @@ import numpy as np
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
 from flexfmu.cosim.choices.plans.designs import changed
 from flexfmu.cosim.choices.plans.goals import Goals
-from flexfmu.cosim.choices.plans.race import Member, Race, Study, Trial, begun, improved, merged
+from flexfmu.cosim.choices.plans.race import RADIUS, Member, Race, Study, Trial, begun, improved, merged
 from flexfmu.cosim.choices.plans.recipes import BLENDS, LAWS, Recipe, recipes, shaper_uses
 from flexfmu.cosim.choices.plans.scoring import CLEARANCE
 from flexfmu.cosim.choices.plans.studies import study_of
@@ -139,17 +139,15 @@ class Search:
             races += self._begun(pool, recipes(best, [FIRST.law]), near=True)
             yield from self._confirmed(races)
             # the best recipes
-            fronts = [race.front for race in races]
             last = races
             for done, last in self._rounds(pool, races, ROUNDS):
                 progress(0.15 + 0.65 * done, "the best recipes")
-                fronts += [race.front for race in last]
                 yield from self._confirmed(last)
             # without some limit
             for name in self._relaxable:
                 progress(0.8, f"without the {name}")
                 yield from self._relaxed(pool, last, name)
-            yield from self._front(merged(fronts))
+            yield from self._front(merged([race.front for race in last]))
             progress(1.0, "done")
 
     def _begun(self, pool: _Processes, chosen: Sequence[Recipe], *, near: bool = False) -> Iterator[Race]:
@@ -165,20 +163,24 @@ class Search:
         self, pool: _Processes, races: Sequence[Race], rounds: Sequence[tuple[int, int]]
     ) -> Iterator[tuple[float, list[Race]]]:
         """Yield the finished fraction, and the races of each round after a few more steps."""
-        total, passed = sum(count * steps for count, steps in rounds), 0
+        total, passed, races = sum(count * steps for count, steps in rounds), 0, list(races)
         for count, steps in rounds:
-            races = sorted(races, key=lambda race: race.cost)[:count]
             for first in range(0, steps, PIECE):
+                # the best that aren't over; those that are make room for others
                 length = min(PIECE, steps - first)
-                tasks = [(replace(race, tighter={**race.tighter, **self._tighter}), length) for race in races]
-                races = list(pool.map(_improve, tasks))
+                races = [replace(race, tighter={**race.tighter, **self._tighter}) for race in races]
+                able = [k for k, race in enumerate(races) if not race.over]
+                going = sorted(able, key=[race.cost for race in races].__getitem__)[:count]
+                for k, race in zip(going, pool.map(_improve, [(races[k], length) for k in going]), strict=True):
+                    races[k] = race
                 passed += count * length
                 yield passed / total, races
 
     def _relaxed(self, pool: _Processes, races: Sequence[Race], name: str) -> Iterator[Found]:
         """Yield the best motion that may exceed a limit, if it gains by that."""
         own = self._reported, self._within
-        free = [replace(race, tighter={**race.tighter, name: 0.0}, radius=0.1, front=()) for race in races]
+        races = sorted(races, key=lambda race: race.cost)[:KEPT]
+        free = [replace(race, tighter={**race.tighter, name: 0.0}, radius=RADIUS, front=()) for race in races]
         chosen = list(dict.fromkeys(race.recipe for race in races))
         others = [replace(each, tighter={**each.tighter, name: 0.0}) for each in self._begun(pool, chosen)]
         *_, (_, last) = self._rounds(pool, [*free, *others], RELAXED)
