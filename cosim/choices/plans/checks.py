@@ -112,7 +112,7 @@ def _check_duration(goals: Goals) -> None:
     motion = goals.given.once
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
     turn = float(np.abs(ends[1] - ends[0]).max())
-    peaks = _reference_peaks(goals)
+    peaks = reference_peaks(goals)
     for k, name in enumerate(("speed", "acceleration", "jerk")):
         limit = goals.limits.get(name)
         if limit is None:
@@ -127,7 +127,7 @@ def _check_duration(goals: Goals) -> None:
             )
 
 
-def _reference_peaks(goals: Goals) -> RealArray:
+def reference_peaks(goals: Goals) -> RealArray:
     """Largest joint velocity, acceleration and jerk of the given motion."""
     motion = goals.given.once
     instants = np.linspace(0.0, motion.duration, 2001)
