@@ -18,9 +18,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, Method
+from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Method
 from flexfmu.cosim.choices.plans.checks import reference_peaks
 from flexfmu.cosim.choices.plans.goals import Goals
+from flexfmu.cosim.choices.plans.quick_runs import JointMotion
+from flexfmu.cosim.choices.plans.race import Study
+from flexfmu.cosim.choices.plans.scoring import Score
+from flexfmu.cosim.choices.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.own_motion import plan_own
 from flexfmu.cosim.experiment.planning import plan
@@ -44,11 +48,11 @@ UNLIMITED = 1e6
 KNOWN = {"ruckig": ("speed", "acceleration", "jerk", "torque"), "toppra": ("speed", "acceleration", "torque")}
 """Limits to which each planner's motion is slowed down first."""
 
-SPARE, PRECISION = 1e-3, 1e-2
+SPARE, PRECISION = 1e-3, 1e-3
 """Share of a duration by which a slower motion is longer than estimated, and precision of the duration."""
 
-PAYLOADS, DWELL = 3, 0.02
-"""Payloads within the band, and standstill after the motion [s], with which durations are tried."""
+PAYLOADS, STEP = 7, 1e-3
+"""Payloads within the band, and communication step [s], with which durations are tried."""
 
 PLACES, GRID = 121, 241
 """Places on the path through which toppra's spline goes, and its grid points."""
@@ -104,31 +108,29 @@ def candidate_of(scene: Scene, path: Path) -> Candidate:
 
 
 def _baseline(
-    name: Method, way: str, goals: Goals, design: Callable[[Goals, Judge], PiecewisePolynomial], show: Any
+    name: Method, way: str, goals: Goals, design: Callable[[Goals, Study], PiecewisePolynomial], show: Any
 ) -> Iterator[Candidate]:
     """What a planner finds, slowed down until the flexible robot keeps to the limits that the planner knows of, then to all."""
     if name not in installed():
         raise InputError(f'the motion of {name} needs its package: pip install "flexfmu[{name}]"')
     show(f"{name}: {way}", None)
-    judge = Judge(goals, PAYLOADS)
-    motion = design(goals, judge)
-    quick = _slowed(name, f"{name}, {way}", motion, judge, KNOWN[name])
-    yield quick
-    # the jerk, of which toppra knows nothing
-    assert isinstance(quick.trajectory, PiecewisePolynomial)
-    slow = _slowed(name, f"{name}, {way}, slower", quick.trajectory, judge, tuple(ORDERS))
-    if slow.trajectory is not quick.trajectory:
-        yield slow
+    study, scene = study_of(goals, PAYLOADS, STEP), _plain(goals.scene)
+    quick = _slowed(design(goals, study), study, KNOWN[name])
+    yield Candidate(f"{name}, {way}", name, scene, quick)
+    # limits of which the planner knows nothing, such as the jerk for toppra
+    slow = _slowed(quick, study, tuple(ORDERS))
+    if slow.duration > quick.duration:
+        yield Candidate(f"{name}, {way}, slower", name, scene, slow)
 
 
-def _slowed(name: Method, label: str, motion: PiecewisePolynomial, judge: Judge, limits: Collection[str]) -> Candidate:
-    """The motion as fast as the limits allow, by bisection of its duration."""
-
-    scene = _plain(judge.goals.scene)
-    trial = scene.replace({"trajectory.dwell": DWELL})
+def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str]) -> PiecewisePolynomial:
+    """The motion as fast as the limits allow, by bisection of its duration on quick runs of the FMU."""
 
     def pace(duration: float) -> float:
-        return _pace(judge.assess(Candidate(label, name, trial, motion.with_duration(duration))), limits)
+        times = np.linspace(0.0, duration, study.robot.steps(duration) + 1)
+        run = study.robot.run(JointMotion(times, motion.with_duration(duration).evaluate(times, 2, "left")))
+        uses = Score(run, study.bounds).uses
+        return max((uses[name] ** (1.0 / ORDERS[name]) for name in limits if name in uses), default=1.0)
 
     # a duration that is long enough, and one that isn't
     short = long = motion.duration
@@ -137,18 +139,12 @@ def _slowed(name: Method, label: str, motion: PiecewisePolynomial, judge: Judge,
     while long - short > PRECISION * long:
         middle = 0.5 * (short + long)
         short, long = (middle, long) if pace(middle) > 1.0 else (short, middle)
-    return Candidate(label, name, scene, motion.with_duration(long))
+    return motion.with_duration(long)
 
 
 def _plain(scene: Scene) -> Scene:
     """The scene without shapers and references for the flexible robot, which belong to its own motion."""
     return scene.replace({"shaper": [], "trajectory.references": None})
-
-
-def _pace(found: Assessment, limits: Collection[str]) -> float:
-    """By which factor a motion must be slower to keep to the motors' limits, as far as its own figures tell."""
-    uses = [(use, use.name.removesuffix(" ratio")) for use in found.uses if not use.met]
-    return max((use.share ** (1.0 / ORDERS[name]) for use, name in uses if name in limits), default=1.0)
 
 
 def _limits(goals: Goals) -> RealArray:
@@ -160,7 +156,7 @@ def _limits(goals: Goals) -> RealArray:
     return found
 
 
-def _ruckig(goals: Goals, judge: Judge) -> PiecewisePolynomial:
+def _ruckig(goals: Goals, study: Study) -> PiecewisePolynomial:
     """From start to end with stops at the corners above, past the middle between these as fast as pays."""
     limits, (start, end) = _limits(goals), goals.trace[[0, -1]]
     along = (end - start) / np.hypot(*(end - start))
@@ -209,8 +205,8 @@ def _joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
     return PiecewisePolynomial(np.append(np.concatenate(knots), starts[-1]), taylor, "joints")
 
 
-def _toppra(goals: Goals, judge: Judge) -> PiecewisePolynomial:
-    """Along the given path, within the torques of the rigid robot at the lightest and the heaviest payload."""
+def _toppra(goals: Goals, study: Study) -> PiecewisePolynomial:
+    """Along the given path, within the torques of the rigid robot at the robots of the bands."""
     import toppra as library
     from toppra.algorithm import TOPPRA
     from toppra.constraint import JointAccelerationConstraint, JointTorqueConstraint, JointVelocityConstraint
@@ -220,13 +216,10 @@ def _toppra(goals: Goals, judge: Judge) -> PiecewisePolynomial:
     # limits of both joints
     speed, acceleration, _ = ([[-limit, limit]] * 2 for limit in _limits(goals).tolist())
     constraints = [JointVelocityConstraint(speed), JointAccelerationConstraint(acceleration)]
-    if (limit := goals.limits.get("torque")) is not None:
-        for peaks in judge.given.peaks:
-            most = [limit.value or (limit.ratio or 1.0) * peak for peak in peaks.torque]
-            rigid = inverse_dynamics(peaks.variation.of(goals.scene))
-            constraints.append(
-                JointTorqueConstraint(partial(_torques, rigid), [[-each, each] for each in most], np.zeros(2))
-            )
+    if "torque" in goals.limits:
+        for robot, most in zip(goals.variations(PAYLOADS), study.bounds.torque, strict=True):
+            rigid = partial(_torques, inverse_dynamics(robot.of(goals.scene)))
+            constraints.append(JointTorqueConstraint(rigid, np.stack([-most, most], axis=1), np.zeros(2)))
     # the given path, by its length
     places = _joints(goals, goals.trace[:: (len(goals.trace) - 1) // (PLACES - 1)])
     length = np.linspace(0.0, 1.0, len(places))
