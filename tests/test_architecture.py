@@ -52,7 +52,7 @@ UNKNOWN: Mapping[str, tuple[str, ...]] = {
 TYPES = ("model.symbolic",)
 """All that `fmu_build` knows of the model: the types of what it is given."""
 
-OPTIONAL = ("control", "distributed", "exudyn", "mcap", "pandas", "pyarrow", "xarray")
+OPTIONAL = ("control", "distributed", "exudyn", "mcap", "pandas", "pyarrow", "ruckig", "toppra", "xarray")
 """Libraries that a user may not have or seldom needs: they may be imported within functions."""
 
 HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")

@@ -93,7 +93,18 @@ def plan(
     method: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME", help="search, flexible or optimal; may be repeated. Default: all.", show_default=False
+            metavar="NAME",
+            help="search, flexible, optimal, or a planner to compare with, ruckig or toppra; may be repeated. Default: all that "
+            "are installed.",
+            show_default=False,
+        ),
+    ] = None,
+    candidate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="A motion of your own, of joints or end effector, to be judged with the others; may be repeated.",
+            show_default=False,
         ),
     ] = None,
     budget: Annotated[
@@ -123,8 +134,9 @@ def plan(
     """
     import os
 
+    from flexfmu.cosim.choices.plans.baselines import file_candidate
     from flexfmu.cosim.choices.plans.planned_files import summary, write_plan, write_scene
-    from flexfmu.cosim.choices.plans.planner import METHODS, plan_scene
+    from flexfmu.cosim.choices.plans.planner import plan_scene, usual_methods
     from flexfmu.cosim.engine.files import RESULTS, OutputFolder
     from flexfmu.cosim.reports.text import to_json
 
@@ -141,7 +153,8 @@ def plan(
     with progress() as show:
         result = plan_scene(
             robot,
-            methods=method or METHODS,
+            methods=method or usual_methods(),
+            candidates=[file_candidate(robot, path) for path in candidate or ()],
             processes=processes or os.cpu_count() or 1,
             budget=budget,
             robust=robust,
@@ -225,12 +238,13 @@ SHOWN = 12
 
 
 def _shown(result: PlanResult) -> list[Assessment]:
-    """Motions over the whole front, the given and the chosen one among them."""
-    front = list(result.front)
+    """Motions over the whole front, the given and the chosen one and those to compare with among them."""
+    front = list(result.table)
     if len(front) <= SHOWN:
         return front
     chosen = {round(k * (len(front) - 1) / (SHOWN - 3)) for k in range(SHOWN - 2)}
-    names = {result.chosen.candidate.label, result.given.candidate.label}
+    others = [each.candidate.label for each in result.table if each not in result.front]
+    names = {result.chosen.candidate.label, result.given.candidate.label, *others}
     return [each for k, each in enumerate(front) if k in chosen or each.candidate.label in names]
 
 
@@ -238,7 +252,7 @@ def _front(result: PlanResult) -> Table:
     """The Pareto front."""
     from flexfmu.cosim.reports.terminal import titled_table
 
-    front, shown = result.front, _shown(result)
+    front, shown = result.table, _shown(result)
     table = titled_table(
         "Pareto front" if len(shown) == len(front) else f"Pareto front: {len(shown)} of {len(front)}, all in front.csv"
     )

@@ -223,7 +223,8 @@ def plan_motion(
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
-        methods: which of ``search``, ``flexible`` and ``optimal``; None for all.
+        methods: which of ``search``, ``flexible`` and ``optimal``, and of the planners to compare with, ``ruckig`` and ``toppra``;
+            None for all that are installed.
         candidates: name → further motion that is judged beside those found, as `run` takes it.
         processes: number of processes of the search; None for one on each processor.
         budget: time [s] after which nothing new is begun; None for no limit.
@@ -245,20 +246,17 @@ def plan_motion(
         ResultsError: the given motion can't be run, or a file can't be written.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.choices.plans.assessment import Candidate
+    from flexfmu.cosim.choices.plans.baselines import own_candidate
     from flexfmu.cosim.choices.plans.planned_files import write_plan
-    from flexfmu.cosim.choices.plans.planner import METHODS, plan_scene
-    from flexfmu.trajectories.own import as_trajectory
+    from flexfmu.cosim.choices.plans.planner import plan_scene, usual_methods
 
     robot = _scene(scene)
     if wishes:
         robot = robot.replace({f"plan.{key}": value for key, value in wishes.items()})
     result = plan_scene(
         robot,
-        methods=METHODS if methods is None else tuple(methods),
-        candidates=[
-            Candidate(name, "csv", robot, as_trajectory(motion)) for name, motion in (candidates or {}).items()
-        ],
+        methods=usual_methods() if methods is None else tuple(methods),
+        candidates=[own_candidate(robot, name, motion) for name, motion in (candidates or {}).items()],
         processes=processes or os.cpu_count() or 1,
         budget=budget,
         robust=robust,

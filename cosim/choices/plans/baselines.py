@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Method
+from flexfmu.cosim.choices.effects.choice import resolved
+from flexfmu.cosim.choices.plans.assessment import INSTANTS, Assessment, Candidate, Method
 from flexfmu.cosim.choices.plans.checks import reference_peaks
 from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.choices.plans.quick_runs import JointMotion
@@ -32,9 +33,11 @@ from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.own import OwnMotion, as_trajectory
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.sources import from_ruckig, from_toppra
 from flexfmu.trajectories.table_file import read_table
+from flexfmu.trajectories.trajectory import Trajectory
 
 BASELINES = ("ruckig", "toppra")
 """Planners to compare with, names of extras too."""
@@ -88,23 +91,33 @@ def toppra(goals: Goals, found: Sequence[Assessment], processes: int, show: Any)
     yield from _baseline("toppra", "the given path", goals, _toppra, show)
 
 
-def candidate_of(scene: Scene, path: Path) -> Candidate:
+def file_candidate(scene: Scene, path: Path) -> Candidate:
     """A user's motion from a CSV file, of the joints or the end effector, to be judged beside those found.
 
     Raises:
         TrajectoryError: the file can't be read, or its motion can't be used; the message names line, column and value.
         InputError: the motion starts or ends elsewhere than the scene's.
     """
-    motion, scene = read_table(path).trajectory(), _plain(scene)
+    return own_candidate(scene, path.name, read_table(path).trajectory())
+
+
+def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Candidate:
+    """A user's motion, to be judged beside those found.
+
+    Raises:
+        TrajectoryError: the motion can't be used.
+        InputError: it starts or ends elsewhere than the scene's.
+    """
+    scene = _plain(resolved(scene))
     given, own = plan(scene).once.task, plan_own(scene, motion).task
-    for name, instants in (("starts", (0.0, 0.0)), ("ends", (own.duration, given.duration))):
-        here, wanted = (each.evaluate([t], 0, "left")[0, 0] for each, t in zip((own, given), instants, strict=True))
+    for verb, time, usual in (("starts", 0.0, 0.0), ("ends", own.duration, given.duration)):
+        here, wanted = own.evaluate([time], 0, "left")[0, 0], given.evaluate([usual], 0, "left")[0, 0]
         if np.hypot(*(here - wanted)) > SAME_PLACE:
-            x, y, X, Y = *here, *wanted
             raise InputError(
-                f"the motion in {path} {name} at ({x:.6g}, {y:.6g}) m, the scene's at ({X:.6g}, {Y:.6g}) m: move it there"
+                f"the motion {name} {verb} at ({here[0]:.6g}, {here[1]:.6g}) m, that of scene {scene.name} at "
+                f"({wanted[0]:.6g}, {wanted[1]:.6g}) m: move it there"
             )
-    return Candidate(path.name, "csv", scene, motion)
+    return Candidate(name, "csv", scene, as_trajectory(motion))
 
 
 def _baseline(
@@ -115,22 +128,33 @@ def _baseline(
         raise InputError(f'the motion of {name} needs its package: pip install "flexfmu[{name}]"')
     show(f"{name}: {way}", None)
     study, scene = study_of(goals, PAYLOADS, STEP), _plain(goals.scene)
-    quick = _slowed(design(goals, study), study, KNOWN[name])
+    most = _limits(goals)
+    quick = _slowed(design(goals, study), study, KNOWN[name], most)
     yield Candidate(f"{name}, {way}", name, scene, quick)
     # limits of which the planner knows nothing, such as the jerk for toppra
-    slow = _slowed(quick, study, tuple(ORDERS))
+    slow = _slowed(quick, study, tuple(ORDERS), most)
     if slow.duration > quick.duration:
         yield Candidate(f"{name}, {way}, slower", name, scene, slow)
 
 
-def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str]) -> PiecewisePolynomial:
-    """The motion as fast as the limits allow, by bisection of its duration on quick runs of the FMU."""
+def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str], most: RealArray) -> PiecewisePolynomial:
+    """The motion as fast as the limits allow, by bisection of its duration on quick runs of the FMU.
+
+    Args:
+        motion: the motion.
+        study: the robots and their limits of torque.
+        limits: names of the limits to keep to.
+        most: limits of speed, acceleration and jerk [rad, s].
+    """
 
     def pace(duration: float) -> float:
-        times = np.linspace(0.0, duration, study.robot.steps(duration) + 1)
-        run = study.robot.run(JointMotion(times, motion.with_duration(duration).evaluate(times, 2, "left")))
-        uses = Score(run, study.bounds).uses
-        return max((uses[name] ** (1.0 / ORDERS[name]) for name in limits if name in uses), default=1.0)
+        timed, times = motion.with_duration(duration), np.linspace(0.0, duration, study.robot.steps(duration) + 1)
+        run = study.robot.run(JointMotion(times, timed.evaluate(times, 2, "left")))
+        # rates as plans are judged
+        rates = np.abs(timed.evaluate(np.linspace(0.0, duration, INSTANTS), 3, "left")[1:]).max(axis=(1, 2))
+        uses = dict(zip(("speed", "acceleration", "jerk"), rates / most, strict=True))
+        uses["torque"] = Score(run, study.bounds).uses["torque"]
+        return float(max(uses[name] ** (1.0 / ORDERS[name]) for name in limits))
 
     # a duration that is long enough, and one that isn't
     short = long = motion.duration

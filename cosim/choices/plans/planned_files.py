@@ -23,6 +23,7 @@ from flexfmu.cosim.reports.chart import Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, render_comparison
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.svg import PALETTE
+from flexfmu.trajectories.piecewise import Coordinates
 from flexfmu.trajectories.table import write_table
 
 FILE = "planned.toml"
@@ -49,10 +50,11 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
     written = list[Path]()
     if trajectory is not None:
         table = path.with_suffix(".csv")
+        moving: Coordinates = getattr(trajectory, "coordinates", "end-effector")
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_table(table, trajectory, "joints")
+        write_table(table, trajectory, moving)
         data["trajectory"] = {
-            "kind": "table", "file": table.name, "coordinates": "joints", "degree": 7, "dwell": scene.trajectory.dwell
+            "kind": "table", "file": table.name, "coordinates": moving, "degree": 7, "dwell": scene.trajectory.dwell
         }  # fmt: skip
         data.pop("shaper", None)
         written.append(table)
@@ -148,6 +150,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "given": figures(result.given),
         "chosen": figures(result.chosen),
         "front": [figures(each) for each in result.front],
+        "compared": [figures(each) for each in result.table if each not in result.front],
         "verdict": result.verdict,
         "interrupted": result.interrupted,
         "failures": list(result.failures),
@@ -200,13 +203,13 @@ def limits_table(found: Assessment) -> Table:
 
 
 def front_table(result: PlanResult) -> Table:
-    """The front, the fastest motion first."""
+    """The front and the motions to compare with, the fastest first."""
     rows = [
         [
             each.candidate.label, each.candidate.method, f"{each.time:.4g}", f"{1e6 * each.residual:.3g}", f"{each.torque:.4g}",
             f"{each.energy:.4g}", f"{1e3 * each.off_path:.3g}", "yes" if each.feasible else _missed(each),
         ]
-        for each in result.front
+        for each in result.table
     ]  # fmt: skip
     header = [
         "Motion",
@@ -218,7 +221,10 @@ def front_table(result: PlanResult) -> Table:
         "Off path [mm]",
         "Within limits",
     ]
-    return Table("Pareto front", header, rows, "No other motion found is better in every figure.")
+    note = "No other motion found is better in every figure."
+    if len(result.table) > len(result.front):
+        note = "Motions of which no other is better in every figure, and those of other planners and of files to compare with."
+    return Table("Pareto front", header, rows, note)
 
 
 def robustness_table(result: PlanResult) -> Table:

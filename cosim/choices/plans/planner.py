@@ -11,6 +11,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, LimitUse
+from flexfmu.cosim.choices.plans.baselines import BASELINES, installed
 from flexfmu.cosim.choices.plans.checks import checked_goals
 from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.choices.plans.robustness import RobustnessLine, robustness
@@ -30,6 +31,9 @@ Stage = Callable[[Goals, Sequence[Assessment], int, Show], Iterator[Candidate]]
 
 METHODS = ("search", "flexible", "optimal")
 """Names of the methods, in the order in which they run: what one finds, the next can start from."""
+
+COMPARED = ("ruckig", "toppra", "csv")
+"""Methods whose motions stand beside the front even if others are better in every figure."""
 
 SCREENED, JUDGED = 7, 25
 """Payloads within the band with which every candidate is assessed, and with which the chosen motion is judged."""
@@ -96,6 +100,12 @@ class PlanResult:
         return tuple(kept)
 
     @property
+    def table(self) -> tuple[Assessment, ...]:
+        """The front and, to compare with, motions of other planners and of the user; the fastest first."""
+        others = [each for each in self.assessed if each.candidate.method in COMPARED and each not in self.front]
+        return tuple(sorted([*self.front, *others], key=lambda each: each.time))
+
+    @property
     def missed(self) -> tuple[LimitUse, ...]:
         """The limits that the chosen motion doesn't keep to."""
         return tuple(use for use in self.chosen.uses if not use.met)
@@ -112,7 +122,7 @@ class PlanResult:
         return f"no motion keeps all limits; the nearest misses {listed}"
 
     def rows(self) -> list[dict[str, Any]]:
-        """The front as rows: label, method, figures, and whether all limits are kept."""
+        """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
         return [
             {
                 "motion": each.candidate.label,
@@ -121,7 +131,7 @@ class PlanResult:
                 "torque_ratio": float(each.torque_ratio),
                 "feasible": each.feasible,
             }
-            for each in self.front
+            for each in self.table
         ]
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -151,7 +161,7 @@ def plan_scene(
 
     Args:
         scene: the scene.
-        methods: which of `METHODS`.
+        methods: which of `METHODS` and `BASELINES`, the planners to compare with.
         candidates: further motions that are assessed beside those found.
         processes: number of processes of the search.
         budget: time [s] after which nothing new is begun; None for no limit.
@@ -165,8 +175,8 @@ def plan_scene(
         InputError: wishes contradict each other, or a method is unknown.
         TrajectoryError, SceneError, BuildError, ResultsError: the given motion can't be planned or run.
     """
-    if unknown := [name for name in methods if name not in METHODS]:
-        raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
+    if unknown := [name for name in methods if name not in (*METHODS, *BASELINES)]:
+        raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join((*METHODS, *BASELINES))}")
     work, clock = _processor_time(), monotonic()
     goals = checked_goals(scene)
     show("the given motion", None)
@@ -200,6 +210,11 @@ def plan_scene(
     return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
 
 
+def usual_methods() -> tuple[str, ...]:
+    """All methods, and the planners to compare with that are installed."""
+    return (*METHODS, *installed())
+
+
 def _candidates(
     goals: Goals,
     found: Sequence[Assessment],
@@ -211,7 +226,7 @@ def _candidates(
 ) -> Iterator[Candidate]:
     """The candidates of all methods; a method that fails doesn't end the plan."""
     yield from given
-    for name in METHODS:
+    for name in (*METHODS, *BASELINES):
         if name not in methods:
             continue
         try:
@@ -221,8 +236,9 @@ def _candidates(
 
 
 def _stage(name: str) -> Stage:
-    """A method by its name: the function of this name in the module of this name."""
-    stage: Stage = getattr(import_module(f"flexfmu.cosim.choices.plans.{name}"), name)
+    """A method by its name: the function of this name in the module of this name, or in that of the baselines."""
+    module = "baselines" if name in BASELINES else name
+    stage: Stage = getattr(import_module(f"flexfmu.cosim.choices.plans.{module}"), name)
     return stage
 
 
