@@ -24,6 +24,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from speed_command_line import command_line_figures
+from speed_design import design_figures
 from speed_figure import SpeedFigure
 from speed_loops import loop_figures
 from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
@@ -162,6 +163,7 @@ def main() -> int:
         recording_figures,
         sweep_figures,
         peer_figures,
+        design_figures,
     )
     for measure in measures:
         figures += printed(measure())

@@ -17,7 +17,10 @@ ITERATIONS = 60
 """Largest number of iterations; 15 to 30 are usual."""
 
 TOLERANCE = 1e-8
-"""Complementarity per limit and relative residuals at which the solution is found."""
+"""Complementarity per limit and violation of limits at which the solution is found."""
+
+DUAL = 1e-3
+"""Residual of the gradient, in units of the cost, at which it is found; rounding keeps it above 1e-4 where limits are many."""
 
 
 def solve_quadratic(
@@ -54,7 +57,7 @@ def solve_quadratic(
         r_dual = hessian @ x + cost + transposed(dual)
         r_limit = product(x) + slack - limits
         gap = float(slack @ dual) / len(slack)
-        if gap < TOLERANCE and np.abs(r_limit).max() < TOLERANCE and np.abs(r_dual).max() < 1e-6:
+        if gap < TOLERANCE and np.abs(r_limit).max() < TOLERANCE and np.abs(r_dual).max() < DUAL:
             break
         weight = dual / slack
         normal = hessian + (matrix.T * weight[:rows]) @ matrix
