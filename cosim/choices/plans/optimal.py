@@ -16,10 +16,17 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.reference_design.control_limits import Area, ReferenceLimits, Robot
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import COARSE, optimal_motions
+from flexfmu.model.reference_design.time_optimal import spread
 from flexfmu.trajectories.jets import RealArray
+
+ROBOTS = 5
+"""Robots that stand for a band of payloads where something else than time is minimised."""
 
 SIDES = 0.3
 """How far beyond the given motion, relative to its width, the end effector may go where regions are stated by the user."""
+
+RESERVE = 0.97
+"""Share of the margin that motions use."""
 
 CHUNK = 2000
 """Points whose distances are computed together."""
@@ -35,18 +42,19 @@ def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Sho
     """Motions by optimal control, from the given one on; see `planner.Stage`."""
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
-    given = found[0]
-    if goals.wishes.minimise == "time":
+    given, wishes, every = found[0], goals.wishes, robots_of(goals, found[0])
+    if wishes.minimise == "time" and len(every) > 1:
         yield from robust_optimal(goals, found, show)
+        return
+    # the robot as it is, or some for the band of payloads
+    robots = [every[k] for k in spread(len(every), ROBOTS)]
     start = fitted(goals.given.once.joints, COARSE.splines, COARSE.degree)
-    limits, area, robots = reference_limits(goals, given), area_of(goals), robots_of(goals, given)
+    limits, area = reference_limits(goals, given), area_of(goals)
     show("optimal control", None)
-    nominal = min(robots, key=lambda robot: abs(robot.scene.payload.mass - goals.scene.payload.mass))
-    wishes = goals.wishes
-    for motion in optimal_motions([nominal], limits, area, start, wishes.minimise, wishes.duration):
+    for motion in optimal_motions(robots, limits, area, start, wishes.minimise, wishes.duration):
         show(f"optimal control: {motion.spline.duration:.4g} s, {motion.status}", None)
         if motion.converged and motion.grid != COARSE:
-            yield candidate(goals, motion.spline, "nominal")
+            yield candidate(goals, motion.spline, wishes.minimise)
 
 
 def candidate(goals: Goals, spline: JointSpline, kind: str) -> Candidate:
@@ -65,7 +73,7 @@ def reference_limits(goals: Goals, given: Assessment) -> ReferenceLimits:
 
 
 def robots_of(goals: Goals, given: Assessment) -> list[Robot]:
-    """The robots within the bands, each with the torques that it may need."""
+    """The robots within the band of payloads, the lightest first, each with the torques that it may need."""
     return [
         Robot(
             peaks.variation.of(goals.scene),
@@ -73,6 +81,7 @@ def robots_of(goals: Goals, given: Assessment) -> list[Robot]:
             goals.wishes.residual,
         )
         for peaks in given.peaks
+        if peaks.variation.stiffness == peaks.variation.damping == 1.0
     ]
 
 
@@ -105,7 +114,7 @@ def area_of(goals: Goals) -> Area:
     else:
         deep = high[1] * up
         regions = (Polygon.of(np.vstack([trace, trace[-1] - deep, trace[0] - deep])),)
-    return Area(trace[0], axes, low, high, tuple(map(_distances, regions)), goals.wishes.margin)
+    return Area(trace[0], axes, low, high, tuple(map(_distances, regions)), RESERVE * goals.wishes.margin)
 
 
 def _distances(region: Polygon) -> Callable[[RealArray], RealArray]:
