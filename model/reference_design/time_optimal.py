@@ -29,7 +29,7 @@ NODES = 9
 CHECKED = np.array([3e-4, 1e-4, 1e-4, 1e-4, 1e-2, 1e-3])
 """Violations, in the order of `GROUPS`, up to which the limits count as met on the fine grid: 10 µm, and 5 % of the residual."""
 
-ROUNDS = 3
+ROUNDS = 4
 """Largest number of evaluations of all variants on the fine grid."""
 
 FINER = 2

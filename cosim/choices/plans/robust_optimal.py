@@ -13,6 +13,7 @@ from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.reference_design.motion_limits import MotionLimits
 from flexfmu.model.reference_design.time_optimal import NODES, Improvement, fastest_motion, spread
+from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
@@ -47,8 +48,12 @@ def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Ite
     for share in STARTS:
         start = fitted(joints, INTERVALS, side="left").with_duration(share * joints.duration)
         last: Improvement | None = None
-        for last in fastest_motion(goals.scene, variants, limits, start, nodes):
-            show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
+        try:
+            for last in fastest_motion(goals.scene, variants, limits, start, nodes):
+                show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
+        except EquilibriumError:
+            # too fast for the links: a slower start may do
+            continue
         if last is not None and max(last.violations.values()) < 1e-2:
             label = f"optimal control, robust, {last.motion.duration:.4g} s"
             yield Candidate(label, "optimal control", goals.scene, last.motion.trajectory())
