@@ -70,7 +70,7 @@ def render_comparison(
     lead = f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
     metrics = [table for table in [metrics_table(runs)] if table.rows]
     return render_page(
-        title or " · ".join(run.name for run in runs), lead, [*plots, *_plots(runs)], [*metrics, *tables]
+        title or " · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], [*metrics, *tables]
     )
 
 
@@ -96,7 +96,7 @@ def _cell(name: str, measured: Measurement, first: Measurement) -> str:
     return f"{text} ({difference} %)"
 
 
-def _plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
+def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
     """Yield a plot for each group of signals that a run has, then the spectra."""
     for number, (title, (unit, factor, names)) in enumerate(SIGNALS.items()):
         found = {label: _curves(runs, name, factor) for name, label in names.items()}

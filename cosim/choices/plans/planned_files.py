@@ -1,11 +1,10 @@
-"""What a plan leaves behind: the planned scene, the table of the front, and the report."""
+"""What a plan leaves behind: the planned scene, the table of the front, all figures, and the page."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
-from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -14,15 +13,9 @@ import numpy as np
 import tomlkit
 
 from flexfmu.cosim.choices.plans.assessment import Assessment
+from flexfmu.cosim.choices.plans.plan_page import plan_page
 from flexfmu.cosim.choices.plans.planner import FRONT, PlanResult
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
-from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.reports.chart import Curve, Marker, Panel
-from flexfmu.cosim.reports.comparison import ComparedRun, render_comparison
-from flexfmu.cosim.reports.page import Plot, Table
-from flexfmu.cosim.reports.svg import PALETTE
 from flexfmu.trajectories.piecewise import Coordinates
 from flexfmu.trajectories.table import write_table
 
@@ -122,7 +115,7 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
     written = write_scene(result, folder / FILE)
     written.append(out.write("front.csv", text.getvalue()))
     written.append(out.write("plan.json", json.dumps(summary(result), indent=1) + "\n"))
-    written.append(out.write("plan.html", report(result)))
+    written.append(out.write("plan.html", plan_page(result)))
     return written
 
 
@@ -168,115 +161,3 @@ def summary(result: PlanResult) -> dict[str, Any]:
         ],
         "cpu_time": result.cpu_time,
     }
-
-
-def report(result: PlanResult) -> str:
-    """The page: the chosen motion beside the given one, limits, front and ways."""
-    runs = [each.candidate.prepared().run() for each in (result.given, result.chosen)]
-    compared = [
-        ComparedRun(name, run.recording, measure_run(run), run.plan.duration)
-        for name, run in zip(("given", "planned"), runs, strict=True)
-    ]
-    plots = [_front_plot(result), _ways_plot(result, runs)]
-    title = f"{result.goals.scene.name}: planned motion"
-    return render_comparison(
-        compared, [limits_table(result.chosen), front_table(result), robustness_table(result)], plots, title
-    )
-
-
-def limits_table(found: Assessment) -> Table:
-    """How close a motion comes to each limit, and where."""
-    rows = [
-        [
-            use.name,
-            f"{use.value:.4g}",
-            f"{use.limit:.4g}",
-            use.unit.replace("1", "-"),
-            f"{100 * use.share:.1f} %",
-            use.where,
-        ]
-        for use in found.uses
-    ]
-    return Table(
-        "Limits", ["Limit", "Value", "Limit", "Unit", "Used", "Where"], rows, "Worst over all payloads of the band."
-    )
-
-
-def front_table(result: PlanResult) -> Table:
-    """The front and the motions to compare with, the fastest first."""
-    rows = [
-        [
-            each.candidate.label, each.candidate.method, f"{each.time:.4g}", f"{1e6 * each.residual:.3g}", f"{each.torque:.4g}",
-            f"{each.energy:.4g}", f"{1e3 * each.off_path:.3g}", "yes" if each.feasible else _missed(each),
-        ]
-        for each in result.table
-    ]  # fmt: skip
-    header = [
-        "Motion",
-        "Method",
-        "Time [s]",
-        "Residual [µm]",
-        "Torque [N·m]",
-        "Energy [J]",
-        "Off path [mm]",
-        "Within limits",
-    ]
-    note = "No other motion found is better in every figure."
-    if len(result.table) > len(result.front):
-        note = "Motions of which no other is better in every figure, and those of other planners and of files to compare with."
-    return Table("Pareto front", header, rows, note)
-
-
-def robustness_table(result: PlanResult) -> Table:
-    """The chosen motion in other models."""
-    rows = [
-        [
-            line.model,
-            f"{1e6 * line.residual:.3g}" if math.isfinite(line.residual) else "-",
-            line.where,
-            "-" if line.torque_ratio is None else f"{line.torque_ratio:.3f}",
-            "-" if line.off_path is None else f"{1e3 * line.off_path:.3g}",
-            f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note,
-        ]
-        for line in result.robustness
-    ]
-    header = ["Model", "Residual [µm]", "Worst for", "Torque ratio", "Off path [mm]", "Limits"]
-    return Table("In other models", header, rows, "Torques are relative to the given motion's in the same model.")
-
-
-def _missed(each: Assessment) -> str:
-    return "misses " + ", ".join(use.name for use in each.uses if not use.met)
-
-
-def _front_plot(result: PlanResult) -> Plot:
-    """Residual over time of all candidates."""
-    groups = {"within limits": PALETTE[0], "beyond a limit": PALETTE[1]}
-    curves = []
-    for label, colour in groups.items():
-        chosen = [each for each in result.front if each.feasible == (label == "within limits")]
-        if chosen:
-            x = np.array([each.time for each in chosen])
-            y = np.array([max(1e6 * each.residual, 1e-3) for each in chosen])
-            notes = [each.candidate.label for each in chosen]
-            curves.append(Curve(x, y, label, colour, width=0.0, dot="disc", notes=notes))
-    best = result.chosen
-    marker = Marker(best.time, 1e6 * best.residual, 9.0, PALETTE[2], 0.5, text="chosen", offset=(6.0, -6.0))
-    panel = Panel(label="residual\n[µm]", curves=curves, markers=[marker], logarithmic="y", is_function=False)
-    return Plot("front", "Time and residual vibration", "The motions of the front.", (panel,), "total time [s]", 190.0)
-
-
-def _ways_plot(result: PlanResult, runs: Sequence[Run]) -> Plot:
-    """The ways of the end effector, and what it keeps clear of."""
-    curves = []
-    for region in result.goals.clearance.regions:
-        closed = np.vstack([region.corners, region.corners[:1]])
-        curves.append(Curve(closed[:, 0], closed[:, 1], "kept clear", "#999999", width=1.0, dashes="3,2"))
-    for k, (name, run) in enumerate(zip(("given", "planned"), runs, strict=True)):
-        x, y = (_values(run.recording, axis) for axis in "xy")
-        curves.append(Curve(x, y, name, PALETTE[k]))
-    panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
-    return Plot("ways", "Way of the end effector", "With the scene's own payload.", (panel,), "x [m]", 220.0)
-
-
-def _values(recording: Recording, axis: str) -> Any:
-    return recording[f"end_effector.position.{axis}"].values

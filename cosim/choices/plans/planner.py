@@ -88,22 +88,31 @@ class PlanResult:
 
     @property
     def front(self) -> tuple[Assessment, ...]:
-        """The candidates, the given motion included, of which no other is better in every figure of `FRONT`; the fastest first."""
-        everyone = [self.given, *self.assessed]
-        if self.chosen.candidate not in [each.candidate for each in everyone]:
-            everyone.append(self.chosen)
-        best = [each for each in everyone if not any(_dominates(other, each) for other in everyone)]
+        """The candidates, the given motion included, of which no other is better in every figure of `FRONT`; the fastest first.
+
+        A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
+        """
+        others = [each for each in self.assessed if each.candidate is not self.chosen.candidate]
+        everyone = [*([] if self.chosen is self.given else [self.chosen]), self.given, *others]
+        best = [
+            each for each in everyone if each is self.chosen or not any(_dominates(other, each) for other in everyone)
+        ]
+        # the chosen one first, so that none like it replaces it
         kept = list[Assessment]()
-        for each in sorted(best, key=lambda each: (each.time, each is not self.chosen)):
+        for each in sorted(best, key=lambda each: (each is not self.chosen, each.time)):
             if not any(_are_alike(each, other) for other in kept):
                 kept.append(each)
-        return tuple(kept)
+        return tuple(sorted(kept, key=lambda each: each.time))
 
     @property
     def table(self) -> tuple[Assessment, ...]:
         """The front and, to compare with, motions of other planners and of the user; the fastest first."""
-        others = [each for each in self.assessed if each.candidate.method in COMPARED and each not in self.front]
-        return tuple(sorted([*self.front, *others], key=lambda each: each.time))
+        front = self.front
+        there = {id(each.candidate) for each in front}
+        others = [
+            each for each in self.assessed if each.candidate.method in COMPARED and id(each.candidate) not in there
+        ]
+        return tuple(sorted([*front, *others], key=lambda each: each.time))
 
     @property
     def missed(self) -> tuple[LimitUse, ...]:
@@ -248,7 +257,9 @@ def _processor_time() -> float:
 
 
 def _dominates(one: Assessment, other: Assessment) -> bool:
-    """Whether one is at least as good in every figure, and better in one."""
+    """Whether one is at least as good in every figure, and better in one; what misses a limit doesn't dominate what keeps all."""
+    if other.feasible and not one.feasible:
+        return False
     pairs = [(getattr(one, name), getattr(other, name)) for name in FRONT]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 

@@ -69,7 +69,7 @@ def test_the_fastest_motion_within_all_limits_is_chosen(result: PlanResult) -> N
 
 
 def test_no_motion_of_the_front_is_worse_in_everything_than_another(result: PlanResult) -> None:
-    figures = [tuple(getattr(each, name) for name in FRONT) for each in result.front]
+    figures = [(*(getattr(each, name) for name in FRONT), not each.feasible) for each in result.front]
     for one in figures:
         assert not any(all(a <= b for a, b in zip(other, one, strict=True)) and other != one for other in figures)
     assert [each.time for each in result.front] == sorted(each.time for each in result.front)
