@@ -134,7 +134,14 @@ def test_files_say_the_same(result: PlanResult, tmp_path: Path) -> None:
     assert data["chosen"]["time"] == result.chosen.time
     assert len(data["front"]) == len((tmp_path / "front.csv").read_text().splitlines()) - 1 == len(result.front)
     page = (tmp_path / "plan.html").read_text()
-    for heading in ("Limits", "Pareto front", "Way of the end effector", "Motor torques"):
+    for heading in (
+        "Planned motion",
+        "Limits",
+        "Pareto front",
+        "Over the payload band",
+        "Path of the end effector",
+        "Motor torques",
+    ):
         assert heading in page
 
 
