@@ -273,7 +273,7 @@ def _front(result: PlanResult) -> Table:
 
 def _robustness(result: PlanResult) -> Table:
     """The chosen motion in other models."""
-    from flexfmu.cosim.choices.plans.planned_files import robustness_table
+    from flexfmu.cosim.choices.plans.plan_page import robustness_table
     from flexfmu.cosim.reports.terminal import titled_table
 
     lines = robustness_table(result)

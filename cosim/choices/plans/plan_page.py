@@ -204,7 +204,9 @@ def _band_plot(result: PlanResult) -> Plot:
 def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:
     """The paths of the end effector, and what it keeps clear of."""
     paths = [np.column_stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"]) for run in runs]
-    curves = [Curve(*path.T, name, colour) for name, colour, path in zip(NAMES, COLOURS, paths, strict=True)]
+    curves = [
+        Curve(path[:, 0], path[:, 1], name, colour) for name, colour, path in zip(NAMES, COLOURS, paths, strict=True)
+    ]
     view = _view(np.concatenate(paths), goals.clearance)
     outlines = [np.vstack([each.corners, each.corners[:1]]) for each in goals.clearance.regions]
     for origin, normal in zip(goals.clearance.origins, goals.clearance.normals, strict=True):
@@ -212,7 +214,7 @@ def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:
     shown = [points for outline in outlines if np.isfinite(points := _within(outline, view)).any()]
     for number, points in enumerate(shown):
         label = "" if number else "kept clear"
-        curves.append(Curve(*points.T, label, GREY, width=1.0, dashes=DOTTED, is_read=False))
+        curves.append(Curve(points[:, 0], points[:, 1], label, GREY, width=1.0, dashes=DOTTED, is_read=False))
     panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
     width, height = view[1] - view[0]
     caption = "With the scene's own payload; dotted: regions to stay out of and lines not to cross."
