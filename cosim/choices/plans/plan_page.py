@@ -148,7 +148,7 @@ def _front_plot(result: PlanResult) -> Plot:
         "torque\n[N·m]": [each.torque for each in result.table],
         "off path\n[mm]": [1e3 * each.off_path for each in result.table],
     }
-    panels = []
+    panels = list[Panel]()
     for label, values in figures.items():
         curves = []
         for group, colour in (("limits kept", PALETTE[0]), ("limits missed", PALETTE[1])):
