@@ -1,0 +1,348 @@
+"""Small corrections of joint references, so that they serve all robots of a band: other payloads, stiffness or damping.
+
+The corrections are quintic splines with wide knots, so small that the elastic motion depends linearly on them. Exact
+sensitivities of all variants (`ElasticResponse`) make a linear programme: least vibration after the motion, with every end
+effector near the path and every torque within its limit; then least distance from the path with little more vibration. It starts from
+least squares, and rows that don't bind are left out until they are violated. It is solved again about the corrected references,
+which takes back what isn't linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import linprog
+
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response
+from flexfmu.model.reference_design.inverse_dynamics import LEAD
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.reference_design.variants import Rest, free_modes
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
+
+MODES, PERIODS = 2, 0.5
+"""Modes that the corrections must reach, and distance of their knots in periods of the highest of these: one for each joint."""
+
+LEAST_SPACING = 0.004
+"""Smallest distance of the corrections' knots [s]."""
+
+DIRECTIONS = 8
+"""Directions in which a distance in the plane is bounded; it is at most 1/cos(π/8) = 1.08 times the bound."""
+
+RINGING, RINGING_STEP = 0.1, 2e-3
+"""Time [s] after the motion over which the vibration is bounded, and its resolution."""
+
+ON_PATH = 6
+"""Variants whose distance from the path is bounded: it varies little and evenly between them."""
+
+ROUNDS, BATCH = 12, 300
+"""Largest number of times that violated rows are added to a linear programme, and of rows that are."""
+
+PIVOTS = 1500
+"""Largest number of simplex iterations of a linear programme: those that take more are degenerate."""
+
+NEAR, FEW = 0.5, 20
+"""Rows above this fraction of their bound are in the programme from the start, and every 20th of the others."""
+
+VIOLATION = 5e-3
+"""Relative violation of a row that is accepted."""
+
+LARGEST = 20.0
+"""Largest step in a variable, in units in which it moves a row by its bound."""
+
+RIDGE = 1e-9
+"""Regularisation of the least squares."""
+
+GROWTH = 1.2
+"""By how much the largest distance from the path may grow where it is above its bound before the correction."""
+
+SLACK = 1.5
+"""By how much the vibration may grow over the least one where that brings the end effector nearer to the path."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What corrected references have to keep.
+
+    Attributes:
+        residual: vibration [m] after the motion below which nearness to the path comes first.
+        off_path: largest distance [m] of any variant's end effector from where it should be. Where one errs by more before the
+            correction, `GROWTH` of that.
+        torque: largest magnitudes of the torques, for each variant and motor (P, 2) [N m]; None for no limit.
+        jerk: largest jerk of the joints [rad/s³]; None for no limit.
+    """
+
+    residual: float = 2e-7
+    off_path: float = 9e-5
+    torque: RealArray | None = None
+    jerk: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Corrected references, and what they reach on the variants that they are designed for.
+
+    Attributes:
+        motors: motor angles [rad].
+        residual: largest vibration after the motion [m].
+        off_path: largest distance from where the end effector should be [m].
+    """
+
+    motors: JointSpline
+    residual: float
+    off_path: float
+
+
+def corrected(
+    scene: Scene,
+    variants: Sequence[Mapping[str, float]],
+    motors: JointSpline,
+    motion: Trajectory,
+    tolerances: Tolerances,
+) -> Correction:
+    """Correct references such that they serve all variants of a robot.
+
+    Args:
+        scene: the robot.
+        variants: values of FMU parameters of each variant, by name; at least 16 over a band of ±30 % payload, since fewer are
+            overfitted.
+        motors: references of the motors for the nominal robot.
+        motion: where its end effector should be, x and y [m]; it starts `LEAD` after the motors.
+        tolerances: what to keep.
+
+    Raises:
+        TrajectoryError: no correction keeps all variants near the path within the limits.
+        EquilibriumError: a variant's elastic motion has no solution.
+    """
+    problem = _Problem(scene, variants, motors, motion, tolerances)
+    if problem.is_met():
+        return problem.judged(np.zeros(problem.count))
+    # least squares come so near that the programmes about them are final
+    free = problem.guess()
+    return problem.judged(free + problem.step(free))
+
+
+class _Problem:
+    """The linear programmes of one correction; arguments as for `corrected`."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        variants: Sequence[Mapping[str, float]],
+        motors: JointSpline,
+        motion: Trajectory,
+        tolerances: Tolerances,
+    ) -> None:
+        self._motors, self._tolerances = motors, tolerances
+        self._elastic = ElasticResponse(scene, variants, motors.coefficients[0], motors.intervals)
+        rest = self._elastic.model.rest(motors.coefficients[-1])
+        self._moves = _moves(motors, _spacing(rest))
+        self.count = 2 * self._moves.shape[1]
+        fractions = self._elastic.fractions
+        self._targets = motion.evaluate(fractions * motors.duration - LEAD, 0)[0]
+        self._ringing, self._at_end = _ringing(rest), rest.elastic
+        # derivatives about the uncorrected references: the corrections are so small that they stay the same
+        self._by = self._response(motors, _derivatives(motors, self._moves, fractions))
+        largest = float(np.hypot(*np.moveaxis(self._away(self._by), -1, 0)).max())
+        if largest > tolerances.off_path:
+            self._tolerances = replace(tolerances, off_path=GROWTH * largest)
+        self._rings_by = np.einsum(
+            "ptix,pxm->ptim", self._ringing, self._by.end_by.reshape(len(variants), -1, self.count)
+        )
+
+    def motors(self, free: RealArray) -> JointSpline:
+        """References with corrections."""
+        return replace(self._motors, coefficients=self._motors.coefficients + self._moves @ free.reshape(2, -1).T)
+
+    def judged(self, free: RealArray) -> Correction:
+        """What corrections reach, by the elastic response itself."""
+        motors = self.motors(free)
+        response = self._response(motors)
+        largest = (
+            float(np.hypot(*np.moveaxis(each, -1, 0)).max()) for each in (self._rings(response), self._away(response))
+        )
+        return Correction(motors, *largest)
+
+    def is_met(self) -> bool:
+        """Whether the references serve all variants without a correction."""
+        response = self._response(self._motors)
+        rows = [*self._vectors(response), *self._torques(response), *self._jerks(self._motors)]
+        return all(bool((each.value <= each.bound).all()) for each in rows)
+
+    def guess(self) -> RealArray:
+        """Corrections by least squares."""
+        return _least_squares(self._vectors(self._response(self._motors)))
+
+    def _vectors(self, response: Response) -> list[_Rows]:
+        """Rows value + by change <= bound of the vibration and of the path."""
+        some = np.unique(np.linspace(0, len(response.end) - 1, ON_PATH).round().astype(int))
+        path = _in_directions(self._away(response)[some, 5::6], self._by.position_by[some, 5::6])
+        ringing = _in_directions(self._rings(response), self._rings_by)
+        return [_Rows(*ringing, self._tolerances.residual), _Rows(*path, self._tolerances.off_path)]
+
+    def step(self, free: RealArray) -> RealArray:
+        """The change of the corrections that the linear programmes about them find."""
+        motors, t = self.motors(free), self._tolerances
+        response = self._response(motors)
+        ringing, path = self._vectors(response)
+        others = [*self._torques(response), *self._jerks(motors)]
+        least = _solved(ringing, [path, *others], np.zeros(self.count))
+        if least is None:
+            raise TrajectoryError(
+                f"no correction of the references keeps all variants within {1e3 * t.off_path:.3g} mm of the path and the "
+                "torques within their limits: allow more, give the motion more time, or narrow the band"
+            )
+        # nearest to the path with little more vibration
+        change, residual = least
+        ringing = replace(ringing, bound=max(SLACK * residual, t.residual))
+        nearest = _solved(path, [ringing, *others], change)
+        return change if nearest is None else nearest[0]
+
+    def _response(self, motors: JointSpline, by: RealArray | None = None) -> Response:
+        references = np.hstack(list(motors.evaluate(self._elastic.fractions)))
+        return self._elastic.respond(references, motors.duration, by)
+
+    def _away(self, response: Response) -> RealArray:
+        """Displacements (P, N, 2) [m] of all variants from where they should be."""
+        return np.asarray(response.position - self._targets)
+
+    def _rings(self, response: Response) -> RealArray:
+        """Displacements (P, times, 2) [m] from rest after the motion of all variants."""
+        state = response.end.copy()
+        state[:, 0] -= self._at_end
+        return np.asarray(np.einsum("ptix,px->pti", self._ringing, state.reshape(len(state), -1)))
+
+    def _torques(self, response: Response) -> list[_Rows]:
+        limit = self._tolerances.torque
+        if limit is None:
+            return []
+        value, by = response.torque / limit[:, np.newaxis], self._by.torque_by / limit[:, np.newaxis, :, np.newaxis]
+        near = np.abs(value) > NEAR
+        sign = np.sign(value[near])
+        return [_Rows(sign * value[near], sign[:, np.newaxis] * by[near], 1.0)]
+
+    def _jerks(self, motors: JointSpline) -> list[_Rows]:
+        limit = self._tolerances.jerk
+        if limit is None:
+            return []
+        fractions = np.linspace(0.0, 1.0, 4 * motors.intervals + 1)
+        matrix = basis(motors.degree, motors.intervals, fractions, 3) / motors.duration**3 / limit
+        value, by = matrix @ motors.coefficients, matrix @ self._moves
+        both = [np.asarray(np.kron(row, by), dtype=float) for row in np.eye(2)]
+        return [_Rows(sign * value[:, i], sign * both[i], 1.0) for i in range(2) for sign in (1.0, -1.0)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows ``value`` (r,) + ``by`` (r, m) change <= ``bound``."""
+
+    value: RealArray
+    by: RealArray
+    bound: float
+
+
+def _least_squares(parts: Sequence[_Rows]) -> RealArray:
+    """The change that makes rows least in the mean of squares, each relative to its bound."""
+    weights = [1.0 / (rows.bound * np.sqrt(len(rows.value))) for rows in parts]
+    matrix = np.concatenate([weight * rows.by for weight, rows in zip(weights, parts, strict=True)])
+    values = np.concatenate([weight * rows.value for weight, rows in zip(weights, parts, strict=True)])
+    normal = matrix.T @ matrix
+    scale = np.sqrt(np.diag(normal))
+    normal = normal / scale / scale[:, np.newaxis] + RIDGE * np.eye(len(scale))
+    return np.asarray(-np.linalg.solve(normal, matrix.T @ values / scale) / scale)
+
+
+def _solved(least: _Rows, kept: Sequence[_Rows], first: RealArray) -> tuple[RealArray, float] | None:
+    """The change that makes the largest of some rows least while others keep their bounds, and what it reaches; None if none can.
+
+    Args:
+        least: rows whose largest value is minimised; their bound is a scale.
+        kept: rows with bounds.
+        first: change (m,) from which the programme starts.
+    """
+    # [rows, -1] [further change, largest] <= upper, all relative to their bounds
+    every, goals = [least, *kept], len(least.value)
+    score = np.concatenate([(rows.value + rows.by @ first) / rows.bound for rows in every])
+    matrix = np.concatenate([np.pad(rows.by / rows.bound, ((0, 0), (0, 1))) for rows in every])
+    matrix[:goals, -1] = -1.0
+    upper = np.concatenate([-score[:goals], 1.0 - score[goals:]])
+    units = np.abs(matrix[:, :-1]).max(axis=0)
+    matrix[:, :-1] /= units
+    # the rows that are near their bounds, some others, and then those that are violated
+    near = np.full(len(score), NEAR)
+    near[:goals] *= score[:goals].max()
+    chosen = score > near
+    chosen[::FEW] = True
+    cost, bounds = np.append(np.zeros(len(first)), 1.0), [(-LARGEST, LARGEST)] * len(first) + [(0.0, None)]
+    for _ in range(ROUNDS):
+        found = linprog(
+            cost, matrix[chosen], upper[chosen], bounds=bounds, method="highs-ds", options={"maxiter": PIVOTS}
+        )
+        if found.x is None:
+            return None
+        solution = np.asarray(found.x)
+        violation = matrix @ solution - upper
+        worst = np.argsort(-violation)[:BATCH]
+        worst = worst[(violation[worst] > VIOLATION) & ~chosen[worst]]
+        if not worst.size:
+            break
+        chosen[worst] = True
+    return first + solution[:-1] / units, float(solution[-1]) * least.bound
+
+
+def _in_directions(value: RealArray, by: RealArray) -> tuple[RealArray, RealArray]:
+    """Values of vectors (..., 2) and their derivatives (..., 2, m) in all directions, (8 r,) and (8 r, m)."""
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return (value.reshape(-1, 2) @ ways.T).ravel(), (ways @ by.reshape(-1, *by.shape[-2:])).reshape(-1, by.shape[-1])
+
+
+def _spacing(rest: Rest) -> float:
+    """Distance of the corrections' knots [s]: a quintic spline makes no motion that is faster than half a period a knot."""
+    frequencies = free_modes(rest).frequencies[:, :MODES]
+    wanted = PERIODS * 2.0 * np.pi / float(frequencies.max(initial=1.0))
+    return max(wanted, LEAST_SPACING)
+
+
+def _moves(motors: JointSpline, spacing: float) -> RealArray:
+    """Coefficients of the references, a column for each free one of the corrections: splines with wide knots (interpolated)."""
+    wide = max(round(motors.duration / spacing), 2 * REST)
+    degree, intervals = motors.degree, motors.intervals
+    # one point for each coefficient: the means of its knots
+    knots = np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, intervals + 1), np.ones(degree)])
+    means = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(intervals + degree)])
+    moves = np.linalg.solve(basis(degree, intervals, means), basis(degree, wide, means)[:, REST:-REST])
+    moves[:REST], moves[-REST:] = 0.0, 0.0
+    return np.asarray(moves)
+
+
+def _derivatives(motors: JointSpline, moves: RealArray, fractions: RealArray) -> RealArray:
+    """Derivatives (N, 6, 2 r) of [q_a, v_a, a_a] by the corrections of joint 1, then joint 2."""
+    r = moves.shape[1]
+    by = np.zeros((len(fractions), 6, 2 * r))
+    for k in range(3):
+        matrix = basis(motors.degree, motors.intervals, fractions, k) @ moves / motors.duration**k
+        for joint in range(2):
+            by[:, 2 * k + joint, joint * r : (joint + 1) * r] = matrix
+    return by
+
+
+def _ringing(rest: Rest) -> RealArray:
+    """End effector (P, times, 2, 2 n) after the motion from elastic coordinates and rates at its end, about rest."""
+    n = rest.elastic.shape[1]
+    found = []
+    for jacobian in rest.jacobian:
+        by_q, by_v, by_a = (jacobian[:, i * n : (i + 1) * n] for i in range(3))
+        accelerations = np.linalg.solve(by_a[:n], -np.hstack([by_q[:n], by_v[:n]]))
+        system = np.vstack([np.eye(2 * n)[n:], accelerations])
+        output = np.hstack([by_q[n + 2 :], by_v[n + 2 :]]) + by_a[n + 2 :] @ accelerations
+        step, states = expm(system * RINGING_STEP), [np.eye(2 * n)]
+        for _ in range(round(RINGING / RINGING_STEP)):
+            states.append(step @ states[-1])
+        found.append(output @ np.array(states))
+    return np.array(found)

@@ -1,0 +1,103 @@
+"""Corrected references hold over a band of payloads, judged by integrating motion and standstill with others than those they are for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexfmu.model.kinematics import RigidKinematics
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
+from flexfmu.model.reference_design.joint_spline import JointSpline
+from flexfmu.model.reference_design.robust_correction import Correction, Tolerances, corrected
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.joint import JointTrajectory
+from flexfmu.trajectories.piecewise import PiecewisePolynomial
+
+DURATION = 0.2
+SEEN, OTHERS = ([{"payload.mass": float(mass)} for mass in np.linspace(4.2, 7.8, n)] for n in (16, 9))
+
+
+@pytest.fixture(scope="module")
+def robot() -> Scene:
+    """One bending mode for each proximal link, and little damping."""
+    few = {"effects.proximal_bending": 1, "effects.distal_axial": 0, "effects.damping.ratio": 0.01}
+    return load_scene("barnard2012-6kg").replace(few)
+
+
+@pytest.fixture(scope="module")
+def motion() -> PiecewisePolynomial:
+    """A straight line with the polynomial of degree 7 in time."""
+    rise = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0]) / DURATION ** np.arange(8)
+    coefficients = rise[:, np.newaxis, np.newaxis] * np.array([0.2, 0.02])
+    coefficients[0] += np.array([-0.1, 0.32])
+    return PiecewisePolynomial(np.array([0.0, DURATION]), coefficients)
+
+
+@pytest.fixture(scope="module")
+def nominal(robot: Scene, motion: PiecewisePolynomial) -> JointSpline:
+    """References for 6 kg alone."""
+    return flexible_references(robot, motion, JointTrajectory(motion, RigidKinematics(robot.mechanism))).motors
+
+
+@pytest.fixture(scope="module")
+def found(robot: Scene, motion: PiecewisePolynomial, nominal: JointSpline) -> Correction:
+    """References for the band."""
+    return corrected(robot, SEEN, nominal, motion, Tolerances())
+
+
+def judged(robot: Scene, motion: PiecewisePolynomial, motors: JointSpline) -> tuple[float, float, RealArray]:
+    """Largest residual vibration and distance from the path [m] of other payloads, and their peak torques (P, 2) [N m]."""
+    still, steps = 0.05, 300
+    response = ElasticResponse(robot, OTHERS, motors.coefficients[0], steps)
+    whole = motors.duration + still
+    time = response.fractions * whole
+    moving = time <= motors.duration
+    references = np.hstack(list(motors.evaluate(np.minimum(time / motors.duration, 1.0))))
+    references[~moving, 2:] = 0.0
+    run = response.respond(references, whole)
+    rest = response.model.rest(motors.coefficients[-1]).position
+    away = run.position - motion.evaluate(time - LEAD, 0)[0]
+    rings = run.position[:, ~moving] - rest[:, np.newaxis]
+    sizes = [float(np.hypot(*np.moveaxis(each, -1, 0)).max()) for each in (rings, away[:, moving])]
+    return sizes[0], sizes[1], np.abs(run.torque).max(axis=1)
+
+
+def test_corrected_references_hold_for_the_band(
+    robot: Scene, motion: PiecewisePolynomial, nominal: JointSpline, found: Correction
+) -> None:
+    """Payloads between those of the design vibrate as little, and stay as near to the path."""
+    before, after = (judged(robot, motion, motors) for motors in (nominal, found.motors))
+    assert before[0] > 1e-6
+    assert after[0] < 4e-7
+    assert after[1] < max(9e-5, 1.2 * before[1])
+    assert found.residual < 3e-7
+
+
+def test_corrections_are_small(nominal: JointSpline, found: Correction) -> None:
+    """Some hundred microradians, at rest at both ends."""
+    change = found.motors.coefficients - nominal.coefficients
+    assert 1e-6 < np.abs(change).max() < 1e-3
+    np.testing.assert_array_equal(change[[0, 1, 2, 3, -4, -3, -2, -1]], 0.0)
+
+
+def test_limits_of_torque_and_jerk_are_kept(
+    robot: Scene, motion: PiecewisePolynomial, nominal: JointSpline, found: Correction
+) -> None:
+    """Less torque than the correction would take is possible, at more distance from the path or more vibration."""
+    fractions = np.linspace(0.0, 1.0, 801)
+    jerk = 0.98 * float(np.abs(found.motors.evaluate(fractions, 3)[3]).max())
+    limit = 0.997 * judged(robot, motion, found.motors)[2].max(axis=0)
+    few = SEEN[::5]
+    limited = corrected(robot, few, nominal, motion, Tolerances(torque=np.tile(limit, (len(few), 1)), jerk=jerk))
+    assert np.abs(limited.motors.evaluate(fractions, 3)[3]).max() < 1.006 * jerk
+    assert (judged(robot, motion, limited.motors)[2].max(axis=0) < 1.006 * limit).all()
+
+
+def test_impossible_wishes(robot: Scene, motion: PiecewisePolynomial, nominal: JointSpline) -> None:
+    """A torque that the motion can't do without is told, with what could help."""
+    with pytest.raises(TrajectoryError, match="torques within their limits"):
+        corrected(robot, SEEN[:2], nominal, motion, Tolerances(torque=np.full((2, 2), 20.0)))
