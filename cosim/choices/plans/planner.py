@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, LimitUse
 from flexfmu.cosim.choices.plans.baselines import BASELINES, installed
+from flexfmu.cosim.choices.plans.called_effects import sturdier
 from flexfmu.cosim.choices.plans.checks import checked_goals
 from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.choices.plans.robustness import RobustnessLine, robustness
@@ -208,6 +209,9 @@ def plan_scene(
     show("the chosen motion, with all payloads", None)
     final = Judge(goals, JUDGED)
     chosen = _chosen(found, goals, final)
+    if robust and not interrupted:
+        chosen, note = sturdier(chosen, _ranked(found, goals), final)
+        failures += [note] if note else []
     work = _processor_time() - work
     lines = list[RobustnessLine]()
     try:
