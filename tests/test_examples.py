@@ -176,3 +176,15 @@ def test_effects_auto(tmp_path: Path) -> None:
     assert output.startswith("effects chosen for 2 %: proximal bending 2, distal bending 1")
     assert len(re.findall(r"^  (?:in |out) \w+: .* %  +[+-]\d+$", output, re.MULTILINE)) >= 8
     assert "tolerance 0.001" in output
+
+
+@pytest.mark.slow
+def test_plan_own_robot(tmp_path: Path) -> None:
+    """The plan prints its limits and what the planned scene leaves, which is what the plan says for this payload."""
+    output = run_example("plan_own_robot.py", tmp_path)
+    *_, last = output.splitlines()
+    assert "PlanResult of steel" in output
+    planned = re.search(r"residual: ([\d.e-]+) m", output)
+    assert planned is not None
+    assert 0.0 < numbers(last)[0] < 1e6 * float(planned.group(1)) * 1.01
+    assert (tmp_path / "planned-steel" / "plan.html").is_file()
