@@ -40,10 +40,10 @@ RINGING, RINGING_STEP = 0.1, 2e-3
 ON_PATH = 6
 """Variants whose distance from the path is bounded: it varies little and evenly between them."""
 
-ROUNDS, BATCH = 12, 300
+ROUNDS, BATCH = 40, 300
 """Largest number of times that violated rows are added to a linear programme, and of rows that are."""
 
-PIVOTS = 1500
+PIVOTS = 20000
 """Largest number of simplex iterations of a linear programme: those that take more are degenerate."""
 
 NEAR, FEW = 0.5, 20
