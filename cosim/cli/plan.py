@@ -250,6 +250,7 @@ def _shown(result: PlanResult) -> list[Assessment]:
 
 def _front(result: PlanResult) -> Table:
     """The Pareto front."""
+    from flexfmu.cosim.choices.plans.plan_page import standing
     from flexfmu.cosim.reports.terminal import titled_table
 
     front, shown = result.table, _shown(result)
@@ -259,7 +260,6 @@ def _front(result: PlanResult) -> Table:
     for name in ("motion", "time s", "residual µm", "torque N.m", "energy J", "off path mm", "limits"):
         table.add_column(name, justify="left" if name in ("motion", "limits") else "right")
     for each in shown:
-        missed = ", ".join(use.name for use in each.uses if not use.met)
         figures = (
             f"{each.time:.3f}",
             f"{1e6 * each.residual:.2f}",
@@ -267,7 +267,7 @@ def _front(result: PlanResult) -> Table:
             f"{each.energy:.1f}",
             f"{1e3 * each.off_path:.2f}",
         )
-        table.add_row(each.candidate.label, *figures, f"misses {missed}" if missed else "kept")
+        table.add_row(each.candidate.label, *figures, standing(result, each))
     return table
 
 

@@ -83,7 +83,7 @@ def spectrum_panel(label: str, curves: Sequence[Curve], marks: Sequence[tuple[fl
     frequency, height = max((peak(curve.x, curve.y) for curve in curves), key=lambda each: each[1])
     floor = SHOWN * height
     # up to where something is seen
-    last = max(float(curve.x[np.flatnonzero(curve.y > floor)[-1]]) for curve in curves)
+    last = max(float(np.max(curve.x[curve.y > floor], initial=0.0)) for curve in curves)
     limits = 0.0, max(1.1 * last, 2.0 * frequency)
     curves = [replace(curve, x=curve.x[curve.x <= limits[1]], y=curve.y[curve.x <= limits[1]]) for curve in curves]
     text = Marker(frequency, height, text=f"{frequency:.4g} Hz", offset=(5.0, -4.0))

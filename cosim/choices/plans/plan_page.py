@@ -48,7 +48,9 @@ def plan_page(result: PlanResult) -> str:
     ]
     tables = [summary_table(result), limits_table(result.chosen), front_table(result)]
     tables += [robustness_table(result)] if result.robustness else []
-    plots = [_front_plot(result), _band_plot(result), _path_plot(result.goals, runs), _references_plot(result, runs)]
+    plots = [_front_plot(result), _path_plot(result.goals, runs), _references_plot(result, runs)]
+    low, high = result.goals.band
+    plots[1:1] = [_band_plot(result)] if high > low else []
     return render_page(
         f"{result.goals.scene.name}: planned motion",
         lead(result),
@@ -194,7 +196,7 @@ def _band_plot(result: PlanResult) -> Plot:
                 values = [max(1e6 * peak.residual, LEAST) for peak in peaks]
             else:
                 values = [peak.torque["2" in label] for peak in peaks]
-            curves.append(Curve(payloads, np.array(values), name, colour, dot="disc" if len(own) == 1 else ""))
+            curves.append(Curve(payloads, np.array(values), name, colour))
         logarithmic = "y" if "residual" in label else ""
         panels.append(Panel(label=label, curves=curves, logarithmic=logarithmic, level=_level(result.goals, label)))
     caption = "Residual vibration, with its limit, and largest torques."

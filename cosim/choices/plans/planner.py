@@ -129,7 +129,8 @@ class PlanResult:
         listed = ", ".join(
             f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed
         )
-        return f"no motion keeps all limits; the nearest misses {listed}"
+        so_far = " so far" if self.interrupted else ""
+        return f"no motion found{so_far} keeps all limits; the nearest misses {listed}"
 
     def rows(self) -> list[dict[str, Any]]:
         """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""

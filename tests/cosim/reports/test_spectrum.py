@@ -50,3 +50,12 @@ def test_the_panel_names_its_highest_peak() -> None:
     assert panel.limits is not None
     assert 60.0 < panel.limits[1] < 200.0
     assert [text for _, text in panel.marks] == ["mode 1"]
+
+
+def test_a_spectrum_far_below_another_changes_nothing() -> None:
+    """A motion without vibration beside one with it."""
+    time = np.arange(0.0, 2.0, 1e-3)
+    found = spectrum(time, np.sin(2.0 * np.pi * 60.0 * time), 0.0)
+    assert found is not None
+    loud, quiet = Curve(*found), Curve(found[0], 1e-6 * found[1])
+    assert spectrum_panel("y", [loud, quiet]).limits == spectrum_panel("y", [loud]).limits

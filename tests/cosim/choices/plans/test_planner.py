@@ -148,7 +148,7 @@ def test_files_say_the_same(result: PlanResult, tmp_path: Path) -> None:
 def test_what_no_motion_reaches_is_said() -> None:
     found = plan_scene(SCENE.replace({"plan.residual": 1e-12}), methods=(), candidates=[stretched(1.2)], robust=False)
     assert [use.name for use in found.missed] == ["residual"]
-    assert "no motion keeps all limits" in found.verdict
+    assert "no motion found keeps all limits" in found.verdict
     assert found.chosen.candidate.label == "stretched 1.2"
 
 

@@ -1,0 +1,135 @@
+"""`flexfmu plan`: what it writes and prints, wrong wishes, Ctrl-C, and narrow terminals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner, Result
+
+import flexfmu
+from flexfmu.cosim.choices.plans import planner
+from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
+from flexfmu.cosim.choices.plans.goals import Goals
+from flexfmu.cosim.choices.plans.planner import PlanResult, plan_scene
+from flexfmu.cosim.cli import plan as command
+from flexfmu.cosim.cli.main import app
+from flexfmu.model.scene.file import load_scene
+
+SCENE = "barnard2012-6kg"
+FEW = ("--set", "effects.proximal_bending=1", "--set", "effects.distal_axial=1")
+QUICK = (*FEW, "--payload-band", "0", "--method", "search", "--no-robust")
+
+
+def plan(*arguments: str) -> Result:
+    """Run the command."""
+    return CliRunner().invoke(app, ["plan", SCENE, *arguments])
+
+
+def search(goals: Goals, found: Sequence[Assessment], processes: int, show: planner.Show) -> Iterator[Candidate]:
+    """A slow motion without vibration, and one that is too fast; then Ctrl-C if the seed is 1."""
+    for duration in (0.6, 0.35):
+        keys = {"trajectory.duration": duration, "shaper": [{"kind": "zvd", "mode_count": 2}]}
+        yield Candidate(f"shaped {duration:g}", "search", goals.scene.replace(keys))
+        if goals.wishes.seed == 1:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(autouse=True)
+def _quick_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner, "_stage", lambda name: search)
+
+
+@pytest.mark.slow
+def test_the_planned_scene_the_front_and_the_page_are_written(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "my robot" / "mine.toml"
+    result = plan(*QUICK, "--limit", "off_path=0.05", "--margin", "0.002", "--out", str(tmp_path / "out"), "-o", str(elsewhere))  # fmt: skip
+    assert result.exit_code == 0, result.output
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert files == {"planned.toml", "front.csv", "plan.json", "plan.html"}
+    assert "shaped 0.6" in result.stdout
+    assert "kept, chosen" in result.stdout
+    assert "All limits are kept" in result.stdout
+    assert load_scene(elsewhere) == load_scene(tmp_path / "out" / "planned.toml")
+    assert flexfmu.plan(load_scene(elsewhere)).duration == 0.6
+
+
+@pytest.mark.slow
+def test_json_has_all_figures(tmp_path: Path) -> None:
+    result = plan(*QUICK, "--json", "--out", str(tmp_path))
+    data = json.loads(result.stdout)
+    assert data["chosen"]["motion"] == "shaped 0.6"
+    assert {each["name"] for each in data["chosen"]["limits"]} >= {
+        "residual",
+        "clearance",
+        "torque ratio",
+        "jerk ratio",
+    }
+    assert [Path(each).exists() for each in data["files"]] == [True] * 4
+
+
+@pytest.mark.slow
+def test_ctrl_c_writes_the_best_so_far(tmp_path: Path) -> None:
+    result = plan(*QUICK, "--seed", "1", "--out", str(tmp_path))
+    assert "interrupted: this is the best motion so far" in result.stderr
+    assert "shaped 0.6" in result.stdout
+    assert flexfmu.plan(load_scene(tmp_path / "planned.toml")).duration == 0.6
+
+
+@pytest.mark.slow
+def test_what_no_motion_reaches_is_a_sentence_and_status_1(tmp_path: Path) -> None:
+    result = plan(*QUICK, "--residual", "1e-15", "--out", str(tmp_path))
+    assert result.exit_code == 1
+    assert "No motion found keeps all limits; the nearest misses residual" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--minimise", "energy"), "needs `duration`"),
+        (("--duration", "0.3"), "contradict each other"),
+        (("--minimise", "comfort"), "minimise"),
+        (("--payload-band", "wide"), "--payload-band takes a fraction"),
+        (("--payload-band", "8,4"), "lightest and the heaviest"),
+        (("--limit", "torque"), "--limit takes NAME=VALUE"),
+        (("--limit", "torqe=80"), "torque"),
+        (("--limit", "torque=1"), "against gravity"),
+        (("--method", "genetic"), "unknown method genetic"),
+        (("--output", "planned.csv"), "a scene file ends in .toml"),
+        (("--margin", "-1"), "margin"),
+    ],
+)
+def test_a_wrong_wish_is_one_line(options: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    result = plan(*FEW, *options, "--out", str(tmp_path / "out"))
+    text = result.stderr + (str(result.exception) if result.exception else "")
+    assert result.exit_code != 0
+    assert message in text
+    assert "Traceback" not in result.stderr
+
+
+@pytest.fixture(scope="module")
+def found() -> PlanResult:
+    """A plan with a long label."""
+    scene = load_scene(SCENE).replace(
+        {"effects.proximal_bending": 1, "effects.distal_axial": 1, "plan.payload_band": 0.0}
+    )
+    slow = scene.replace({"trajectory.duration": 0.6, "trajectory.dwell": 0.25})
+    label = "lame 93 x 26 mm, modified-trapezoid, zvdd on joints x zvd on joints"
+    return plan_scene(scene, methods=(), candidates=[Candidate(label, "search", slow)], robust=False)
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120])
+def test_tables_fit_the_terminal(found: PlanResult, columns: int) -> None:
+    console = Console(file=StringIO(), width=columns)
+    for table in (command._limits(found), command._front(found)):
+        console.print(table)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert max(map(len, text.splitlines())) <= columns
+    # numbers are whole
+    for each in found.front:
+        assert f"{each.time:.3f}" in text
+        assert f"{1e6 * each.residual:.2f}" in text
