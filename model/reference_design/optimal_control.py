@@ -11,8 +11,11 @@ All that is scaled is scaled by the given motion. Sources: A. Waechter and L. T.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from threading import current_thread, main_thread
 from typing import Any
 
 import casadi
@@ -43,7 +46,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.linear_solver": "mumps",
     "ipopt.mumps_pivtol": 1e-3,
     "ipopt.nlp_scaling_method": "none",
-    "ipopt.max_iter": 200,
+    "ipopt.max_iter": 120,
 }
 """Of IPOPT through CasADi. MUMPS' default pivoting fails on these equations."""
 
@@ -168,7 +171,8 @@ def _solved(
 ) -> OptimalMotion:
     """IPOPT's result from a first motion."""
     solver = casadi.nlpsol("motion", "ipopt", programme.problem, OPTIONS | programme.derivatives | options)
-    found = solver(x0=programme.start(start), **programme.bounds(duration))
+    with _ctrl_c_afterwards():
+        found = solver(x0=programme.start(start), **programme.bounds(duration))
     stats = solver.stats()
     return OptimalMotion(
         programme.spline(np.array(found["x"]).ravel()),
@@ -177,6 +181,22 @@ def _solved(
         str(stats["return_status"]),
         int(stats["iter_count"]),
     )
+
+
+@contextmanager
+def _ctrl_c_afterwards() -> Iterator[None]:
+    """Raise KeyboardInterrupt after IPOPT's seconds: within them CasADi takes it for a failed evaluation and goes on."""
+    usual, seen = signal.getsignal(signal.SIGINT), list[int]()
+    if current_thread() is not main_thread() or not callable(usual):
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda number, _: seen.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    if seen:
+        raise KeyboardInterrupt
 
 
 @dataclass(frozen=True, eq=False)
