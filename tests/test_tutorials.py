@@ -47,9 +47,9 @@ def assert_same(shown: str, found: str) -> None:
         assert float(second) == pytest.approx(float(first), abs=1.01 * digit), (shown, found)
 
 
-def test_there_are_five() -> None:
-    """First run, robot, controller, shaper, accuracy: each in 10 to 25 cells and with what it prints."""
-    assert len(TUTORIALS) == 5
+def test_there_are_six() -> None:
+    """First run, robot, controller, shaper, accuracy, plan: each in 10 to 25 cells and with what it prints."""
+    assert len(TUTORIALS) == 6
     for path in TUTORIALS:
         book = notebook(path)
         nbformat.validate(book)  # type: ignore[no-untyped-call]
