@@ -47,6 +47,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.mumps_pivtol": 1e-3,
     "ipopt.nlp_scaling_method": "none",
     "ipopt.max_iter": 120,
+    "ipopt.max_cpu_time": 40.0,
 }
 """Of IPOPT through CasADi. MUMPS' default pivoting fails on these equations."""
 
@@ -124,7 +125,7 @@ def optimal_motions(
     first = stretched(start, limits) if duration is None else start.with_duration(duration)
     programme = MotionProgramme(_transcriptions(robots, first, coarse), robots, limits, area, first, aim)
     found = _solved(programme, first, duration, FIND)
-    if not found.converged:
+    if not found.converged and duration is None:
         found = _solved(programme, first, duration, CAREFUL)
     yield found
     if not found.converged:
