@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import groupby
 
 import numpy as np
 
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
-from flexfmu.model.reference_design.variants import VariantModel
+from flexfmu.model.reference_design.variants import Variant, VariantModel
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -257,6 +258,42 @@ class _Matrices:
         for k in range(steps):
             states[:, k + 1] = self._transition[:, k] @ states[:, k] + loads[:, k]
         return states
+
+
+class FleetResponse:
+    """The elastic response of several robots, each with its own elastic coordinates, to the same references.
+
+    Args:
+        robots: the robots; those of one scene follow each other.
+        start, steps: see `ElasticResponse`.
+
+    Raises:
+        SceneError, EquilibriumError: see `ElasticResponse`.
+    """
+
+    def __init__(self, robots: Sequence[Variant], start: RealArray, steps: int) -> None:
+        groups = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
+        self.parts = [
+            ElasticResponse(group[0].scene, [each.changes for each in group], start, steps) for group in groups
+        ]
+        self.fractions = self.parts[0].fractions
+
+    def of_spline(self, motion: JointSpline, *, derivatives: bool = True) -> Response:
+        """The response as of `ElasticResponse`; the end states of robots with fewer coordinates end with zeros."""
+        found = [part.of_spline(motion, derivatives=derivatives) for part in self.parts]
+        return Response(*(joined([getattr(each, field.name) for each in found]) for field in fields(Response)))
+
+
+def joined(arrays: Sequence[RealArray]) -> RealArray:
+    """Arrays one after the other along their first axis, the others filled up with zeros."""
+    if len(arrays) == 1:
+        return arrays[0]
+    whole = np.zeros((sum(len(each) for each in arrays), *np.max([each.shape[1:] for each in arrays], axis=0)))
+    first = 0
+    for each in arrays:
+        whole[(slice(first, first + len(each)), *map(slice, each.shape[1:]))] = each
+        first += len(each)
+    return whole
 
 
 def spline_derivatives(motion: JointSpline, fractions: RealArray) -> RealArray:

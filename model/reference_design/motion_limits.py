@@ -8,15 +8,15 @@ a vector [place, rate], is bounded by half planes in `DIRECTIONS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response
+from flexfmu.model.reference_design.elastic_response import Response, joined
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, derivative_matrix
-from flexfmu.model.reference_design.variants import free_modes
+from flexfmu.model.reference_design.variants import Rest, VariantModel, free_modes
 from flexfmu.trajectories.jets import RealArray
 
 Distances = Callable[[RealArray], tuple[RealArray, RealArray]]
@@ -122,21 +122,16 @@ class ResidualVibration:
     """Modal amplitudes of the vibration that remains at the end, in displacements of the end effector.
 
     Args:
-        elastic: the variants.
+        models: the variants of each scene.
         end: joint angles after the motion (2,) [rad].
     """
 
-    def __init__(self, elastic: ElasticResponse, end: RealArray) -> None:
-        rest = elastic.model.rest(end)
-        modes = free_modes(rest)
-        slow = modes.frequencies < SLOW * modes.frequencies[:, :1]
-        self.count = int(slow.any(axis=0).sum())
-        size = np.linalg.norm(modes.displacements, axis=1)[:, : self.count, np.newaxis]
-        coordinates = modes.coordinates[:, : self.count] * size
+    def __init__(self, models: Sequence[VariantModel], end: RealArray) -> None:
+        rests = [model.rest(end) for model in models]
         # from elastic coordinates and their rates at the end: (P, 2, k, n)
-        self.matrices = np.stack([coordinates, coordinates / modes.frequencies[:, : self.count, np.newaxis]], axis=1)
-        self._rest = rest.elastic
-        self.error = np.zeros((len(rest.elastic), 2, elastic.model.n))
+        self.matrices = joined([_to_amplitudes(rest) for rest in rests])
+        self._rest = joined([rest.elastic for rest in rests])
+        self.error = np.zeros((len(self._rest), 2, self._rest.shape[1]))
 
     def amplitudes(self, end: RealArray) -> RealArray:
         """Modal places and rates (P, 2, k) [m] for states at the end (P, 2, n), the grid's error added."""
@@ -147,3 +142,12 @@ class ResidualVibration:
     def largest(self, end: RealArray) -> RealArray:
         """Bounds (P,) of the displacement of the end effector after the motion [m]."""
         return np.asarray(np.linalg.norm(self.amplitudes(end), axis=1).sum(axis=-1))
+
+
+def _to_amplitudes(rest: Rest) -> RealArray:
+    """Matrices (P, 2, k, n) from elastic coordinates and their rates to displacements of the end effector by the k slowest modes."""
+    modes = free_modes(rest)
+    count = int((modes.frequencies < SLOW * modes.frequencies[:, :1]).any(axis=0).sum())
+    size = np.linalg.norm(modes.displacements, axis=1)[:, :count, np.newaxis]
+    coordinates = modes.coordinates[:, :count] * size
+    return np.stack([coordinates, coordinates / modes.frequencies[:, :count, np.newaxis]], axis=1)

@@ -1,6 +1,6 @@
 """Programmes that improve a motion within limits: the steps of sequential convex programming.
 
-The elastic motion is eliminated: `ElasticResponse` gives torques, end effector and end state of all variants with exact
+The elastic motion is eliminated: `FleetResponse` gives torques, end effector and end state of all variants with exact
 derivatives. A quadratic programme linearises the limits and finds the step that reduces the duration most, less a penalty on
 changes of the accelerations that is adapted like a trust region. At the fastest motion about as many limits are active as there are
 variables, so that the programmes converge without second derivatives. Limits that can't be met yet are relaxed at a price (l1
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response
+from flexfmu.model.reference_design.elastic_response import FleetResponse, Response
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, derivative_matrix
 from flexfmu.model.reference_design.motion_limits import (
     CLEARANCE,
@@ -87,11 +87,11 @@ class Stage:
         unit: duration that counts as 1 in the merit [s].
     """
 
-    def __init__(self, elastic: ElasticResponse, limits: MotionLimits, start: JointSpline, unit: float) -> None:
+    def __init__(self, elastic: FleetResponse, limits: MotionLimits, start: JointSpline, unit: float) -> None:
         self.elastic, self.limits, self.unit = elastic, limits, unit
         self.price, self.penalty = PRICES[0], PENALTY[0]
         self._rows = LimitRows(limits, start.degree, start.intervals)
-        self.vibration = ResidualVibration(elastic, start.coefficients[-1])
+        self.vibration = ResidualVibration([part.model for part in elastic.parts], start.coefficients[-1])
         m = 2 * self._rows.free + 1
         swing = float(np.ptp(start.coefficients, axis=0).max())
         self._scale = np.concatenate([np.full(m - 1, swing), [unit]])

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import FleetResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline
 from flexfmu.model.reference_design.motion_limits import GROUPS, MotionLimits
 from flexfmu.model.reference_design.motion_stage import PENALTY, Stage, State
-from flexfmu.model.scene.schema import Scene
+from flexfmu.model.reference_design.variants import Variant
 
 LOOSE, FALL = 2e-5, 4.0
 """Bound of the residual vibration [m] in the first stages, and about how much it falls from each to the next."""
@@ -54,8 +54,7 @@ class Improvement:
 
 
 def fastest_motion(
-    scene: Scene,
-    variants: Sequence[Mapping[str, float]],
+    robots: Sequence[Variant],
     limits: MotionLimits,
     start: JointSpline,
     nodes: Sequence[int] | None = None,
@@ -63,14 +62,13 @@ def fastest_motion(
     parts: int = 2,
     iterations: int = 40,
 ) -> Iterator[Improvement]:
-    """Joint references that are faster and faster within limits that hold for all variants.
+    """Joint references that are faster and faster within limits that hold for all robots.
 
     Args:
-        scene: the robot.
-        variants: values of the FMU's parameters that differ from the scene's, by name; payloads in ascending order first.
-        limits: the limits, with torques for all variants.
+        robots: the robots; those of one scene follow each other, by payload.
+        limits: the limits, with torques for all robots.
         start: first motion; it may violate limits, and half the duration of a usual motion serves well.
-        nodes: indices of the variants that the programmes have; None for `NODES` that are denser near both ends.
+        nodes: indices of the robots that the programmes have; None for `NODES` that are denser near both ends.
         parts: steps of the integration for each interval of the spline.
         iterations: largest number of programmes in each stage.
 
@@ -80,7 +78,7 @@ def fastest_motion(
     Raises:
         EquilibriumError: the first motion has no elastic motion.
     """
-    chosen = np.array(spread(len(variants), NODES) if nodes is None else nodes)
+    chosen = np.array(spread(len(robots), NODES) if nodes is None else nodes)
     motion, loose = start, max(limits.residual, LOOSE)
     # few variants, then all nodes, with a bound that falls
     levels = max(1, round(math.log(loose / limits.residual, FALL)))
@@ -88,16 +86,16 @@ def fastest_motion(
     stages = [(chosen[spread(len(chosen), 3)], loose), *((chosen, bound) for bound in bounds)]
     penalty = PENALTY[0]
     for few, residual in stages:
-        stage = _stage(scene, variants, replace(limits, residual=residual), motion, few, start.duration, parts)
+        stage = _stage(robots, replace(limits, residual=residual), motion, few, start.duration, parts)
         for state in stage.improvements(motion, iterations, penalty):
             motion = state.motion
             yield _improvement(stage, state)
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
-    fine = _stage(scene, variants, limits, motion, np.arange(len(variants)), start.duration, FINER * parts)
+    fine = _stage(robots, limits, motion, np.arange(len(robots)), start.duration, FINER * parts)
     tight, exact = limits, fine.state(motion, derivatives=False)
     for _ in range(ROUNDS):
-        stage = _stage(scene, variants, tight, motion, chosen, start.duration, parts)
+        stage = _stage(robots, tight, motion, chosen, start.duration, parts)
         stage.vibration.error = exact.response.end[chosen] - stage.state(motion, derivatives=False).response.end
         for state in stage.improvements(motion, iterations, penalty):
             motion = state.motion
@@ -123,16 +121,14 @@ def spread(count: int, number: int) -> list[int]:
 
 
 def _stage(
-    scene: Scene,
-    variants: Sequence[Mapping[str, float]],
+    robots: Sequence[Variant],
     limits: MotionLimits,
     motion: JointSpline,
     chosen: NDArray[np.intp],
     unit: float,
     parts: int,
 ) -> Stage:
-    of_variants = [variants[int(k)] for k in chosen]
-    elastic = ElasticResponse(scene, of_variants, motion.coefficients[0], parts * motion.intervals)
+    elastic = FleetResponse([robots[int(k)] for k in chosen], motion.coefficients[0], parts * motion.intervals)
     return Stage(elastic, replace(limits, torque=limits.torque[chosen]), motion, unit)
 
 

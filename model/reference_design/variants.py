@@ -26,6 +26,19 @@ AT_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
+class Variant:
+    """A robot: a scene's, with other values of some parameters.
+
+    Attributes:
+        scene: the scene.
+        changes: values of the FMU's parameters that differ from the scene's, by name, ``{"payload.mass": 4.2}`` for example.
+    """
+
+    scene: Scene
+    changes: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
 class Rest:
     """P variants at rest with locked motors.
 

@@ -1,7 +1,7 @@
-"""Candidates with references for the flexible robot: on the given path, and on the paths that the search found.
+"""A candidate with references for the flexible robot on the given path, in the given time.
 
-The end effector of the flexible robot stays on its path, so a path that keeps clear of everything stays clear, and no time goes
-into a shaper. A correction makes the references hold over the bands of payload, stiffness and damping.
+The end effector of the flexible robot stays on the path. A correction makes the references hold over the bands of payload,
+stiffness and damping.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from flexfmu.cosim.choices.plans.goals import Goals, Variation
 from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
-from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -26,14 +25,8 @@ Show = Callable[[str, float | None], None]
 PAYLOADS = 16
 """Payloads of the correction: fewer are overfitted."""
 
-PATHS = 2
-"""Number of the search's paths that are tried: each takes a few seconds."""
-
 KEPT = 0.99
 """Share of each limit that is used: the correction meets limits to half a percent, and the given torques vary between payloads."""
-
-TRIALS = 4
-"""Largest number of durations that are tried for a path."""
 
 
 def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: Show) -> Iterator[Candidate]:
@@ -50,17 +43,11 @@ def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: Sh
     """
     # the given motion's torques for each payload of the correction
     given = Judge(goals, PAYLOADS).given
-    bases = [("the given path", _bare(goals.scene), goals.given.once.duration)]
-    bases += [(each.candidate.label, _bare(each.candidate.scene), each.time) for each in _paths(found)]
-    for i, (label, scene, time) in enumerate(bases):
-        show(f"references for the flexible robot on {label}", i / len(bases))
-        try:
-            motion, design = _in_time(goals, given, scene, time, shorten=i > 0)
-            yield _candidate(goals, given, f"flexible references on {label}", motion, design)
-        except TrajectoryError:
-            # the error of the given path tells what is wrong; those of others may be their own
-            if i == 0 and len(bases) == 1:
-                raise
+    scene = _bare(goals.scene)
+    show("references for the flexible robot on the given path", None)
+    motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
+    design = flexible_references(scene, motion.task, motion.joints)
+    yield _candidate(goals, given, motion, design)
 
 
 def _bare(scene: Scene) -> Scene:
@@ -74,66 +61,9 @@ def _bare(scene: Scene) -> Scene:
     return scene.replace(changes)
 
 
-def _paths(found: Sequence[Assessment]) -> list[Assessment]:
-    """The fastest motions along paths of their own that keep to all limits but residual and torque, which change here."""
-    able = [
-        each
-        for each in found[1:]
-        if each.candidate.trajectory is None
-        and isinstance(each.candidate.scene.trajectory, TrajectorySection)
-        and all(use.met or use.name in ("residual", "torque ratio", "torque") for use in each.uses)
-    ]
-    able.sort(key=lambda each: (not each.feasible, each.time))
-    kept: list[Assessment] = []
-    for each in able:
-        shapes = [other.candidate.scene.trajectory for other in kept]
-        if not any(_same_path(each.candidate.scene.trajectory, other) for other in shapes):
-            kept.append(each)
-    return kept[:PATHS]
-
-
-def _same_path(one: object, other: object) -> bool:
-    """Whether two pick-and-place motions have the same path."""
-    assert isinstance(one, TrajectorySection)
-    assert isinstance(other, TrajectorySection)
-    return (one.blend, one.height, one.profile) == (other.blend, other.height, other.profile)
-
-
-def _in_time(
-    goals: Goals, given: Assessment, scene: Scene, time: float, *, shorten: bool
-) -> tuple[MotionPlan, FlexibleReferences]:
-    """The rigid robot's motion and the references in a time [s]; or in the shortest one, as the torque falls with its square."""
-    share = 0.0
-    for _ in range(TRIALS if shorten else 1):
-        motion = plan_rigid(scene.replace({"trajectory.duration": time - 2.0 * LEAD}))
-        design = flexible_references(scene, motion.task, motion.joints)
-        share = _share(goals, given, design)
-        if 0.97 < share <= KEPT:
-            break
-        time *= float(np.sqrt(share / 0.98))
-    return motion, design
-
-
-def _share(goals: Goals, given: Assessment, design: FlexibleReferences) -> float:
-    """The largest share of the limits of torque, speed, acceleration and jerk that references take, as squares of a speed."""
-    fractions = np.linspace(0.0, 1.0, 8 * design.motors.intervals + 1)
-    peaks = np.abs(design.motors.evaluate(fractions, 3)).max(axis=(1, 2))
-    shares = []
-    for k, name in ((1, "speed"), (2, "acceleration"), (3, "jerk")):
-        bound = _bound(goals, name, given.references[k - 1])
-        shares.append(0.0 if bound is None else float(peaks[k] / bound) ** (2.0 / k))
-    limit = _torques(goals, given, [Variation(goals.scene.payload.mass)])
-    if limit is not None:
-        torque = np.abs(design.torque(fractions * design.motors.duration)).max(axis=0)
-        shares.append(KEPT * float((torque / limit[0]).max()))
-    return max(shares)
-
-
-def _candidate(
-    goals: Goals, given: Assessment, label: str, motion: MotionPlan, design: FlexibleReferences
-) -> Candidate:
+def _candidate(goals: Goals, given: Assessment, motion: MotionPlan, design: FlexibleReferences) -> Candidate:
     """The motion with references that hold over the bands."""
-    variations = goals.variations(PAYLOADS)
+    variations, label = goals.variations(PAYLOADS), "flexible references on the given path"
     jerk = _bound(goals, "jerk", given.references[2])
     tolerances = Tolerances(
         residual=0.2 * goals.wishes.residual,

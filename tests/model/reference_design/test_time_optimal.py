@@ -13,6 +13,7 @@ from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.motion_limits import GROUPS, LimitRows, MotionLimits, ResidualVibration
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.reference_design.time_optimal import Improvement, fastest_motion, spread
+from flexfmu.model.reference_design.variants import Variant
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -50,7 +51,7 @@ def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -
 def improvements(
     scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
 ) -> list[Improvement]:
-    return list(fastest_motion(scene, variants, limits, given.with_duration(0.24)))
+    return list(fastest_motion([Variant(scene, each) for each in variants], limits, given.with_duration(0.24)))
 
 
 def test_quadratic_programmes_without_curvature_have_the_solution_of_linear_ones() -> None:
@@ -95,7 +96,7 @@ def test_derivatives_of_the_limits_are_those_of_finite_differences(
 def test_the_predicted_residual_bounds_that_of_the_fmu(scene: Scene, given: JointSpline) -> None:
     motion = given.with_duration(0.3)
     elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 128)
-    bound = ResidualVibration(elastic, motion.coefficients[-1]).largest(
+    bound = ResidualVibration([elastic.model], motion.coefficients[-1]).largest(
         elastic.of_spline(motion, derivatives=False).end
     )
     run = flexfmu.run(scene, trajectory=motion.trajectory(), tolerance=1e-8)
