@@ -35,6 +35,7 @@ class LoopContext:
         scene: the robot that the controllers assume, without payload error.
         along_path: the planned motion before shaping, x, y [m].
         joints: the planned joint trajectory q11, q21 [rad], without shapers.
+        shaped: the same with shapers and cycles, as the references run.
         period: of a repeated motion [s]; None for a motion that isn't repeated.
         name: name of the slave, which also selects its random numbers.
         sample_time: for sections without one [s].
@@ -45,6 +46,7 @@ class LoopContext:
     scene: Scene
     along_path: Trajectory
     joints: Trajectory
+    shaped: Trajectory
     period: float | None
     name: str
     sample_time: float

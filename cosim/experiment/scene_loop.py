@@ -149,7 +149,14 @@ class _Builder:
 
         period = None if motion.repetition is None else motion.repetition.period
         context = LoopContext(
-            motion.scene, motion.along_path, self._planned.joints, period, name, sample_time, self._before
+            motion.scene,
+            motion.along_path,
+            self._planned.joints,
+            motion.joints,
+            period,
+            name,
+            sample_time,
+            self._before,
         )
         return build(section, context)
 

@@ -34,6 +34,9 @@ RESIDUAL_SCALE = 0.02
 DIRECTIONS = np.arange(8) * np.pi / 4
 """Normals [rad] of the half planes that bound the amplitude of a mode; with 8 of them to 8 %."""
 
+WORST = 3
+"""Number of variants whose torques and distances count at an instant: those of variants with similar payloads are similar."""
+
 SLOW = 6.0
 """Modes up to this multiple of a variant's lowest frequency count; smooth references don't excite faster ones."""
 
@@ -59,11 +62,12 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Inequalities at a motion: values g (R,), indices of their groups (R,), derivatives (R, m)."""
+    """Inequalities at a motion: values g (R,), indices of their groups (R,), derivatives (R, m), and which can decide (R,)."""
 
     values: RealArray
     groups: NDArray[np.intp]
     jacobian: RealArray
+    deciding: NDArray[np.bool_]
 
 
 class LimitRows:
@@ -108,7 +112,19 @@ class LimitRows:
         gradient = self.limits.distances(response.position.reshape(-1, 2))[1]
         gradient = np.asarray(gradient).reshape(-1, *response.position.shape)
         found.append((-np.einsum("kpnj,pnjm->kpnm", gradient, response.position_by) / DEPTH).reshape(-1, m))
-        return Rows(values, groups, np.concatenate(found))
+        return Rows(values, groups, np.concatenate(found), self._deciding(values, response))
+
+    def _deciding(self, values: RealArray, response: Response) -> NDArray[np.bool_]:
+        """Which rows can decide (R,): of torques and of distances those of the `WORST` variants at the same instant."""
+        count, instants, joints = response.torque.shape
+        found, first = np.ones(len(values), dtype=bool), 2 * sum(map(len, self._matrices))
+        middle = first + response.torque.size
+        parts = [(slice(first, middle), (1, count, instants * joints)), (slice(middle, None), (-1, count, instants))]
+        for part, shape in parts if count > WORST else ():
+            of_variants = values[part].reshape(shape)
+            least = np.partition(of_variants, -WORST, axis=1)[:, -WORST, np.newaxis]
+            found[part] = (of_variants >= least).ravel()
+        return found
 
     def _references(self, motion: JointSpline) -> list[RealArray]:
         """Coefficients of speed, acceleration and jerk, each relative to its limit (n_k, 2)."""

@@ -41,8 +41,8 @@ PRICES = 2.0, 500.0
 REACH = 0.1
 """Largest change of a coefficient in one step, relative to the swing of the joints, and of the duration."""
 
-NEAR, FAR = 0.3, 6.0
-"""Torques and references that stay so far below their limit, relative to it, don't enter a programme, nor distances above 6 mm."""
+NEAR, FAR = 0.15, 3.0
+"""Torques and references that stay so far below their limit, relative to it, don't enter a programme, nor distances above 3 mm."""
 
 MET = 1e-4
 """Violation up to which a limit counts as met."""
@@ -130,13 +130,13 @@ class Stage:
         """The linearised limits with their values after a step."""
         values, groups = self._rows.values(state.motion, state.response)
         amplitudes = self.vibration.amplitudes(state.response.end) - linear.amplitudes_by @ step
-        shifted = Rows(values - linear.rows.jacobian @ step, groups, linear.rows.jacobian)
+        shifted = Rows(values - linear.rows.jacobian @ step, groups, linear.rows.jacobian, linear.rows.deciding)
         return Linear(shifted, amplitudes, linear.amplitudes_by)
 
     def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float]:
         """The best step (m,) and the merit after it less T / unit, as the linearised limits predict."""
         rows, (variants, _, modes, m) = linear.rows, linear.amplitudes_by.shape
-        near = np.flatnonzero(rows.values > np.where(rows.groups == CLEARANCE, -FAR, -NEAR))
+        near = np.flatnonzero(rows.deciding & (rows.values > np.where(rows.groups == CLEARANCE, -FAR, -NEAR)))
         slacks, planes = len(GROUPS), len(DIRECTIONS) * variants * modes
         size = m + slacks + variants * modes
         # limits; half planes of each mode's amplitude; the sum of amplitudes for each variant

@@ -60,7 +60,8 @@ def solve_quadratic(
         if gap < TOLERANCE and np.abs(r_limit).max() < TOLERANCE and np.abs(r_dual).max() < DUAL:
             break
         weight = dual / slack
-        normal = hessian + (matrix.T * weight[:rows]) @ matrix
+        scaled = np.sqrt(weight[:rows, np.newaxis]) * matrix
+        normal = hessian + scaled.T @ scaled
         normal[low, low] += weight[rows : rows + len(low)]
         normal[high, high] += weight[rows + len(low) :]
         normal[np.diag_indices(n)] += 1e-12 * (1 + np.diag(normal))

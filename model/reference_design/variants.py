@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.linalg import eigh
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.jets import RealArray
 
 ITERATIONS = 30
@@ -90,9 +90,9 @@ class VariantModel:
         results = casadi.densify(casadi.vertcat(five_bar.forces.elastic, five_bar.forces.motors, five_bar.position))
         jacobian = casadi.densify(casadi.jacobian(results, casadi.vertcat(*arguments)))
         parameters = five_bar.registry.d
-        self._values = casadi.Function("values", [*arguments, parameters], [casadi.cse(results)])
-        self._linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))
-        self._maps: dict[tuple[bool, int], casadi.Function] = {}
+        self._values = Vectorised(casadi.Function("values", [*arguments, parameters], [casadi.cse(results)]))
+        linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))
+        self._linear = Vectorised(linear)
 
     def values(self, q: RealArray, v: RealArray, a: RealArray, references: RealArray) -> RealArray:
         """[forces, torques, position] at N instants of all variants, (P, N, n + 4).
@@ -101,14 +101,16 @@ class VariantModel:
             q, v, a: elastic coordinates, rates and accelerations (P, N, n).
             references: [q_a, v_a, a_a] (N, 6).
         """
-        return self._evaluated(False, q, v, a, references)[0][..., 0]
+        return self._evaluated(self._values, q, v, a, references)[0]
 
     def linearised(
         self, q: RealArray, v: RealArray, a: RealArray, references: RealArray
     ) -> tuple[RealArray, RealArray]:
         """The same, and the derivatives by [q, v, a, references], (P, N, n + 4, 3 n + 6)."""
-        values, jacobian = self._evaluated(True, q, v, a, references)
-        return values[..., 0], jacobian
+        values, by_columns = self._evaluated(self._linear, q, v, a, references)
+        # CasADi's matrices lie column by column
+        by = by_columns.reshape(*values.shape[:2], 3 * self.n + 6, self.n + 4).swapaxes(-1, -2)
+        return values, np.ascontiguousarray(by)
 
     def rest(self, joints: RealArray) -> Rest:
         """The variants at rest with the motors locked at the angles (2,) [rad].
@@ -134,29 +136,14 @@ class VariantModel:
         )
 
     def _evaluated(
-        self, linear: bool, q: RealArray, v: RealArray, a: RealArray, references: RealArray
+        self, function: Vectorised, q: RealArray, v: RealArray, a: RealArray, references: RealArray
     ) -> list[RealArray]:
-        """The results of a function at all instants, each (P, N, rows, columns)."""
-        count, instants, n = q.shape
-        function = self._mapped(linear, count * instants)
-        # CasADi's matrices lie column by column: one column for each instant
+        """The results of a function at all instants, each (P, N, size)."""
+        count, instants, _ = q.shape
         u = np.broadcast_to(references, (count, instants, 6))
         parameters = np.repeat(self.parameters, instants, axis=0)
-        arguments = [np.ascontiguousarray(x) for x in (q, v, a, u, parameters)]
-        results = [np.empty((count, instants, columns, n + 4)) for columns in ((1, 3 * n + 6) if linear else (1,))]
-        buffer: Any
-        buffer, evaluate = function.buffer()
-        for i, argument in enumerate(arguments):
-            buffer.set_arg(i, argument.data)
-        for i, result in enumerate(results):
-            buffer.set_res(i, result.data)
-        evaluate()
-        return [result.swapaxes(-1, -2) for result in results]
-
-    def _mapped(self, linear: bool, total: int) -> casadi.Function:
-        if (linear, total) not in self._maps:
-            self._maps[linear, total] = (self._linear if linear else self._values).map(total)
-        return self._maps[linear, total]
+        points = [each.reshape(count * instants, -1) for each in (q, v, a, u)]
+        return [each.reshape(count, instants, -1) for each in function([*points, parameters])]
 
 
 def free_modes(rest: Rest) -> FreeModes:

@@ -91,9 +91,14 @@ class ComputedTorqueSection(SampledSection):
 
 
 class FeedforwardSection(SampledSection):
-    """Rigid inverse dynamics of the reference motion, added to the torque of another controller; `payload` as above."""
+    """Inverse dynamics of the reference motion, added to the torque of another controller; `payload` as above.
+
+    `robot` = "flexible" gives the torques with which the motors of the flexible robot follow their references, from a simulation
+    of the known motion; "rigid" those of the rigid robot, from the references of the moment.
+    """
 
     kind: Literal["feedforward"]
+    robot: Literal["rigid", "flexible"] = "rigid"
     payload: Annotated[NotNegative | None, quantity("kg")] = None
 
 

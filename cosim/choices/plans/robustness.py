@@ -7,7 +7,7 @@ in the same model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,8 +54,18 @@ PAYLOADS = 7
 ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 2.5e-4, 0.06
 """Elements of a link, step [s], and standstill after the motion [s] of the finite elements."""
 
-SAMPLE_TIME, COUNTS, BANDWIDTH, MOTOR_INERTIA = 1e-3, 1e6, 80.0, 0.1
-"""Of the computed-torque loop: sample time [s], encoder counts a turn, bandwidth [rad/s], and inertia of motors without one [kg.m2]."""
+SAMPLE_TIME, COUNTS, MOTOR_INERTIA = 1e-3, 1e6, 0.1
+"""Of the loops: sample time [s], encoder counts a turn, and inertia of motors without one [kg.m2]."""
+
+LOOPS: Mapping[str, Sequence[Mapping[str, Any]]] = {
+    "computed torque at 1 kHz": ({"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0},),
+    "PD and elastic feedforward at 1 kHz": (
+        # its derivative is that of the error, so that references are as late as encoders
+        {"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0},
+        {"kind": "feedforward", "robot": "flexible"},
+    ),
+}
+"""Controllers of each loop; the computed torque has a bandwidth of 80 rad/s."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +156,8 @@ def robustness(candidate: Candidate, goals: Goals, *, slow: bool = True) -> Iter
             yield _assessed(f"{RICHEST}, {name}", fixed, goals, richest, stiffness, damping)
     if slow:
         yield _attempted("finite elements", lambda: _by_elements(fixed, goals))
-    yield _attempted("computed torque at 1 kHz", lambda: _in_a_loop(fixed, goals))
+    for name, controllers in LOOPS.items():
+        yield _attempted(name, lambda name=name, controllers=controllers: _in_a_loop(name, controllers, fixed, goals))
 
 
 def richest_effects(scene: Scene) -> Mapping[str, Any]:
@@ -236,15 +247,14 @@ def _by_elements(fixed: Candidate, goals: Goals) -> RobustnessLine:
     )
 
 
-def _in_a_loop(fixed: Candidate, goals: Goals) -> RobustnessLine:
-    """Motors that follow by a computed-torque loop with encoders."""
+def _in_a_loop(name: str, controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals) -> RobustnessLine:
+    """Motors that follow by a loop with encoders."""
     assert fixed.trajectory is not None
-    gains = {"proportional": BANDWIDTH**2, "derivative": 2.0 * BANDWIDTH, "sample_time": SAMPLE_TIME}
     scene = goals.scene.replace(
         {
             "cosimulation.drive": "torque",
             "effects.motor_inertia": goals.scene.effects.motor_inertia or MOTOR_INERTIA,
-            "controller": [{"kind": "computed-torque", **gains}],
+            "controller": [{"sample_time": SAMPLE_TIME, **each} for each in controllers],
             "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}],
             "shaper": [],
         }
@@ -255,6 +265,6 @@ def _in_a_loop(fixed: Candidate, goals: Goals) -> RobustnessLine:
         raise ResultsError(run.message)
     tracking = 1e3 * max(float(run.metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
     return RobustnessLine(
-        "computed torque at 1 kHz", float(run.metrics["residual_vibration_amplitude"]), f"{scene.payload.mass:g} kg",
+        name, float(run.metrics["residual_vibration_amplitude"]), f"{scene.payload.mass:g} kg",
         note=f"encoders of {COUNTS:.0e} counts, tracking error {tracking:.3g} mrad",
     )  # fmt: skip

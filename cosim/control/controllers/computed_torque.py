@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.controllers.flexible_feedforward import mean_torques, tabulated_feedforward
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
     JointQuantity,
@@ -25,6 +26,7 @@ from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 MOTION: tuple[JointQuantity, ...] = ("position", "velocity", "acceleration")
@@ -155,10 +157,24 @@ def _from_section(section: ComputedTorqueSection, context: LoopContext) -> Symbo
 
 @builds(FeedforwardSection)
 def _feedforward_from_section(section: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
+    if section.robot == "flexible":
+        return _flexible_feedforward(section, context)
     dynamics = _assumed_dynamics(context, section.payload)
     return inverse_dynamics_feedforward(dynamics, sample_time=section.sample_time, offset=section.offset)
 
 
 def _assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
     """Return the rigid inverse dynamics with the payload [kg] that a controller assumes; None for the scene's own."""
-    return inverse_dynamics(context.scene if payload is None else context.scene.replace({"payload.mass": payload}))
+    return inverse_dynamics(_assumed(context, payload))
+
+
+def _flexible_feedforward(section: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
+    """The torques of the flexible robot in the motion that runs."""
+    scene, motion = _assumed(context, section.payload), context.shaped
+    torques = mean_torques(scene, motion, motion.duration + scene.trajectory.dwell, section.sample_time, section.offset)
+    return tabulated_feedforward(torques, sample_time=section.sample_time, offset=section.offset)
+
+
+def _assumed(context: LoopContext, payload: float | None) -> Scene:
+    """The scene with the payload [kg] that a controller assumes."""
+    return context.scene if payload is None else context.scene.replace({"payload.mass": payload})
