@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import dist
+
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.planning import MotionPlan, with_references
@@ -15,8 +17,8 @@ from flexfmu.trajectories.own import OwnMotion, as_trajectory, coordinates_of
 from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory
 from flexfmu.trajectories.trajectory import Trajectory
 
-SAME_ANGLE = 1e-9
-"""Joint angles [rad] that differ by less are the same."""
+SAME_ANGLE, SAME_PLACE = 1e-9, 1e-9
+"""Joint angles [rad] and places [m] that differ by less are the same."""
 
 
 def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
@@ -28,19 +30,22 @@ def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
 
     Raises:
         TrajectoryError: the motion can't be used, see `as_trajectory`, leaves the workspace, comes too close to a singularity,
-            or its joint angles aren't those of the scene's working mode.
+            its joint angles aren't those of the scene's working mode, or the scene's motion is a table that starts elsewhere.
         SceneError: the scene's modes don't fit the start of the motion.
     """
-    if not isinstance(scene.trajectory, TrajectorySection):
-        raise TrajectoryError(
-            f"scene {scene.name} has a motion from a table: an own motion takes the place of a path, so give a scene with one"
-        )
     # motion of the end effector, given or by forward kinematics
     given, kinematics = as_trajectory(own), RigidKinematics(scene.mechanism)
     by_joints = coordinates_of(own) == "joints"
     task = EndEffectorTrajectory(given, RigidForwardKinematics(scene.mechanism)) if by_joints else given
     start = tuple(task.evaluate(0.0, 0)[0, 0].tolist())
-    scene = scene.replace({"trajectory.start": start, "trajectory.duration": given.duration})
+    if isinstance(scene.trajectory, TrajectorySection):
+        scene = scene.replace({"trajectory.start": start})
+    elif dist(start, scene.start) > SAME_PLACE:
+        raise TrajectoryError(
+            f"scene {scene.name} has a motion from a table, which starts at {_place(scene.start)}, the own motion at {_place(start)}: "
+            f"let it start there, or give a scene with a path"
+        )
+    scene = scene.replace({"trajectory.duration": given.duration})
     joints: Trajectory = JointTrajectory(task, kinematics)
     # joint angles as given, which have to be those of the robot's start pose
     if by_joints:
@@ -70,3 +75,8 @@ def own_loop(scene: Scene, own: OwnMotion | Trajectory) -> Loop:
         )
     planned = plan_own(scene, own)
     return loop_of(planned.scene, own=planned)
+
+
+def _place(point: tuple[float, ...]) -> str:
+    """A place, for messages."""
+    return f"({point[0]:.9g}, {point[1]:.9g}) m"

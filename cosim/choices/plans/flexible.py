@@ -13,10 +13,12 @@ import numpy as np
 
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.choices.plans.goals import Goals, Variation
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
@@ -39,8 +41,13 @@ def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: Sh
         show: is called with what is being done.
 
     Raises:
-        TrajectoryError: no such references exist, on any path.
+        InputError: the given motion is a table.
+        TrajectoryError: there are no such references.
     """
+    if isinstance(goals.scene.trajectory, TableSection):
+        raise InputError(
+            f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
+        )
     # the given motion's torques for each payload of the correction
     given = Judge(goals, PAYLOADS).given
     scene = _bare(goals.scene)

@@ -24,8 +24,6 @@ from flexfmu.cosim.choices.plans.race import RADIUS, Member, Race, Study, Trial,
 from flexfmu.cosim.choices.plans.recipes import BLENDS, LAWS, Recipe, recipes, shaper_uses
 from flexfmu.cosim.choices.plans.scoring import CLEARANCE
 from flexfmu.cosim.choices.plans.studies import study_of
-from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
@@ -81,8 +79,6 @@ def search(goals: Goals, found: Sequence[Assessment], processes: int, show: Show
         InputError: the scene's motion has no path.
         BuildError, EquilibriumError, TrajectoryError: the robot can't be run, or its given motion.
     """
-    if not isinstance(goals.scene.trajectory, TrajectorySection):
-        raise InputError("a search needs a scene with a path, and this one's motion comes from a table")
     show("search: modes and limits", 0.0)
     study, judge = (study_of(goals, *each) for each in (QUICK, CONFIRMED))
     relaxable = (CLEARANCE,) if study.bounds.distance is not None else ()

@@ -13,6 +13,7 @@ from flexfmu.cosim.choices.plans.quick_runs import JointMotion, QuickRobot
 from flexfmu.cosim.choices.plans.race import Study
 from flexfmu.cosim.choices.plans.recipes import Space
 from flexfmu.cosim.choices.plans.scoring import Bounds, Score
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -47,10 +48,12 @@ def study_of(goals: Goals, payloads: int, step: float) -> Study:
         step: longest communication step of its runs [s].
 
     Raises:
+        InputError: the scene's motion is a table.
         BuildError, EquilibriumError, TrajectoryError: the robot can't be run, or its given motion.
     """
     scene, section = goals.scene, goals.scene.trajectory
-    assert isinstance(section, TrajectorySection)
+    if not isinstance(section, TrajectorySection):
+        raise InputError(f"scene {scene.name} has a motion from a table, and no path whose corners could change")
     given = loop_of(scene).motion.once
     variants = [each.changes(scene) for each in goals.variations(payloads)]
     # modes at the end of the motion

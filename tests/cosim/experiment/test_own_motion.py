@@ -23,6 +23,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories import TrajectoryError
 from flexfmu.trajectories.shapers import ImpulseSequence
+from flexfmu.trajectories.table import write_table
 
 
 @cache
@@ -146,3 +147,18 @@ def test_the_pages_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = (block for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "class " in block)
     exec(example, {"__name__": "example"})
     assert 10.0 < float(capsys.readouterr().out) < 60.0
+
+
+def test_an_own_motion_takes_the_place_of_a_table_that_starts_there(tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    write_table(file, plan(robot()).task)
+    tabulated = robot().replace({"trajectory": {"kind": "table", "file": str(file), "dwell": 0.05}})
+    slower = plan(robot().replace({"trajectory.duration": 0.5}))
+    run = flexfmu.run(tabulated, trajectory=slower.task)
+    assert run.plan.duration == 0.5
+    expected = flexfmu.run(slower.scene).metrics["peak_torque_1"]
+    assert run.metrics["peak_torque_1"] == pytest.approx(float(expected), rel=1e-6)
+    with pytest.raises(
+        TrajectoryError, match=r"starts at \(-0.175, 0.32\) m, the own motion at \(-0.1, 0.33\) m: let it start"
+    ):
+        plan_own(tabulated, Line())

@@ -197,10 +197,11 @@ def test_fronts_keep_what_no_other_motion_beats() -> None:
     assert [each.figures.values["time"] for each in front] == [0.5]
 
 
-def test_a_search_needs_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_needs_a_path() -> None:
     class Tabulated:
-        scene = SimpleNamespace(trajectory=None)
+        scene = SimpleNamespace(name="log", trajectory=None)
+        wishes = None
 
     show: Callable[[str, float | None], None] = lambda text, fraction: None  # noqa: E731
-    with pytest.raises(InputError, match="needs a scene with a path"):
+    with pytest.raises(InputError, match="scene log has a motion from a table, and no path whose corners could change"):
         list(islice(search(Tabulated(), (), 1, show), 1))  # type: ignore[arg-type]
