@@ -26,8 +26,8 @@ LOOSE, FALL = 2e-5, 4.0
 NODES = 9
 """Number of variants that the programmes have: 7 payloads within 30 % leave 1 µm of residual vibration between them."""
 
-CHECKED = np.array([3e-4, 1e-4, 1e-4, 1e-4, 1e-2, 1e-3])
-"""Violations, in the order of `GROUPS`, up to which the limits count as met on the fine grid: 10 µm, and 5 % of the residual."""
+CHECKED = np.array([3e-4, 1e-4, 1e-4, 1e-4, 1.5e-2, 1e-3])
+"""Violations, in the order of `GROUPS`, up to which the limits count as met on the fine grid: 15 µm, and 5 % of the residual."""
 
 ROUNDS = 4
 """Largest number of evaluations of all variants on the fine grid."""

@@ -44,6 +44,9 @@ STARTS = (0.5, 0.65, 0.8)
 RESERVE = 0.9995, 0.8, 0.9
 """Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest."""
 
+NEARLY = 0.03
+"""Violation of the limits up to which a motion is given to the FMU to judge; beyond it the next start is tried."""
+
 NO_LIMIT = 1e9
 """Stands for a limit that isn't set."""
 
@@ -66,7 +69,7 @@ def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Ite
         except EquilibriumError:
             # too fast for the links: a slower start may do
             continue
-        if last is not None and max(last.violations.values()) < 1e-2:
+        if last is not None and max(last.violations.values()) < NEARLY:
             label = f"optimal control, robust, {last.motion.duration:.4g} s"
             yield Candidate(label, "optimal control", goals.scene, last.motion.trajectory())
             return
