@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import linprog
 
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response
 from flexfmu.model.reference_design.inverse_dynamics import LEAD
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.reference_design.variants import Rest, free_modes
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -43,9 +43,6 @@ ON_PATH = 6
 ROUNDS, BATCH = 40, 300
 """Largest number of times that violated rows are added to a linear programme, and of rows that are."""
 
-PIVOTS = 20000
-"""Largest number of simplex iterations of a linear programme: those that take more are degenerate."""
-
 NEAR, FEW = 0.5, 20
 """Rows above this fraction of their bound are in the programme from the start, and every 20th of the others."""
 
@@ -54,6 +51,9 @@ VIOLATION = 5e-3
 
 LARGEST = 20.0
 """Largest step in a variable, in units in which it moves a row by its bound."""
+
+CURVED = 1e-6
+"""Curvature of the programmes, for changes in the same units: among equal solutions they have the smallest."""
 
 RIDGE = 1e-9
 """Regularisation of the least squares."""
@@ -278,15 +278,13 @@ def _solved(least: _Rows, kept: Sequence[_Rows], first: RealArray) -> tuple[Real
     near[:goals] *= score[:goals].max()
     chosen = score > near
     chosen[::FEW] = True
-    cost, bounds = np.append(np.zeros(len(first)), 1.0), [(-LARGEST, LARGEST)] * len(first) + [(0.0, None)]
+    cost, bounds = np.append(np.zeros(len(first)), 1.0), np.append(np.full(len(first), LARGEST), np.inf)
+    curved = np.diag(np.append(np.full(len(first), CURVED), 0.0))
     for _ in range(ROUNDS):
-        found = linprog(
-            cost, matrix[chosen], upper[chosen], bounds=bounds, method="highs-ds", options={"maxiter": PIVOTS}
-        )
-        if found.x is None:
-            return None
-        solution = np.asarray(found.x)
+        solution = solve_quadratic(curved, cost, matrix[chosen], upper[chosen], np.append(-bounds[:-1], 0.0), bounds)
         violation = matrix @ solution - upper
+        if violation[chosen].max() > VIOLATION:
+            return None
         worst = np.argsort(-violation)[:BATCH]
         worst = worst[(violation[worst] > VIOLATION) & ~chosen[worst]]
         if not worst.size:
