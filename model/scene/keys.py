@@ -1,4 +1,5 @@
-"""Dotted keys of a scene: ``payload.mass``, ``trajectory.start[0]``, ``controller[0].derivative`` or ``controller.pd.derivative``."""
+"""Dotted keys of a scene: ``payload.mass``, ``trajectory.start[0]``, ``controller[0].derivative``, ``controller.pd.derivative``, or in
+short ``pd.kd``."""
 
 from __future__ import annotations
 
@@ -10,6 +11,12 @@ from typing import Any
 from flexfmu.model.scene.errors import SceneError
 
 _INDEX = re.compile(r"\[(\d+)\]")
+
+SECTIONS = ("controller", "shaper", "imperfection", "motor", "plan")
+"""Sections that a scene may lack: their names never stand for a slave."""
+
+GAINS = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
+"""Short name of a gain → its key."""
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
@@ -47,14 +54,15 @@ def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
     Args:
         data: the scene as nested dicts; arrays may be tuples.
         key: names of sections and key, separated by dots. An index in brackets is an element of an array; a table of an
-            array of tables may also be named by its ``name`` or, where that is unique, its ``kind``.
+            array of tables may also be named by its ``name`` or, where that is unique, its ``kind``, also without the
+            array's name: ``pd.proportional``, or ``pd.kp``.
         value: the new value.
         label: name of the scene in messages.
 
     Raises:
         SceneError: a part of the key is a value without keys, or an array has no such element.
     """
-    *parents, last = _parts(key)
+    *parents, last = _parts(data, key, label)
     section: Any = data
     for i, part in enumerate(parents):
         place = _place(section, part, parents[:i], key, label)
@@ -68,7 +76,7 @@ def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
 def value_at(data: Mapping[str, Any], key: str, label: str = "") -> Any:
     """The value of a dotted key in a scene's plain data, None where it isn't set; arguments and errors as for `set_value`."""
     found: Any = data
-    parts = _parts(key)
+    parts = _parts(data, key, label)
     for i, part in enumerate(parts):
         place = _place(found, part, parts[:i], key, label)
         found = found.get(place) if isinstance(found, Mapping) else found[place]
@@ -80,7 +88,7 @@ def value_at(data: Mapping[str, Any], key: str, label: str = "") -> Any:
 def location(data: Mapping[str, Any], key: str) -> tuple[str | int, ...]:
     """The key as pydantic writes locations of errors: names, indices, and kinds of tables that have one."""
     found: Any = data
-    parts = _parts(key)
+    parts = _parts(data, key, "the scene")
     where: list[str | int] = []
     for i, part in enumerate(parts):
         place = _place(found, part, parts[:i], key, "")
@@ -91,13 +99,53 @@ def location(data: Mapping[str, Any], key: str) -> tuple[str | int, ...]:
     return tuple(where)
 
 
-def _parts(key: str) -> list[str | int]:
-    """Names and indices of a dotted key."""
+def full_key(data: Mapping[str, Any], key: str, label: str = "the scene") -> str:
+    """The key that starts with the name of a section: ``controller[0].proportional`` for ``pd.kp``; errors as for `set_value`."""
+    parts = _parts(data, key, label)
+    if len(parts) > 1 and isinstance(tables := data.get(str(parts[0])), list | tuple):
+        parts[1] = _place(tables, parts[1], parts[:1], key, label)
+    return _written(parts)
+
+
+def _parts(data: Mapping[str, Any], key: str, label: str) -> list[str | int]:
+    """Names and indices of a dotted key; a slave's name or kind in place of a section is replaced by array and index.
+
+    Raises:
+        SceneError: several slaves are of this kind.
+    """
     parts: list[str | int] = []
     for name in key.split("."):
         parts.append(_INDEX.sub("", name))
         parts += [int(index) for index in _INDEX.findall(name)]
+    # a slave in place of a section
+    head = parts[0]
+    if head not in data and head not in SECTIONS:
+        homes = _slaves(data, str(head))
+        if len(homes) > 1:
+            places = ", ".join(_written(home) for home in homes)
+            raise SceneError(
+                f"{label} has no key {key}: {head} may be {places}; write one of these, or give each a `name`"
+            )
+        parts[:1] = homes[0] if homes else parts[:1]
+    # a gain by its short name
+    if len(parts) > 2 and isinstance(data.get(str(parts[0])), list | tuple):
+        parts[2] = GAINS.get(str(parts[2]), parts[2])
     return parts
+
+
+def _slaves(data: Mapping[str, Any], word: str) -> list[list[str | int]]:
+    """Array and index of the tables that have this ``name``; if none has, of those of this ``kind``."""
+    arrays = {name: each for name, each in data.items() if isinstance(each, list | tuple)}
+    for field in ("name", "kind"):
+        found: list[list[str | int]] = [
+            [array, i]
+            for array, tables in arrays.items()
+            for i, each in enumerate(tables)
+            if isinstance(each, Mapping) and each.get(field) == word
+        ]
+        if found:
+            return found
+    return []
 
 
 def _place(holder: Any, part: str | int, before: Sequence[str | int], key: str, label: str) -> Any:
@@ -111,6 +159,8 @@ def _place(holder: Any, part: str | int, before: Sequence[str | int], key: str, 
     path = _written(before)
     # an array, or what isn't there
     if isinstance(holder, list | tuple) or holder == {}:
+        if isinstance(part, str) and part.isdigit():
+            part = int(part)
         if isinstance(part, int) and part < len(holder):
             return part
         # a table by its name, or else by its kind

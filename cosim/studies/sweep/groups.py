@@ -17,6 +17,7 @@ from flexfmu.cosim.experiment.scene_build import depends_on
 from flexfmu.cosim.experiment.variants import BAND, DURATION, FEW, Variant
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
 from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.schema import Scene
 
 PLANNED_WITH = (
@@ -85,10 +86,12 @@ def groups_of(scene: Scene, cases: Cases) -> list[Group]:
     """The groups of cases that share an FMU."""
     own = scene_values(scene).values()
     known, has = {each.key for each in own}, {each.key for each in own if each.value}
-    whole = [key.partition("[")[0] for key in cases.keys]
+    data = scene.model_dump(exclude_none=True)
+    keys = [full_key(data, key) for key in cases.keys]
+    whole = [key.partition("[")[0] for key in keys]
     # keys that are parameters of the FMU, and keys that need another FMU
     settable = [i for i, key in enumerate(whole) if key in known and depends_on(key)]
-    building = [i for i, key in enumerate(cases.keys) if depends_on(key) and i not in settable]
+    building = [i for i, key in enumerate(keys) if depends_on(key) and i not in settable]
     members: dict[str, list[int]] = {}
     if building:
         for number in range(len(cases)):

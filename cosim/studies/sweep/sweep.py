@@ -20,7 +20,7 @@ from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, read_res
 from flexfmu.cosim.studies.sweep.work import Job
 from flexfmu.cosim.studies.sweep.workers import DaskWorkers, LocalWorkers, Workers, processors
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.keys import location, value_at
+from flexfmu.model.scene.keys import full_key, location, value_at
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.schema import Scene
 
@@ -148,8 +148,15 @@ def check_values(scene: Scene, cases: Cases) -> None:
     """Check each key and its values before anything is simulated; what only a combination makes invalid is the case's own error.
 
     Raises:
-        SceneError: a key is unknown, or a value is invalid by itself and in the cases that have it.
+        SceneError: a key is unknown or there under two names, or a value is invalid by itself and in the cases that have it.
     """
+    data = scene.model_dump(exclude_none=True)
+    full = [full_key(data, key) for key in cases.keys]
+    for place, key in enumerate(full):
+        if key in full[:place]:
+            raise SceneError(
+                f"`{cases.keys[place]}` and `{cases.keys[full.index(key)]}` are the same key: give one of them"
+            )
     for place, key in enumerate(cases.keys):
         for value, numbers in _some_values(cases, place):
             try:

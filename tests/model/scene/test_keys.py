@@ -34,6 +34,11 @@ SCENE = load_scene("barnard2012-6kg").replace(
         ("controller[1].sample_time", 5e-4, "s"),
         ("controller.second.sample_time", 5e-4, "s"),
         ("controller.feedforward.payload", 4.0, "kg"),
+        ("controller.1.sample_time", 5e-4, "s"),
+        ("controller.0.kd[1]", 30.0, "N.m.s/rad"),
+        ("second.sample_time", 5e-4, "s"),
+        ("second.kp[0]", 4e3, "N.m/rad"),
+        ("feedforward.payload", 4.0, "kg"),
         ("trajectory.profile.kind", "bang-bang", ""),
     ],
 )
@@ -52,6 +57,9 @@ def test_every_value_has_a_key(key: str, value: Any, unit: str) -> None:
     [
         ("controller[3].derivative", r"controller has 3 elements, \[0\] to \[2\], named pd, second, feedforward"),
         ("controller.pd.derivative", "controller has 3 elements"),  # two of them are of this kind
+        ("pd.derivative", r"pd may be controller\[0\], controller\[1\]; write one of these, or give each a `name`"),
+        ("pid.derivative", "`pid` is not a known key"),
+        ("second.gain", r"`controller\[1\].gain` is not a known key"),
         ("shaper[0].kind", "shaper has no elements"),
         ("trajectory.start[2]", r"trajectory.start has 2 elements"),
         ("payload.mass.x", "payload.mass is the value 6.0, not a section"),

@@ -81,10 +81,12 @@ def test_keys_of_controllers_by_index_kind_and_name() -> None:
     """The loop changes, the FMU is shared."""
     found = [
         flexfmu.sweep(LOOP, {key: [10.0, 20.0]}, metrics=["peak_position_error"], processes=1)
-        for key in ("controller[0].derivative", "controller.pd.derivative")
+        for key in ("controller[0].derivative", "controller.pd.derivative", "pd.kd")
     ]
     values = [[row["peak_position_error"] for row in each] for each in found]
-    assert values[0] == values[1]
+    assert values[0] == values[1] == values[2]
+    assert found[2][0]["pd.kd"] == 10.0
+    assert found[2].units["pd.kd"] == "N.m.s/rad"
     assert values[0][0] != values[0][1]
     assert (
         values[0][1] == alone({"controller[0].derivative": 20.0}, ["peak_position_error"], LOOP)["peak_position_error"]
@@ -122,9 +124,10 @@ def test_cases_share_fmus_where_they_can() -> None:
     durations = [{cases[number][2] for number in share.numbers} for share in shares]
     assert {0.1} in durations
     assert all(each <= {0.2, 0.19} or each == {0.1} for each in durations)
-    # controllers depend on everything
-    (group,) = groups_of(LOOP, Grid(("payload.mass", "controller[0].derivative"), ((1.0, 2.0), (100.0, 200.0))))
-    assert group.parameters is None
+    # controllers depend on everything, and the FMU on none of them
+    for key in ("controller[0].derivative", "pd.kd"):
+        (group,) = groups_of(LOOP, Grid(("payload.mass", key), ((1.0, 2.0), (100.0, 200.0))))
+        assert group.parameters is None
 
 
 @pytest.mark.parametrize(
@@ -152,6 +155,12 @@ def test_metrics_that_the_robot_lacks_are_told(metric: str, message: str) -> Non
     """Before work starts, instead of in every line."""
     with pytest.raises(InputError, match=message):
         flexfmu.sweep(SCENE, {"payload.mass": [1.0]}, metrics=[metric])
+
+
+def test_a_key_by_two_names_is_refused() -> None:
+    """One value would silently replace the other."""
+    with pytest.raises(SceneError, match=r"`pd\.kd` and `controller\.pd\.derivative` are the same key"):
+        flexfmu.sweep(LOOP, {"controller.pd.derivative": [10.0], "pd.kd": [20.0]})
 
 
 def test_signals_that_the_robot_lacks_are_told_in_each_line() -> None:
