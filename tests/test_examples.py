@@ -67,6 +67,18 @@ def test_compare_measured(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_compare_controllers(tmp_path: Path) -> None:
+    """Stiffer loops follow better, the rigid torques better still; with other payloads each is worse."""
+    rows = [row.split(",") for row in run_example("compare_controllers.py", tmp_path).splitlines()[1:]]
+    assert [row[0] for row in rows] == ["pd", "stiff", "with-torques", "shaped"]
+    tracking, worst, _, _ = zip(*([float(each) for each in row[1:]] for row in rows), strict=True)
+    assert tracking[0] > tracking[1]
+    assert tracking[0] > tracking[2] > tracking[3]
+    assert all(more > less for more, less in zip(worst, tracking, strict=True))
+    assert (tmp_path / "comparison" / "comparison.html").is_file()
+
+
+@pytest.mark.slow
 def test_results_in_other_tools(tmp_path: Path) -> None:
     """The Python of docs/results.md runs, and writes what it says; the number beside a metric is right."""
     text = (EXAMPLES.parent / "docs" / "results.md").read_text(encoding="utf-8")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.options import JsonOption, SetOption
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from flexfmu.cosim.reports.comparison import ComparedRun
+    from flexfmu.cosim.reports.page import Table as PageTable
     from flexfmu.cosim.studies.compare.comparison import Comparison, Measured
 
 
@@ -24,7 +25,8 @@ def compare(
         list[str],
         typer.Argument(
             metavar="RUN",
-            help="A folder of results, a results file (.csv, .parquet, .mat), or a scene, which is run now.",
+            help="A folder of results, a results file (.csv, .parquet, .mat), or a scene, which is run now; NAME=SCENE gives it "
+            "another name.",
             show_default=False,
         ),
     ],
@@ -55,6 +57,25 @@ def compare(
             show_default=False,
         ),
     ] = None,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:KEY=VALUE",
+            help="The first scene with other values, as one more run; several with commas: stiff:pd.kp=2e4,pd.kd=200. May be repeated. "
+            "Default: none.",
+            show_default=False,
+        ),
+    ] = None,
+    payload_band: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BAND",
+            help="Run scenes with other payloads too, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 and "
+            "8 kg. Default: not.",
+            show_default=False,
+        ),
+    ] = None,
+    settings: SetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -65,14 +86,16 @@ def compare(
 ) -> int:
     """Compare runs with each other and with a measurement: metrics side by side, signals over each other, spectra.
 
-    Differences are relative to the first run. A measurement is aligned in time with it; RMS, mean and largest difference of each
+    Differences are relative to the first run. Scenes with different controllers or shapers have their margins, processor times and
+    the worst over a band of payloads side by side, too. A measurement is aligned in time with it; RMS, mean and largest difference of each
     signal are those over the time that both have.
     """
+    from flexfmu.cosim.choices.gains.robustness import parse_band
     from flexfmu.cosim.engine.files import OutputFolder
     from flexfmu.cosim.reports.text import to_json
     from flexfmu.cosim.studies.compare.comparison import compare_runs
     from flexfmu.cosim.studies.compare.measured import parse_mapping
-    from flexfmu.cosim.studies.compare.sources import compared_runs
+    from flexfmu.cosim.studies.compare.sources import compared_runs, given_sources
 
     # what can be wrong is checked before anything is simulated
     meaning = dict(map(parse_mapping, mapping or ()))
@@ -80,24 +103,31 @@ def compare(
         raise InputError(f"there is no file {measured}")
     if out is not None:
         OutputFolder(out).prepare()
+    band = None if payload_band is None else parse_band(payload_band)
+    sources = given_sources(runs, variant or (), settings or ())
     with progress() as show:
-        found = compare_runs(compared_runs(runs, show), measured, meaning, delay)
+        found = compare_runs(compared_runs(sources, show, band), measured, meaning, delay)
     if out is not None:
         found.write(out)
     if json:
         print_text(to_json(found.as_data()))
     else:
         _print(found, out)
-    return 0
+    failed = [run for run in found.runs if run.failure]
+    for run in failed:
+        show_note(f"{run.name} failed: {run.failure}")
+    return FAILURE if failed else 0
 
 
 def _print(found: Comparison, out: Path | None) -> None:
     """The metrics, the differences of a measurement, and where the page is."""
     from rich.text import Text
 
+    from flexfmu.cosim.reports.comparison import loop_tables
     from flexfmu.cosim.studies.compare.comparison import POORLY, delay_text
 
     parts: list[RenderableType] = [table for table in [_metrics_table(found)] if table is not None]
+    parts += [_as_rich(table) for table in loop_tables([run for run in found.runs if not run.failure])]
     measured = found.measured
     if measured is not None:
         parts += [_difference_table(name, measured) for name in measured.differences]
@@ -108,6 +138,19 @@ def _print(found: Comparison, out: Path | None) -> None:
     if out is not None:
         parts.append(Text(f"comparison.html and comparison.json are in {out}"))
     print_rich(*parts)
+
+
+def _as_rich(table: PageTable) -> Table:
+    """A table of the page for the terminal."""
+    from rich.table import Column
+
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    first, *others = table.header
+    found = titled_table(table.title, first or " ", *(Column(name, justify="right") for name in others))
+    for row in table.rows:
+        found.add_row(*row)
+    return found
 
 
 def _metrics_table(found: Comparison) -> Table | None:

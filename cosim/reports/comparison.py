@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import degrees, log10
 
 import numpy as np
 
@@ -39,6 +40,45 @@ DASHED = "5,3"
 """Of curves that repeat a colour."""
 
 
+LOOP_FIGURES: Mapping[str, tuple[str, str, str, Callable[[float], float]]] = {
+    "gain_margin": ("Gain margin", "1", "dB", lambda value: 20.0 * log10(value)),
+    "phase_margin": ("Phase margin", "rad", "deg", degrees),
+    "delay_margin": ("Delay margin", "s", "ms", lambda value: 1e3 * value),
+    "disk_margin": ("Disk margin", "1", "", lambda value: value),
+    "sensitivity_peak": ("Sensitivity peak", "1", "", lambda value: value),
+    "cpu_time": ("Processor time of the simulation", "s", "ms", lambda value: 1e3 * value),
+}
+"""Figure of a loop beside its metrics → label, SI unit, unit in tables, and function from the SI unit to that."""
+
+BAND_METRICS = (
+    "peak_torque_1",
+    "peak_torque_2",
+    "rms_torque_1",
+    "rms_torque_2",
+    "rms_tracking_error_1",
+    "rms_tracking_error_2",
+    "peak_position_error",
+    "residual_vibration_amplitude",
+    "settling_time",
+)
+"""Metrics that are compared over a band of payloads."""
+
+
+@dataclass(frozen=True)
+class OverBand:
+    """A loop at both ends of a band of payloads.
+
+    Attributes:
+        masses: lightest and heaviest payload of the robot [kg].
+        worst: metric → its largest value at both ends; None where one end has no value, a loop that doesn't settle for example.
+        failures: payload that the run failed with [kg] → message.
+    """
+
+    masses: tuple[float, float]
+    worst: Mapping[str, float | None]
+    failures: Mapping[float, str] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class ComparedRun:
     """A run, or a measurement, of a comparison.
@@ -48,12 +88,18 @@ class ComparedRun:
         recording: its signals; what isn't recorded isn't compared.
         metrics: name → measurement, as `flexfmu.cosim.metrics.metrics.measure_run` has them; none for a measurement.
         duration: end of the motion [s], from which spectra are taken; None if unknown.
+        loop: further figures in SI units, of `LOOP_FIGURES`.
+        band: the same loop with other payloads; None if it wasn't run with them.
+        failure: why the run failed or its loop diverged; empty otherwise.
     """
 
     name: str
     recording: Recording = field(repr=False)
     metrics: Mapping[str, Measurement] = field(default_factory=dict, repr=False)
     duration: float | None = None
+    loop: Mapping[str, float | None] = field(default_factory=dict, repr=False)
+    band: OverBand | None = field(default=None, repr=False)
+    failure: str = ""
 
 
 def render_comparison(
@@ -68,10 +114,55 @@ def render_comparison(
         title: heading of the page; by default the names of the runs.
     """
     lead = f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
-    metrics = [table for table in [metrics_table(runs)] if table.rows]
+    metrics = [table for table in [metrics_table(runs), *loop_tables(runs)] if table.rows]
     return render_page(
         title or " · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], [*metrics, *tables]
     )
+
+
+def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
+    """Yield margins and processor times, the worst over a band of payloads, and what failed; each where a run has it."""
+    names = [name for name in LOOP_FIGURES if any(name in run.loop for run in runs)]
+    if names:
+        yield _figures_table(names, runs)
+    if any(run.band for run in runs):
+        yield _band_table(runs)
+    if any(run.failure for run in runs):
+        rows = [[run.name, run.failure] for run in runs if run.failure]
+        yield Table("Failed", ["Run", "Why"], rows)
+
+
+def _figures_table(names: Sequence[str], runs: Sequence[ComparedRun]) -> Table:
+    """Return further figures of the loops."""
+    rows = []
+    for name in names:
+        label, _, unit, shown = LOOP_FIGURES[name]
+        cells = [run.loop.get(name) for run in runs]
+        rows.append([f"{label} [{unit}]" if unit else label, *("–" if v is None else f"{shown(v):.3g}" for v in cells)])
+    return Table("Loops", ["", *(run.name for run in runs)], rows)
+
+
+def _band_table(runs: Sequence[ComparedRun]) -> Table:
+    """Return the worst metrics over a band of payloads; a run that failed in it says so."""
+    shown = [(run.band, run.name) for run in runs if run.band]
+    rows = [
+        [
+            f"{ALL_METRICS[name].label} [{ALL_METRICS[name].display_unit}]",
+            *(_worst(name, band) for band, _ in shown),
+        ]
+        for name in BAND_METRICS
+        if any(name in band.worst for band, _ in shown)
+    ]
+    rows.append(["Payloads [kg]", *(f"{band.masses[0]:g}, {band.masses[1]:g}" for band, _ in shown)])
+    note = "The largest value with both payloads; controllers, shapers and motion are those for the scene's."
+    return Table("Worst with other payloads", ["Metric", *(name for _, name in shown)], rows, note)
+
+
+def _worst(name: str, band: OverBand) -> str:
+    value = band.worst.get(name)
+    if value is None:
+        return "unstable" if band.failures else "–"
+    return f"{value * ALL_METRICS[name].display_factor:.5g}"
 
 
 def metrics_table(runs: Sequence[ComparedRun]) -> Table:

@@ -48,6 +48,29 @@ def parse_value(text: str, key: str) -> Any:
     return text
 
 
+def split_values(text: str, key: str) -> list[str]:
+    """The parts between commas outside quotes, brackets and braces.
+
+    Raises:
+        SceneError: a part is empty, or something isn't closed.
+    """
+    parts, depth, quote = [""], 0, ""
+    for sign in text:
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "\"'":
+            quote = sign
+        else:
+            depth += (sign in "[{") - (sign in "]}")
+        if sign == "," and not depth and not quote:
+            parts.append("")
+        else:
+            parts[-1] += sign
+    if quote or depth or not all(each.strip() for each in parts):
+        raise SceneError(f"`{key}` has an empty or unfinished value in {text!r}: write VALUE,VALUE")
+    return [each.strip() for each in parts]
+
+
 def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
     """Set the value of a dotted key in a scene's plain data; sections that are missing are added.
 

@@ -102,25 +102,30 @@ def compare(
     measured: Log | None = None,
     mapping: Mapping[str, str] | None = None,
     delay: float | None = None,
+    payload_band: float | tuple[float, float] | None = None,
 ) -> Comparison:
-    """Compare runs with each other and with a measurement.
+    """Compare runs, controllers and shapers with each other, and with a measurement.
 
         comparison = flexfmu.compare(run, "scene.toml", measured="log.csv", mapping={"tau1": "joint1.torque*1e-3"})
         comparison.to_pandas()  # metrics side by side
         comparison.write("comparison")  # comparison.html and comparison.json
+        flexfmu.compare(scene, scene.replace({"name": "stiff", "pd.kp": 2e4}), payload_band=0.2)  # two controllers
 
     Calls `flexfmu.cosim.studies.compare.comparison.compare_runs`.
 
     Args:
         runs: runs, folders or files of results (.csv, .parquet, .mat), or scenes, which are run now. Differences are relative to
-            the first one.
+            the first one. A scene whose loop is unstable has a ``failure`` instead of metrics.
         measured: a measurement: a CSV file with a header, a data frame, or a `Recording`.
         mapping: column of the measurement → ``signal*factor+offset``; factor (a number, or a unit such as ``deg``) and offset may be left
             out, and ``time`` is the time. Other columns are taken where their name is that of a signal.
         delay: time of an event in the measurement minus that in the simulation [s]; None to estimate it from the first run.
+        payload_band: scenes are also run with other payloads, which their controllers, shapers and motion don't know: a fraction to
+            both sides, or the lightest and the heaviest payload [kg]; None for not.
 
     Returns:
-        The runs with metrics and signals; ``comparison.measured.delay`` with its standard error, and
+        The runs with metrics and signals; ``comparison.runs[0].loop`` has margins and processor time [s] of a scene,
+        ``comparison.runs[0].band.worst`` its metrics with the worse payload; ``comparison.measured.delay`` with its standard error, and
         ``comparison.measured.differences[run][signal].root_mean_square`` over the time that measurement and run have in common.
 
     Raises:
@@ -134,7 +139,7 @@ def compare(
     from flexfmu.cosim.studies.compare.sources import compared_runs
 
     meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
-    return compare_runs(compared_runs(runs), measured, meaning, delay)
+    return compare_runs(compared_runs(runs, payload_band=payload_band), measured, meaning, delay)
 
 
 def build(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -17,6 +16,7 @@ from flexfmu.cosim.choices.plans.checks import checked_goals
 from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.choices.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -188,7 +188,7 @@ def plan_scene(
     """
     if unknown := [name for name in methods if name not in (*METHODS, *BASELINES)]:
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join((*METHODS, *BASELINES))}")
-    work, clock = _processor_time(), monotonic()
+    work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
     show("the given motion", None)
     judge = Judge(goals, SCREENED)
@@ -213,7 +213,7 @@ def plan_scene(
     if robust and not interrupted:
         chosen, note = sturdier(chosen, _ranked(found, goals), final)
         failures += [note] if note else []
-    work = _processor_time() - work
+    work = processor_time() - work
     lines = list[RobustnessLine]()
     try:
         for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
@@ -254,11 +254,6 @@ def _stage(name: str) -> Stage:
     module = "baselines" if name in BASELINES else name
     stage: Stage = getattr(import_module(f"flexfmu.cosim.choices.plans.{module}"), name)
     return stage
-
-
-def _processor_time() -> float:
-    """Processor time [s] of this process and of those that it has started and that have ended."""
-    return sum(os.times()[:4])
 
 
 def _dominates(one: Assessment, other: Assessment) -> bool:

@@ -17,7 +17,15 @@ from flexfmu.cosim.engine.showing import few_lines, html_table
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.reports.chart import Curve, Panel
-from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, render_comparison
+from flexfmu.cosim.reports.comparison import (
+    BAND_METRICS,
+    LOOP_FIGURES,
+    ComparedRun,
+    OverBand,
+    loop_tables,
+    metrics_table,
+    render_comparison,
+)
 from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
@@ -82,7 +90,8 @@ class Comparison:
         """Return plain data in SI units, the content of ``comparison.json``.
 
         Keys:
-            runs: name, duration [s], metrics and errors of each run.
+            runs: name, duration [s], metrics and errors of each run; loop (margins and cpu_time [s]) of a scene that was run, failure
+                (a message) where it failed, and payload_band (masses [kg], worst metrics, failures) where a band was compared.
             measured: name, delay, delay_error [s], correlation, and under signals for each run and signal: rms, mean, largest
                 (magnitude), relative (rms to the measured range), unit, samples; only with a measurement.
         """
@@ -92,6 +101,9 @@ class Comparison:
                 "duration": run.duration,
                 "metrics": {name: each.value for name, each in run.metrics.items()},
                 "errors": {name: each.error for name, each in run.metrics.items()},
+                **({"loop": dict(run.loop)} if run.loop else {}),
+                **({"failure": run.failure} if run.failure else {}),
+                **({} if run.band is None else {"payload_band": _band_data(run.band)}),
             }
             for run in self.runs
         ]
@@ -99,6 +111,8 @@ class Comparison:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the metrics as a data frame, a row each, a column for each run; units in ``attrs["units"]``.
+
+        Below them ``cpu_time`` and margins of scenes that were run, and ``worst.<metric>`` over a band of payloads.
 
         Raises:
             InputError: pandas isn't installed.
@@ -108,8 +122,20 @@ class Comparison:
         none = Measurement(None)
         names = self.metric_names
         values = {run.name: [run.metrics.get(name, none).value for name in names] for run in self.runs}
-        frame = pandas.DataFrame(values, index=pandas.Index(names, name="metric"), dtype=float)
-        frame.attrs["units"] = {name: ALL_METRICS[name].unit for name in names}
+        units = {name: ALL_METRICS[name].unit for name in names}
+        # figures of loops, and the worst over a band
+        for name, (_, unit, _, _) in LOOP_FIGURES.items():
+            if any(name in run.loop for run in self.runs):
+                units[name] = unit
+                for run in self.runs:
+                    values[run.name].append(run.loop.get(name))
+        for name in BAND_METRICS:
+            if any(run.band and name in run.band.worst for run in self.runs):
+                units[f"worst.{name}"] = ALL_METRICS[name].unit
+                for run in self.runs:
+                    values[run.name].append(run.band.worst.get(name) if run.band else None)
+        frame = pandas.DataFrame(values, index=pandas.Index([*units], name="metric"), dtype=float)
+        frame.attrs["units"] = units
         return frame
 
     def page(self) -> str:
@@ -141,7 +167,11 @@ class Comparison:
         return few_lines(f"{head}; {self.measured.name} is {delay_text(self.measured.delay)}:", items)
 
     def _repr_html_(self) -> str:
-        tables = [metrics_table(self.runs), *([] if self.measured is None else [difference_table(self.measured)])]
+        tables = [
+            metrics_table(self.runs),
+            *loop_tables(self.runs),
+            *([] if self.measured is None else [difference_table(self.measured)]),
+        ]
         return "".join(html_table(table.header, table.rows) for table in tables)
 
 
@@ -217,6 +247,14 @@ def _sampled(recording: Recording, name: str) -> Sampled:
     if not known.any():
         raise InputError(f"signal {name!r} has no values")
     return Sampled(recording.time[known], values[known])
+
+
+def _band_data(band: OverBand) -> dict[str, Any]:
+    return {
+        "masses": list(band.masses),
+        "worst": dict(band.worst),
+        "failures": {f"{mass:g}": message for mass, message in band.failures.items()},
+    }
 
 
 def _measured_data(measured: Measured) -> dict[str, Any]:

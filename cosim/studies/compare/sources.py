@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
+from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.reports.comparison import ComparedRun
+from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.keys import parse_setting, split_values
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -23,56 +27,141 @@ if TYPE_CHECKING:
 Source = Run | Scene | Path | str
 """A run, a scene, or what a path leads to: a folder or file of results, a scene file; or the name of a shipped scene."""
 
+QUICK = 1.0
+"""Processor time [s] below which a run is repeated to measure it."""
+
 READABLE = (".parquet", ".mat", ".csv")
 """Files of results that are read, in this order where a folder has several: with units first."""
 
 
-def compared_runs(sources: Sequence[Source], show: ShowProgress = lambda text, fraction: None) -> list[ComparedRun]:
+def compared_runs(
+    sources: Sequence[Source],
+    show: ShowProgress = lambda text, fraction: None,
+    payload_band: PayloadBand | None = None,
+) -> list[ComparedRun]:
     """Return the runs with different names; scenes are simulated now, with errors from one companion run each.
 
+    A scene whose run fails or whose loop diverges has a message instead of metrics, as long as another one has some.
+
+    Args:
+        sources: runs, folders, files and scenes.
+        show: is called with what is being done, and the finished fraction.
+        payload_band: scenes are also run at both ends of this band of payloads; None for not.
+
     Raises:
-        InputError: there is no source, or a folder has no results.
-        ResultsError: a file can't be read, or a scene's run failed.
+        InputError: there is no source, a folder has no results, or a band of payloads can't be had.
+        ResultsError: a file can't be read, or a run failed.
         SceneError, TrajectoryError, BuildError: a scene can't be run.
     """
     if not sources:
         raise InputError("there is nothing to compare; name at least one folder of results or scene")
+    # bands are checked before anything is simulated
+    chosen = [_loaded(source, show) for source in sources]
+    scenes = [each for each in chosen if isinstance(each, Scene)]
+    if payload_band is not None:
+        if not scenes:
+            raise InputError(
+                "a band of payloads needs a scene, which is run with each payload; results alone don't tell"
+            )
+        for scene in scenes:
+            band_masses(scene, payload_band)
     found = list[ComparedRun]()
-    for source in sources:
-        run = _compared(source, show)
-        names = [each.name for each in found]
+    for each in chosen:
+        run = _simulated(each, show, payload_band) if isinstance(each, Scene) else each
+        names = [other.name for other in found]
         number, name = 1, run.name
         while name in names:
             number += 1
             name = f"{run.name} ({number})"
-        found.append(ComparedRun(name, run.recording, run.metrics, run.duration))
+        found.append(replace(run, name=name))
+    failed = [run for run in found if run.failure]
+    if len(failed) == len(found):
+        raise ResultsError(f"{failed[0].name} can't be compared, since its run failed: {failed[0].failure}")
     return found
 
 
-def _compared(source: Source, show: ShowProgress) -> ComparedRun:
+def given_sources(arguments: Sequence[str], variants: Sequence[str] = (), settings: Sequence[str] = ()) -> list[Source]:
+    """Return what arguments of the command stand for: scenes by their names and with changes, results as they are.
+
+    Args:
+        arguments: ``SCENE``, ``NAME=SCENE``, or a folder or file of results.
+        variants: ``NAME:KEY=VALUE,KEY=VALUE``, the first scene with changes.
+        settings: ``KEY=VALUE``, changes of all scenes.
+
+    Raises:
+        SceneError: there is no such scene, or a key or value is invalid.
+        InputError: a variant has another form, or there is no scene to vary.
+    """
+    changes = dict(map(parse_setting, settings))
+    found = [_given(each, changes) for each in arguments]
+    first = next((each for each in found if isinstance(each, Scene)), None)
+    if first is None and (variants or changes):
+        raise InputError("--variant and --set change a scene: give one, not results alone")
+    for text in variants:
+        name, _, values = text.partition(":")
+        if not (name.strip() and values.strip()) or "=" in name:
+            raise InputError(f"--variant takes NAME:KEY=VALUE, stiff:pd.kp=2e4,pd.kd=200 for example, got {text!r}")
+        assert first is not None
+        varied = dict(parse_setting(each) for each in split_values(values, "--variant"))
+        found.append(first.replace({**varied, "name": name.strip()}))
+    return found
+
+
+def _given(argument: str, changes: Mapping[str, Any]) -> Source:
+    """The scene of an argument, changed; results as they are."""
+    path = Path(argument)
+    if path.is_dir() or (path.suffix in READABLE and path.is_file()):
+        return argument
+    name, sign, source = argument.partition("=")
+    if not sign or path.exists():
+        return load_scene(argument, changes)
+    return load_scene(source, {**changes, "name": name.strip()})
+
+
+def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
+    """The run that a source has, or the scene that is to be run, its effects chosen."""
     if isinstance(source, Run):
         return _measured(source)
-    if isinstance(source, Scene):
-        return _measured(_simulated(source, show))
-    path = Path(source)
-    if path.is_dir():
-        file = next((path / f"results{suffix}" for suffix in READABLE if (path / f"results{suffix}").is_file()), None)
-        if file is None:
-            raise InputError(
-                f"{path} has no results.csv, results.parquet or results.mat; write them with flexfmu run --out {path}"
+    if not isinstance(source, Scene):
+        path = Path(source)
+        if path.is_dir():
+            file = next(
+                (path / f"results{suffix}" for suffix in READABLE if (path / f"results{suffix}").is_file()), None
             )
-        return _read(file, path.resolve().name)
-    if path.suffix in READABLE and path.is_file():
-        return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem)
-    return _measured(_simulated(load_scene(source), show))
-
-
-def _simulated(scene: Scene, show: ShowProgress) -> Run:
-    if scene.effects.select is not None:
+            if file is None:
+                raise InputError(
+                    f"{path} has no results.csv, results.parquet or results.mat; write them with flexfmu run --out {path}"
+                )
+            return _read(file, path.resolve().name)
+        if path.suffix in READABLE and path.is_file():
+            return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem)
+        source = load_scene(source)
+    if source.effects.select is not None:
         from flexfmu.cosim.choices.effects.choice import resolved
 
-        scene = resolved(scene, show)
-    return run_scene(scene, progress=lambda fraction: show(f"simulating {scene.name}", fraction))
+        source = resolved(source, show)
+    return source
+
+
+def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> ComparedRun:
+    """Run a scene, measure it, and do so at both ends of a band of payloads."""
+    prepared, begin = PreparedScene(scene), processor_time()
+    run = prepared.run(progress=lambda fraction: show(f"simulating {scene.name}", fraction))
+    taken = processor_time() - begin
+    if run.completed and taken < QUICK:  # the first one loads what the next ones share
+        begin = processor_time()
+        run = prepared.run()
+        taken = min(taken, processor_time() - begin)
+    loop: dict[str, float | None] = {"cpu_time": taken}
+    if reason := failure_of(run):
+        return ComparedRun(scene.name, run.recording, {}, run.plan.duration, loop=loop, failure=reason)
+    found = replace(_measured(run), loop=loop)
+    if band is None:
+        return found
+    names = [name for name in BAND_METRICS if name in found.metrics]
+    text = f"simulating {scene.name} with other payloads"
+    worst = robustness(prepared, band_masses(scene, band), names, lambda fraction: show(text, fraction))
+    return replace(found, band=worst)
 
 
 def _measured(run: Run) -> ComparedRun:

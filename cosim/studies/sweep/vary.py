@@ -14,7 +14,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, Table, Values
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.keys import parse_value
+from flexfmu.model.scene.keys import parse_value, split_values
 
 MOST_CASES = 10_000_000
 """More cases than this are taken for a mistake."""
@@ -45,7 +45,7 @@ def parse_values(text: str, key: str) -> Values:
     span = _RANGE.fullmatch(text)
     ends = [_number(span[each]) for each in ("low", "high")] if span else []
     if span is None or None in ends:
-        return [_value(each, key) for each in _split(text, key)]
+        return [_value(each, key) for each in _parts(text, key)]
     low, high = (each for each in ends if each is not None)
     if not (math.isfinite(low) and math.isfinite(high)):
         raise InputError(f"`{key}` can't go from {low} to {high}: give finite numbers")
@@ -72,27 +72,12 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _split(text: str, key: str) -> list[str]:
-    """The parts between commas outside quotes, brackets and braces.
-
-    Raises:
-        InputError: a part is empty, or something isn't closed.
-    """
-    parts, depth, quote = [""], 0, ""
-    for sign in text:
-        if quote:
-            quote = "" if sign == quote else quote
-        elif sign in "\"'":
-            quote = sign
-        else:
-            depth += (sign in "[{") - (sign in "]}")
-        if sign == "," and not depth and not quote:
-            parts.append("")
-        else:
-            parts[-1] += sign
-    if quote or depth or not all(each.strip() for each in parts):
-        raise InputError(f"`{key}` has an empty or unfinished value in {text!r}: write VALUE,VALUE")
-    return [each.strip() for each in parts]
+def _parts(text: str, key: str) -> list[str]:
+    """The parts between commas; errors as for `_value`."""
+    try:
+        return split_values(text, key)
+    except SceneError as error:
+        raise InputError(str(error)) from error
 
 
 def _value(text: str, key: str) -> Any:

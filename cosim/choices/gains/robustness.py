@@ -1,0 +1,95 @@
+"""The same loop with other payloads: controllers, shapers and plan assume the scene's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.divergence import divergence
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
+from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.reports.comparison import OverBand
+from flexfmu.model.scene.imperfections import PayloadErrorSection
+from flexfmu.model.scene.schema import Scene
+
+PayloadBand = float | tuple[float, float]
+"""A fraction to both sides, 0.2 for 20 %, or the lightest and the heaviest payload [kg]."""
+
+
+def parse_band(text: str) -> PayloadBand:
+    """Return the band that an option stands for, ``0.2`` or ``4,8``.
+
+    Raises:
+        InputError: it is neither a fraction nor two masses.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 2:
+        raise InputError(f"a payload band is a fraction, 0.2, or two masses in kg, 4,8; got {text!r}")
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+
+
+def band_masses(scene: Scene, band: PayloadBand) -> tuple[float, float]:
+    """Return the robot's lightest and heaviest payload [kg]; a fraction is that of the robot's own, payload errors included.
+
+    Raises:
+        InputError: the fraction isn't above 0 and below 1, masses are negative or don't ascend, or the scene has no payload.
+    """
+    if isinstance(band, tuple):
+        low, high = band
+        if not 0.0 <= low < high < float("inf"):
+            raise InputError(
+                f"a payload band goes from the lightest to the heaviest payload in kg, got {low:g} to {high:g}"
+            )
+        return band
+    if not 0.0 < band < 1.0:
+        raise InputError(f"a payload band is a fraction above 0 and below 1, 0.2 for 20 % to both sides, got {band:g}")
+    mass = scene.payload.mass
+    for each in scene.imperfection:
+        if isinstance(each, PayloadErrorSection):
+            mass = scene.payload.mass * (1.0 + each.relative)
+    if mass == 0.0:
+        raise InputError(f"scene {scene.name} has no payload: give the band in kg, 0,2 for example")
+    return (1.0 - band) * mass, (1.0 + band) * mass
+
+
+def robustness(
+    prepared: PreparedScene,
+    masses: tuple[float, float],
+    names: Collection[str],
+    done: Callable[[float], None] = lambda fraction: None,
+) -> OverBand:
+    """Run a loop with both masses and measure the worst.
+
+    Args:
+        prepared: the scene.
+        masses: payloads of the robot [kg]; the loop keeps that of the scene.
+        names: of the metrics.
+        done: is called with the finished fraction.
+
+    Raises:
+        ResultsError: a metric needs signals that aren't recorded.
+        EquilibriumError: the end pose has no static equilibrium.
+    """
+    found, failures = list[Mapping[str, float | None]](), dict[float, str]()
+    for number, mass in enumerate(masses):
+        run = prepared.run({"payload.mass": mass}, lambda fraction, number=number: done(0.5 * (number + fraction)))  # type: ignore[misc]
+        if reason := failure_of(run):
+            failures[mass] = reason
+        else:
+            found.append(metrics_of(run, names))
+    worst = {name: _largest([each[name] for each in found]) if not failures else None for name in names}
+    return OverBand(masses, worst, failures)
+
+
+def failure_of(run: Run) -> str:
+    """Return why a run is worth nothing: it failed, or its loop diverged; empty where it is worth something."""
+    return (divergence(run) or "") if run.completed else run.message
+
+
+def _largest(values: Collection[float | None]) -> float | None:
+    """Return the largest value; None if one is missing."""
+    known = [each for each in values if each is not None]
+    return max(known) if len(known) == len(values) else None
