@@ -24,6 +24,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from speed_command_line import command_line_figures
+from speed_controllers import controller_figures
 from speed_design import design_figures
 from speed_figure import SpeedFigure
 from speed_loops import loop_figures
@@ -160,6 +161,7 @@ def main() -> int:
         metric_figures,
         motion_figures,
         loop_figures,
+        controller_figures,
         recording_figures,
         sweep_figures,
         peer_figures,

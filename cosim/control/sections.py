@@ -73,7 +73,9 @@ def builds(
 
 
 def build(section: Section, context: LoopContext) -> Any:
-    """Build a section: a slave (a block becomes a `BlockSlave`), a `Shaper` or a `PayloadError`.
+    """Build a section: a slave (a block becomes a `BlockSlave`), several of them, a `Shaper` or a `PayloadError`.
+
+    Several blocks are called after the section, an underscore between: ``cascade_position``.
 
     Raises:
         InputError: it can't be built, or no builder is registered for its class.
@@ -85,6 +87,8 @@ def build(section: Section, context: LoopContext) -> Any:
     if type(section) not in _BUILDERS:
         raise InputError(f"no module of flexfmu.cosim.control builds a {type(section).__name__}: add one with @builds")
     built = _BUILDERS[type(section)](section, context)
+    if isinstance(built, tuple):
+        return tuple(BlockSlave(each, f"{context.name}_{each.name}") for each in built)
     return BlockSlave(built, context.name) if isinstance(built, SymbolicBlock) else built
 
 

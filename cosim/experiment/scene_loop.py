@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +45,7 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | No
     builder = _Builder(scene, planned, names)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
     course = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
-    controllers = [builder.slave(each, course.motion) for each in scene.controller]
+    controllers = [slave for each in scene.controller for slave in builder.slaves(each, course.motion)]
     imperfections = [builder.imperfection(each, controllers) for each in scene.imperfection]
     return close_loop(course, controllers, imperfections, builder.connect, names)
 
@@ -110,19 +110,24 @@ class _Builder:
         return self.slave(section, self._planned, sample_time)
 
     def slave(self, section: Any, motion: MotionPlan, sample_time: float = 0.0) -> Slave:
-        """The slave of a section, named, with its connections in ``connect``.
+        """The only slave of a section; arguments as for `slaves`."""
+        (slave,) = self.slaves(section, motion, sample_time)
+        return slave
+
+    def slaves(self, section: Any, motion: MotionPlan, sample_time: float = 0.0) -> tuple[Slave, ...]:
+        """The slaves of a section, named, with their connections in ``connect``.
 
         Args:
             section: the section.
             motion: motion for the section's builder.
             sample_time: default sample time [s].
         """
-        slave: Slave
+        made: Slave | tuple[Slave, ...]
         if isinstance(section, PythonSection):
-            made = from_source(section.source, section.arguments, section.folder)
-            slave = as_slave(made, self._names, section.name)
+            source = from_source(section.source, section.arguments, section.folder)
+            made = as_slave(source, self._names, section.name)
         elif isinstance(section, FmuSection):
-            slave = fmu_slave(
+            made = fmu_slave(
                 section.path,
                 self._names.of_file(section.path, section.name),
                 section.parameters,
@@ -133,15 +138,29 @@ class _Builder:
         else:
             # the name first: it seeds random numbers
             name = self._names.chosen(section.name, section.kind.replace("-", "_"))
-            slave = self._built(section, motion, name, sample_time)
-        # targets without the name of another slave are inputs of this slave, even if misspelt
-        own = {variable.name for variable in slave.variables if variable.causality == "input"}
+            made = self._built(section, motion, name, sample_time)
+        slaves = made if isinstance(made, tuple) else (made,)
+        if len(slaves) > 1:
+            for slave in slaves:
+                self._names.chosen(slave.name, slave.name)
+        self._connect(slaves, section.connect)
+        return slaves
+
+    def _connect(self, slaves: Sequence[Slave], connect: Mapping[str, str]) -> None:
+        """Add the connections of a section.
+
+        Targets without the name of another slave are inputs of this section's slaves, the first one's if misspelt.
+        """
+        inputs = {
+            slave.name: {each.name for each in slave.variables if each.causality == "input"}
+            for slave in reversed(slaves)
+        }
+        own = {name: slave for slave, names in inputs.items() for name in names}
         heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
-        for target, source in section.connect.items():
+        for target, source in connect.items():
             head, dot, _ = target.partition(".")
             is_own = target in own or not dot or head in heads
-            self.connect[f"{slave.name}.{target}" if is_own else target] = source
-        return slave
+            self.connect[f"{own.get(target, slaves[0].name)}.{target}" if is_own else target] = source
 
     def _built(self, section: Any, motion: MotionPlan, name: str, sample_time: float) -> Any:
         """What a section of a kind of our own describes."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection
+from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection, Sampling
 from flexfmu.model.scene.section import (
     NotNegative,
     NotNegativePerJoint,
@@ -75,6 +75,57 @@ class PidSection(SampledSection):
     derivative_weight: float = 1.0
     torque_limit: TorqueLimit = None
     anti_windup: AntiWindupSection = ClampingSection()
+
+
+class LoopOfCascade(Section):
+    """Sample time and offset of a loop of the cascade, by default those of the controller."""
+
+    sample_time: Annotated[Positive | None, quantity("s")] = None
+    offset: Annotated[NotNegative | None, quantity("s")] = None
+
+
+class PositionLoopSection(LoopOfCascade):
+    """Velocity command = proportional * position error + velocity_feedforward * reference velocity, within ± velocity_limit."""
+
+    proportional: Annotated[NotNegativePerJoint, quantity("1/s")]
+    velocity_feedforward: Annotated[NotNegativePerJoint, quantity("1")] = (1.0, 1.0)
+    velocity_limit: Annotated[PositivePerJoint | None, quantity("rad/s")] = None
+
+
+class VelocityLoopSection(LoopOfCascade):
+    """Torque command = proportional * velocity error + its integral * integral + inertia * reference acceleration."""
+
+    proportional: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
+    integral: Annotated[NotNegativePerJoint, quantity("N.m/rad")] = (0.0, 0.0)
+    inertia: Annotated[NotNegativePerJoint, quantity("kg.m2")] = (0.0, 0.0)
+
+
+class CurrentLoopSection(LoopOfCascade):
+    """The torque follows its command as a first-order lag, sampled; zero is a delay of one sample."""
+
+    time_constant: Annotated[NotNegativePerJoint, quantity("s")]
+
+
+class CascadeSection(SampledSection):
+    """The cascade of an industrial drive: position P, velocity PI, current loop.
+
+    Each loop has its own sample time and offset, by default those of the controller. Without `current` the torque is its
+    command. `torque_limit` holds for the command of the velocity loop, whose integral `anti_windup` protects, and in the current loop.
+    """
+
+    kind: Literal["cascade"]
+    position: PositionLoopSection
+    velocity: VelocityLoopSection
+    current: CurrentLoopSection | None = None
+    torque_limit: TorqueLimit = None
+    anti_windup: AntiWindupSection = ClampingSection()
+
+    def sampling(self, loop: LoopOfCascade) -> Sampling:
+        """Sample time and offset [s] of a loop."""
+        return Sampling(
+            sample_time=loop.sample_time or self.sample_time,
+            offset=self.offset if loop.offset is None else loop.offset,
+        )
 
 
 class ComputedTorqueSection(SampledSection):
@@ -152,6 +203,7 @@ class StateSpaceSection(SampledSection):
 ControllerSection = Annotated[
     PdSection
     | PidSection
+    | CascadeSection
     | ComputedTorqueSection
     | FeedforwardSection
     | LearningSection

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from sys import float_info
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
@@ -60,6 +60,13 @@ class LoopSection(Section):
 
     def __hash__(self) -> int:
         return hash(self.model_dump_json())
+
+
+class Sampling(TypedDict):
+    """Sample time and offset [s] of a block."""
+
+    sample_time: float
+    offset: float
 
 
 class SampledSection(LoopSection):

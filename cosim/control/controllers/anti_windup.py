@@ -14,6 +14,7 @@ import casadi
 from flexfmu.cosim.control.blocks.equations import Vector
 from flexfmu.cosim.control.controllers.joints import saturate
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene import controllers as scene
 
 
 class AntiWindup(Protocol):
@@ -88,3 +89,14 @@ class Unprotected:
     ) -> tuple[Vector, Vector]:
         """Add the full increment."""
         return integral + increment, integral + increment
+
+
+def from_section(section: scene.AntiWindupSection) -> AntiWindup:
+    """Return the rule of a section of the scene file."""
+    match section:
+        case scene.BackCalculationSection(tracking_time=time):
+            return BackCalculation(time)
+        case scene.ClampingSection():
+            return Clamping()
+        case scene.UnprotectedSection():
+            return Unprotected()

@@ -22,7 +22,7 @@ from math import isfinite
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
+from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping, from_section
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
     Limits,
@@ -38,7 +38,7 @@ from flexfmu.cosim.control.controllers.joints import (
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene import controllers as scene
+from flexfmu.model.scene.controllers import PidSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
@@ -151,17 +151,8 @@ def pid(
     )
 
 
-@builds(scene.PidSection)
-def _from_section(section: scene.PidSection, context: LoopContext) -> SymbolicBlock:
-    # the anti-windup of the section
-    anti_windup: AntiWindup
-    match section.anti_windup:
-        case scene.BackCalculationSection(tracking_time=time):
-            anti_windup = BackCalculation(time)
-        case scene.ClampingSection():
-            anti_windup = CLAMPING
-        case scene.UnprotectedSection():
-            anti_windup = Unprotected()
+@builds(PidSection)
+def _from_section(section: PidSection, context: LoopContext) -> SymbolicBlock:
     return pid(
         section.proportional,
         section.integral,
@@ -170,7 +161,7 @@ def _from_section(section: scene.PidSection, context: LoopContext) -> SymbolicBl
         setpoint_weight=section.setpoint_weight,
         derivative_weight=section.derivative_weight,
         limits=torque_limits(section.torque_limit),
-        anti_windup=anti_windup,
+        anti_windup=from_section(section.anti_windup),
         sample_time=section.sample_time,
         offset=section.offset,
     )

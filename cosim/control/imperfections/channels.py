@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import isfinite
 from numbers import Real
-from typing import TypedDict
 
 import casadi
 import numpy as np
@@ -20,6 +19,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.units import unit_exponents
 from flexfmu.model.scene.imperfections import EncoderSection, SignalSection
+from flexfmu.model.scene.loop import Sampling
 
 JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
 """Kind of a joint's signal → unit."""
@@ -103,13 +103,6 @@ def section_channels(
         return joint_channels(section.signal, context.before(section.signal))
     names = [f"{joint}.reference" for joint in JOINTS]
     return tuple(channel for kind in kinds for channel in joint_channels(kind, context.before(kind), names))
-
-
-class Sampling(TypedDict):
-    """Sample time and offset [s] of a block."""
-
-    sample_time: float
-    offset: float
 
 
 def sampling(section: SignalSection | EncoderSection, context: LoopContext) -> Sampling:

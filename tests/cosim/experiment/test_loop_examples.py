@@ -48,6 +48,12 @@ def test_controller_pid(tmp_path: Path) -> None:
     assert "settled after" in calculated
 
 
+def test_controller_cascade(tmp_path: Path) -> None:
+    """Without feedforward the angle lags by the velocity over the gain, 8.7 rad/s over 60 1/s; each feedforward takes most of the rest."""
+    alone, velocity, torque = (value(line, "tracking error") for line in lines("controller_cascade.py", tmp_path))
+    assert torque < 0.5 * velocity < 0.5 * 0.2 * alone
+
+
 def test_controller_computed_torque(tmp_path: Path) -> None:
     """Faster sampling helps where the model is right, hardly where the payload is wrong."""
     slow, slow_wrong, fast, fast_wrong = (value(x, "error") for x in lines("controller_computed_torque.py", tmp_path))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from export_support.blocks import SAMPLE_TIME, delay, pd_controller, reciprocal, saturation
 from export_support.instance import Instance, RefusedError, run
+from export_support.kinds import KINDS
 
 Export = Callable[..., Any]
 
@@ -30,7 +31,13 @@ def play(instance: Instance, seed: int, rounds: int = 8) -> list[list[float]]:
     return rows
 
 
-@pytest.mark.parametrize("make", [pd_controller, delay, saturation], ids=lambda make: make.__name__)
+STATEFUL = ("velocity_loop", "current_loop")
+"""Kinds of the toolkit whose states are their own."""
+
+OF_THE_TOOLKIT = [pytest.param(KINDS[name], id=name) for name in STATEFUL]
+
+
+@pytest.mark.parametrize("make", [pd_controller, delay, saturation, *OF_THE_TOOLKIT])
 @pytest.mark.parametrize("within", [0.0, 0.5], ids=["due", "held"])
 def test_restored_state_replays(export: Export, make: Callable[[], Any], within: float) -> None:
     """A master that repeats a step must get the same numbers, bit by bit, also from a sample that is due."""

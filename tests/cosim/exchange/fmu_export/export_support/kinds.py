@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export_support.blocks import SAMPLE_TIME, expected
+from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
@@ -68,6 +69,10 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "pd": lambda: pd((900.0, 800.0), 12.0, limits=symmetric(40.0), **TIME),
     "pid": lambda: pid(900.0, 4e4, 12.0, filter_time=3e-3, limits=symmetric(40.0), **TIME),
     "pid: unfiltered": lambda: pid(0.0, 0.0, 100.0, **TIME),
+    "position_loop": lambda: position_loop((40.0, 30.0), velocity_feedforward=0.9, velocity_limit=25.0, **TIME),
+    "velocity_loop": lambda: velocity_loop(9.0, 500.0, inertia=0.2, limits=symmetric(8.0), **TIME),
+    "velocity_loop: unlimited": lambda: velocity_loop((9.0, 8.0), 500.0, commands_current=False, **TIME),
+    "current_loop": lambda: current_loop(2e-3, limits=symmetric(0.8), initial_torque=(0.3, -0.2), **TIME),
     "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
     "tabulated_feedforward": lambda: tabulated_feedforward(np.linspace(-1.0, 2.0, 160).reshape(80, 2), **TIME),

@@ -1,0 +1,73 @@
+"""What a sample of each kind of controller costs beside a plant that does nothing. Used by `speed.py`; not a script of its own."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from idle import idle_fmu
+from paper_scene import SCENE, Timed, best_times, timed
+from speed_figure import SpeedFigure
+
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.master.simulator import Simulator
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.wiring import wire
+
+DRIVEN = SCENE.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+
+TIME = {"sample_time": 2.5e-4}
+"""Of all loops, and the communication step [s]: 4 kHz."""
+
+SECONDS = 4.0
+"""Length of the runs that tell what a sample costs."""
+
+ROUNDS = 4
+"""Rounds of runs of which the fastest counts."""
+
+PD = {"kind": "pd", "proportional": 1e3, "derivative": 10.0, **TIME}
+CASCADE = {
+    "kind": "cascade",
+    "position": {"proportional": 60.0},
+    "velocity": {"proportional": 120.0, "integral": 6e3},
+    "current": {"time_constant": 2e-4},
+    "torque_limit": 90.0,
+    **TIME,
+}
+
+LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
+    "PD": ([PD], None, 1.0),
+    "cascade of three loops": ([CASCADE], None, 1.5),
+}
+"""What is sampled → controllers, the entry whose time is taken off (None: the plant alone), and target [µs]."""
+
+
+def looped(controllers: Sequence[dict[str, Any]], idle: Path) -> Timed:
+    """A run of a plant that does nothing under the controllers of a scene."""
+    loop = loop_of(DRIVEN.replace({"controller": list(controllers)}))
+    references, plant = TrajectorySlave(loop.driving), FmuSlave(idle, "plant", output_order=0)
+    connections = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect).connections
+    system = connect([references, plant, *loop.controllers], connections)
+    record = Selection(["plant.joint1.position"], order=0)
+    simulator = Simulator(system, SECONDS, TIME["sample_time"], record=record)
+    if (result := simulator.run()).outcome is not Outcome.COMPLETED:
+        raise SystemExit(result.message)
+    return timed(simulator.run)
+
+
+def controller_figures() -> Iterator[SpeedFigure]:
+    """All lines: the run's time beyond that of the entry named, for each sample."""
+    with tempfile.TemporaryDirectory(prefix="flexfmu-controllers-") as name:
+        idle = idle_fmu(build_scene(DRIVEN).path, Path(name))
+        runs = [looped([], idle), *(looped(controllers, idle) for controllers, _, _ in LOOPS.values())]
+        times = dict(zip([None, *LOOPS], best_times(runs, ROUNDS), strict=True))
+    for what, (_, base, target) in LOOPS.items():
+        cost = (times[what] - times[base]) * TIME["sample_time"] / SECONDS
+        yield SpeedFigure(f"{what}, a sample", 1e6 * cost, target, "µs")

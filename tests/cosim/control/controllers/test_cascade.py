@@ -1,0 +1,376 @@
+"""The cascade of a drive: closed forms of its loops, several rates against a simulation of its own, and what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
+from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
+from flexfmu.cosim.control.controllers.joints import Limits, symmetric
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, Sampled, Slave, SlaveVariable
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.symbolic import SymbolicBlock
+
+Array = NDArray[np.float64]
+Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
+
+H = 1e-3
+ONE = ("axis",)
+
+
+def test_position_loop_is_its_formula(respond: Respond) -> None:
+    """Gain, share of the reference velocity and limit of each joint."""
+    rng = np.random.default_rng(0)
+    block = position_loop([50.0, 70.0], sample_time=H, velocity_feedforward=[1.0, 0.25], velocity_limit=[40.0, 60.0])
+    signals = {each.name: rng.normal(size=50) for each in block.inputs}
+    found = respond(block, signals)
+    for joint, gain, share, limit in (("joint1", 50.0, 1.0, 40.0), ("joint2", 70.0, 0.25, 60.0)):
+        error = signals[f"{joint}.reference.position"] - signals[f"{joint}.position"]
+        command = np.clip(gain * error + share * signals[f"{joint}.reference.velocity"], -limit, limit)
+        assert (abs(command) == limit).any()
+        np.testing.assert_allclose(found[f"{joint}.command.velocity"], command, rtol=1e-14, atol=1e-13)
+
+
+def test_velocity_loop_is_its_transfer_function(respond: Respond) -> None:
+    """P and the trapezoidal I against `control.forced_response`, with the torque of the reference acceleration and a feedforward."""
+    k_p, k_i, inertia = 40.0, 3e3, 0.3
+    rng = np.random.default_rng(2)
+    error, acceleration, feedforward = rng.normal(size=(3, 300))
+    error[0] = 0.0
+    block = velocity_loop(k_p, k_i, sample_time=H, inertia=inertia, joints=ONE)
+    inputs = {"axis.command.velocity": 0.5 * error, "axis.velocity": -0.5 * error}
+    inputs |= {"axis.reference.acceleration": acceleration, "axis.feedforward": feedforward}
+    found = respond(block, inputs)["axis.command.torque"]
+    integral = control.tf([k_i * H / 2.0, k_i * H / 2.0], [1.0, -1.0], H)
+    summed = control.forced_response(integral, H * np.arange(error.size), error).outputs
+    expected = k_p * error + summed + inertia * acceleration + feedforward
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * abs(expected).max())
+
+
+@pytest.mark.parametrize("time_constant", [0.0, 2e-4, 5e-3])
+def test_current_loop_is_a_lag(respond: Respond, time_constant: float) -> None:
+    """y(k) = c + (y0 - c) exp(-k h / T) for a constant command c, which is limited; a delay of one sample with T = 0."""
+    block = current_loop(time_constant, sample_time=H, limits=symmetric(8.0), initial_torque=3.0, joints=ONE)
+    k = np.arange(40)
+    fading = np.exp(-k * H / time_constant) if time_constant else (k == 0).astype(float)
+    for command in (5.0, 11.0, -20.0):
+        target = float(np.clip(command, -8.0, 8.0))
+        found = respond(block, {"axis.command.torque": np.full(k.size, command)})["axis.torque"]
+        np.testing.assert_allclose(found, target + (3.0 - target) * fading, rtol=1e-12, atol=1e-13)
+    assert block.feedthrough["axis.torque"] == ()
+
+
+def test_not_a_number_passes_every_limit(respond: Respond) -> None:
+    """A measurement that is not a number must not come out as a harmless looking limit."""
+    blocks = {
+        "axis.position": position_loop(1.0, sample_time=H, velocity_limit=1.0, joints=ONE),
+        "axis.velocity": velocity_loop(1.0, 1.0, sample_time=H, limits=symmetric(1.0), joints=ONE),
+        "axis.command.torque": current_loop(1e-3, sample_time=H, limits=symmetric(1.0), joints=ONE),
+    }
+    for name, block in blocks.items():
+        (found,) = respond(block, {name: [0.0, np.nan, 0.0]}).values()
+        assert np.isnan(found[-2:]).any(), name
+
+
+class Motion:
+    """References of an axis: a sine, and a ramp from 0.1 s on, with their derivatives."""
+
+    name = "motion"
+    variables = tuple(
+        SlaveVariable(f"axis.reference.{kind}", "output") for kind in ("position", "velocity", "acceleration")
+    )
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = 0.0
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = np.array(self.at(self.time))[indices]
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+
+    @staticmethod
+    def at(time: float) -> tuple[float, float, float]:
+        """Position, velocity, acceleration."""
+        rate = 30.0
+        ramp = max(0.0, time - 0.1)
+        return (
+            np.sin(rate * time) + 5.0 * ramp,
+            rate * np.cos(rate * time) + 5.0 * (ramp > 0.0),
+            -(rate**2) * np.sin(rate * time),
+        )
+
+
+class Axis:
+    """An inertia that a held torque turns, with a load that pulls; exact over every step."""
+
+    name = "plant"
+    variables = (
+        SlaveVariable("axis.position", "output"),
+        SlaveVariable("axis.velocity", "output"),
+        SlaveVariable("axis.torque", "input", start=0.0),
+    )
+    feedthrough: Mapping[str, tuple[str, ...]] = {"axis.position": (), "axis.velocity": ()}
+    inertia, load = 0.2, 3.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.values = np.zeros(3)
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.values[indices] = values
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.values[indices]
+
+    def step(self, time: float, step: float) -> None:
+        angle, rate, torque = self.values
+        self.values[:2] = self.moved(angle, rate, torque, step)
+
+    @classmethod
+    def moved(cls, angle: float, rate: float, torque: float, step: float) -> tuple[float, float]:
+        """Angle and rate after a step."""
+        acceleration = (torque - cls.load) / cls.inertia
+        return angle + step * rate + step**2 / 2.0 * acceleration, rate + step * acceleration
+
+
+GAINS = {"K_v": 45.0, "V": 0.8, "limit": 18.0, "K_p": 9.0, "K_i": 400.0, "J": 0.15, "T": 4e-4}
+
+
+def blocks_of(clocks: Mapping[str, tuple[Fraction, Fraction]], anti_windup: AntiWindup) -> list[SymbolicBlock]:
+    """The three loops of one axis with the gains above, and torques up to 60 N.m."""
+    at = {kind: {"sample_time": float(clock[0]), "offset": float(clock[1])} for kind, clock in clocks.items()}
+    g, limits = GAINS, symmetric(60.0)
+    options: Any = {"anti_windup": anti_windup, "inertia": g["J"], "limits": limits, "joints": ONE}
+    return [
+        position_loop(g["K_v"], velocity_feedforward=g["V"], velocity_limit=g["limit"], joints=ONE, **at["position"]),
+        velocity_loop(g["K_p"], g["K_i"], **options, **at["velocity"]),
+        current_loop(g["T"], limits=limits, joints=ONE, **at["current"]),
+    ]
+
+
+def own_simulation(clocks: Mapping[str, tuple[Fraction, Fraction]], stop: Fraction, rule: str) -> Array:
+    """(N, 4) time, angle, rate and torque at all instants: the formulas of the cascade by hand, instants as fractions.
+
+    Before its first sample a loop holds what it has computed at the start from its start states.
+    """
+    g, limit = GAINS, 60.0
+    instants = {
+        kind: {offset + k * h for k in range(int((stop - offset) / h) + 1)} for kind, (h, offset) in clocks.items()
+    }
+    angle = rate = torque = integral = last = 0.0
+    started, lag = False, 0.0
+    q_r, w_r, a_r = Motion.at(0.0)
+    # what initialisation leaves: outputs of the start states
+    command = np.clip(g["K_v"] * (q_r - angle) + g["V"] * w_r, -g["limit"], g["limit"])
+    wanted = np.clip(g["K_p"] * (command - rate) + g["J"] * a_r, -limit, limit)
+    rows, before = [], Fraction(0)
+    for now in sorted(set.union(*instants.values())):
+        angle, rate = Axis.moved(angle, rate, torque, float(now - before))
+        q_r, w_r, a_r = Motion.at(float(now))
+        if now in instants["position"]:
+            command = np.clip(g["K_v"] * (q_r - angle) + g["V"] * w_r, -g["limit"], g["limit"])
+        if now in instants["velocity"]:
+            h, error = float(clocks["velocity"][0]), command - rate
+            grown = g["K_i"] * h / 2.0 * (error + last) if started else 0.0
+            rest = g["K_p"] * error + g["J"] * a_r
+            total = rest + integral + grown
+            wanted = np.clip(total, -limit, limit)
+            if rule == "clamping" and (total - wanted) * grown > 0.0:
+                grown = 0.0
+                wanted = np.clip(rest + integral, -limit, limit)
+            integral += grown
+            if rule == "back-calculation":
+                integral += (1.0 - np.exp(-h / 0.01)) * (wanted - total)
+            started, last = True, error
+        if now in instants["current"]:
+            torque, lag = lag, wanted + np.exp(-float(clocks["current"][0]) / g["T"]) * (lag - wanted)
+        rows.append((float(now), angle, rate, torque))
+        before = now
+    return np.array(rows)
+
+
+MS = Fraction(1, 1000)
+CLOCKS = {
+    "one rate": {"position": (MS, 0 * MS), "velocity": (MS, 0 * MS), "current": (MS, 0 * MS)},
+    "multiples": {"position": (MS, 0 * MS), "velocity": (MS / 4, 0 * MS), "current": (MS / 16, 0 * MS)},
+    "offsets": {"position": (MS, MS / 3), "velocity": (MS / 4, MS / 10), "current": (MS / 16, MS / 40)},
+    "no multiples": {"position": (2 * MS, MS / 2), "velocity": (3 * MS / 4, 0 * MS), "current": (MS / 7, MS / 10)},
+}
+
+
+@pytest.mark.parametrize("clocks", CLOCKS.values(), ids=CLOCKS)
+@pytest.mark.parametrize(
+    "rule", [("clamping", Clamping()), ("back-calculation", BackCalculation(0.01)), ("none", Unprotected())]
+)
+def test_several_rates_against_a_simulation_of_its_own(
+    clocks: Mapping[str, tuple[Fraction, Fraction]], rule: tuple[str, AntiWindup]
+) -> None:
+    """Three clocks, both limits reached, every anti-windup: angle, rate and torque to 1e-12 at every instant."""
+    stop = 250 * MS
+    slaves: list[Slave] = [Motion(), Axis(), *(BlockSlave(each) for each in blocks_of(clocks, rule[1]))]
+    owners = {"motion": slaves[0], "plant": slaves[1]} | {each.name: each for each in slaves[2:]}
+    outputs = {v.name: f"{n}.{v.name}" for n, each in owners.items() for v in each.variables if v.causality == "output"}
+    wires = [
+        (outputs[v.name], f"{n}.{v.name}")
+        for n, each in owners.items()
+        for v in each.variables
+        if v.causality == "input" and v.name in outputs
+    ]
+    result = simulate(connect(slaves, wires), stop=float(stop), step=float(MS / 3))
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time, exact = result.recording.time, own_simulation(clocks, stop, rule[0])
+    # the last recorded value of each instant is that after its samples
+    rows = np.searchsorted(time, exact[:, 0] + 1e-9) - 1
+    np.testing.assert_allclose(time[rows], exact[:, 0], rtol=0.0, atol=1e-15)
+    for column, name in ((1, "plant.axis.position"), (2, "plant.axis.velocity"), (3, "current.axis.torque")):
+        scale = abs(exact[:, column]).max()
+        np.testing.assert_allclose(
+            result.recording[name].values[rows], exact[:, column], rtol=0.0, atol=1e-12 * scale, err_msg=name
+        )
+    assert abs(exact[:, 3]).max() > 59.0, "the torque reaches its limit"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
+def test_velocity_lag(share: float) -> None:
+    """While a velocity is constant the angle lags by (1 - V) w_r / K_v: the integral makes the velocity its command."""
+    k_v, rate, blocks = 40.0, 2.0, [
+        position_loop(40.0, sample_time=H, velocity_feedforward=share, joints=ONE),
+        velocity_loop(9.0, 400.0, sample_time=H, joints=ONE, commands_current=False),
+    ]  # fmt: skip
+    position, velocity = (BlockSlave(each) for each in blocks)
+    for slave in (position, velocity):
+        slave.initialize(0.0, 1.0, None)
+    angle = speed = 0.0
+    value = np.empty(1)
+    for k in range(4000):
+        position.set(np.arange(3), np.array([rate * k * H, rate, angle]))
+        position.sample(k * H)
+        position.get(np.array([len(position.variables) - 1]), value)
+        velocity.set(np.arange(2), np.array([value[0], speed]))
+        velocity.sample(k * H)
+        velocity.get(np.array([len(velocity.variables) - 1]), value)
+        angle, speed = Axis.moved(angle, speed, value[0], H)
+    assert rate * 4000 * H - angle == pytest.approx((1.0 - share) * rate / k_v, rel=1e-9, abs=1e-11)
+
+
+LOOPS: dict[str, Any] = {
+    "kind": "cascade",
+    "sample_time": 1e-3,
+    "offset": 2e-4,
+    "torque_limit": [80.0, 90.0],
+    "position": {"proportional": 60.0, "velocity_limit": 12.0},
+    "velocity": {"proportional": 120.0, "integral": 6e3, "sample_time": 2.5e-4, "offset": 0.0},
+    "current": {"time_constant": 2e-4, "sample_time": 6.25e-5},
+}
+
+
+def loop_with(robot: Any, **changes: Any) -> tuple[Slave, ...]:
+    """The controllers of the paper's robot with the cascade above, changed."""
+    return loop_of(robot.replace({"controller": [{**LOOPS, **changes}]})).controllers
+
+
+@pytest.fixture(scope="module")
+def robot() -> Any:
+    """Rigid, driven by torques."""
+    rigid = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.motor_inertia": 0.1}
+    return load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", **rigid})
+
+
+def test_loops_of_a_scene(robot: Any) -> None:
+    """Their names, their clocks, which are those of the controller unless they have their own, and the limits of both inner loops."""
+    _, velocity, current = slaves = loop_with(robot)
+    assert [each.name for each in slaves] == ["cascade_position", "cascade_velocity", "cascade_current"]
+    assert all(isinstance(each, Sampled) for each in slaves)
+    clocks = [(each.sample_time, each.offset) for each in slaves if isinstance(each, BlockSlave)]
+    assert clocks == [(1e-3, 2e-4), (2.5e-4, 0.0), (6.25e-5, 2e-4)]
+    for slave in (velocity, current):
+        limits = {each.name: each.start for each in slave.variables if "imum" in each.name}
+        expected = {"joint1.torque.minimum": -80.0, "joint2.torque.minimum": -90.0}
+        assert limits == expected | {"joint1.torque.maximum": 80.0, "joint2.torque.maximum": 90.0}
+    # the current loop starts from the torques that hold the robot
+    initial = [each.start for each in current.variables if each.name.endswith("initial")]
+    assert all(each != 0.0 for each in initial)
+
+
+def test_without_a_current_loop_the_command_is_the_torque(robot: Any) -> None:
+    """Two blocks, the second of which drives the robot."""
+    names = [
+        {each.name for each in slave.variables if each.causality == "output"}
+        for slave in loop_with(robot, current=None)
+    ]
+    assert names[1:] == [{"joint1.torque", "joint2.torque"}]
+
+
+def test_connections_of_a_cascade_reach_its_loops(robot: Any) -> None:
+    """`connect` names inputs of any of the three."""
+    scene = robot.replace({"controller": [{**LOOPS, "connect": {"joint1.velocity": "joint2.velocity"}}]})
+    assert dict(loop_of(scene).connect) == {"cascade_velocity.joint1.velocity": "joint2.velocity"}
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"position": {"proportional": -1.0}}, r"position.proportional.*must be at least 0\.0"),
+    ({"position": {}}, r"position.proportional"),
+    ({"velocity": {"proportional": 1.0, "integral": float("nan")}}, r"velocity.integral"),
+    ({"velocity": {"proportional": 1.0, "sample_time": 0.0}}, r"velocity.sample_time.*above 0"),
+    ({"current": {"time_constant": 1e-4, "offset": -1.0}}, r"current.offset.*must be at least 0\.0"),
+    ({"current": {"bandwidth": 1e3}}, r"current.bandwidth"),
+])  # fmt: skip
+def test_scenes_are_refused(robot: Any, changes: dict[str, Any], message: str) -> None:
+    """The key, its value and what would be right."""
+    with pytest.raises(SceneError, match=message):
+        robot.replace({"controller": [{**LOOPS, **changes}]})
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: position_loop(np.nan, sample_time=H), "position_gain of joint1 must be finite, got nan 1/s"),
+    (lambda: position_loop(1.0, sample_time=H, velocity_limit=[1.0, -1.0]), "velocity_limit of joint2 must be at least 0.0 rad/s"),
+    (lambda: velocity_loop(1.0, [1.0, 2.0, 3.0], sample_time=H), "must be one number or 2"),
+    (lambda: velocity_loop(1.0, 1.0, sample_time=H, inertia=-0.1), "inertia of joint1 must be at least 0.0 kg.m2, got -0.1"),
+    (lambda: velocity_loop(1.0, 1.0, sample_time=H, limits=Limits(1.0, -1.0)), "must be below the upper one"),
+    (lambda: current_loop(-1e-4, sample_time=H), "time_constant of joint1 must be at least 0.0 s"),
+    (lambda: current_loop(1e-4, sample_time=0.0), "the sample time must be positive"),
+])  # fmt: skip
+def test_refused(make: Callable[[], SymbolicBlock], message: str) -> None:
+    """Wrong gains, times and limits, with value and unit."""
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+ANY = st.one_of(st.floats(), st.floats(0.0, 1e3), st.just(0.0))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(ANY, min_size=4, max_size=4), st.sampled_from([H, H, H, 0.0, -H, np.nan, np.inf]))
+def test_any_numbers_make_blocks_or_an_error(values: list[float], sample_time: float) -> None:
+    """Gains that are finite and not negative and a positive sample time make a cascade, all others one sentence."""
+
+    def make() -> list[SymbolicBlock]:
+        return [
+            position_loop(values[0], sample_time=sample_time, velocity_limit=values[1]),
+            velocity_loop(values[2], 1.0, sample_time=sample_time),
+            current_loop(values[3], sample_time=sample_time),
+        ]
+
+    if sample_time == H and all(0.0 <= each < np.inf for each in values):
+        assert [each.parameters[0].start for each in make()] == [values[0], *values[2:]]
+        return
+    with pytest.raises(InputError) as refused:
+        make()
+    assert "\n" not in str(refused.value)
