@@ -79,6 +79,17 @@ def test_compare_controllers(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_tune_loop(tmp_path: Path) -> None:
+    """The tuned loop tracks better, within the limits; the folder has a scene that runs."""
+    *gains, errors = run_example("tune_loop.py", tmp_path).splitlines()
+    assert [each.partition(" = ")[0] for each in gains] == ["pd.kp", "pd.kd"]
+    tuned, given = numbers(errors)
+    assert tuned < 0.8 * given
+    assert errors.endswith("within limits: True")
+    assert 'name = "loop"' in (tmp_path / "tuned" / "tuned.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
 def test_results_in_other_tools(tmp_path: Path) -> None:
     """The Python of docs/results.md runs, and writes what it says; the number beside a metric is right."""
     text = (EXAMPLES.parent / "docs" / "results.md").read_text(encoding="utf-8")

@@ -38,6 +38,7 @@ from flexfmu.cosim.cli.scenes import new, scenes
 from flexfmu.cosim.cli.schema import schema
 from flexfmu.cosim.cli.shaper import shaper
 from flexfmu.cosim.cli.sweep import sweep
+from flexfmu.cosim.cli.tune import tune
 from flexfmu.cosim.cli.validate import validate
 from flexfmu.cosim.cli.workprec import workprec
 
@@ -115,6 +116,7 @@ for _command in (
     run,
     compare,
     sweep,
+    tune,
     plan,
     paper,
     modes,

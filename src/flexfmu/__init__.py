@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, sweep
+    from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, sweep, tune
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.motors import motor_loads
@@ -46,6 +46,7 @@ __all__ = [
     "plan_motion",
     "run",
     "sweep",
+    "tune",
 ]
 
 _HOMES = {
@@ -65,6 +66,7 @@ _HOMES = {
     "plan_motion": "flexfmu.api",
     "run": "flexfmu.api",
     "sweep": "flexfmu.api",
+    "tune": "flexfmu.api",
 }
 """Public name → module that it is imported from at its first use."""
 

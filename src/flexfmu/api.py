@@ -23,6 +23,7 @@ from flexfmu.model.scene.schema import Scene
 if TYPE_CHECKING:
     import control
 
+    from flexfmu.cosim.choices.gains.tuner import TuneResult
     from flexfmu.cosim.choices.plans.planner import PlanResult
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
@@ -397,6 +398,80 @@ def sweep(
     )
     if folder is not None:
         write_files(result, folder, plot=False)
+    return result
+
+
+def tune(
+    scene: SceneSource,
+    over: Mapping[str, Sequence[float] | str],
+    minimise: str = "rms_tracking_error",
+    subject_to: Sequence[str] = (),
+    *,
+    payload_band: float | tuple[float, float] | None = None,
+    method: str = "trust-region",
+    trials: int | None = None,
+    seed: int = 0,
+    processes: int | None = None,
+    out: str | Path | None = None,
+    restart: bool = False,
+    progress: Callable[[str, float | None], None] | None = None,
+) -> TuneResult:
+    """Tune gains and other keys of a scene: what minimises a figure within limits, by runs without derivatives.
+
+        result = flexfmu.tune("loop.toml", {"pd.kp": (1e3, 1e5), "pd.kd": (10, 500)}, subject_to=["peak_torque < 80"])
+        result.values, result.scene, result.to_pandas()
+
+    Calls `flexfmu.cosim.choices.gains.front.tune_scene`.
+
+    Args:
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        over: key → (from, to), the interval of its values in the unit of the key; logarithmic where its ends are positive and differ
+            by a factor of 4 or more.
+        minimise: name of a metric; of both joints the larger without a number at its end, ``rms_tracking_error``.
+        subject_to: conditions ``FIGURE < LIMIT`` or ``FIGURE > LIMIT``, in SI units or with a unit: ``settling_time < 20ms``.
+        payload_band: payloads for which all metrics hold, which controllers, shapers and motion don't know: a fraction to both
+            sides, or the lightest and the heaviest payload [kg]; None for the scene's alone.
+        method: ``trust-region``, which improves the best of the first trials, or ``sample``, which makes first trials alone.
+        trials: number of trials; None for some 50 for each key.
+        seed: of the first trials.
+        processes: number of processes of the first trials; None for one on each processor.
+        out: folder for ``tuned.toml``, ``tune.csv`` and ``tune.json``, where every trial is kept at once: the same call continues
+            where it was interrupted. None for memory alone.
+        restart: whether the trials of another tuning in the folder are discarded.
+        progress: function that is called with what is being done, and the finished fraction.
+
+    Returns:
+        The best trial, the scene with its values, and all trials; the best so far after Ctrl-C. ``result.is_feasible`` tells
+        whether it keeps all limits.
+
+    Raises:
+        SceneError: the scene doesn't exist, a key is unknown, or an end of its interval is invalid.
+        InputError: a figure, a condition, an interval or the method is invalid, or the folder has another tuning.
+        BuildError: there is no C compiler.
+        ResultsError: all trials failed, or a file can't be written.
+        TypeError: ``scene`` is of another type.
+    """
+    from flexfmu.cosim.choices.gains.front import tune_scene
+    from flexfmu.cosim.choices.gains.tuned_files import write_tuned, write_tuning
+
+    folder = None if out is None else Path(out)
+    result = tune_scene(
+        resolved(_scene(scene)),
+        over,
+        minimise,
+        subject_to,
+        payload_band=payload_band,
+        method=method,
+        trials=trials,
+        seed=seed,
+        processes=processes or os.cpu_count() or 1,
+        folder=folder,
+        restart=restart,
+        show=progress or (lambda text, fraction: None),
+    )
+    if folder is not None:
+        write_tuning(result, folder)
+        write_tuned(result, folder / "tuned.toml", None if isinstance(scene, Scene) else scene)
     return result
 
 

@@ -15,6 +15,7 @@ import tomlkit
 from flexfmu.cosim.choices.plans.assessment import Assessment
 from flexfmu.cosim.choices.plans.plan_page import plan_page
 from flexfmu.cosim.choices.plans.planner import FRONT, PlanResult
+from flexfmu.cosim.choices.scene_files import toml_item
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
 from flexfmu.trajectories.piecewise import Coordinates
 from flexfmu.trajectories.table import write_table
@@ -56,7 +57,7 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
         document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
     for key, value in data.items():
-        document.add(key, _item(value))
+        document.add(key, toml_item(value))
     return [write_whole(path, tomlkit.dumps(document)), *written]
 
 
@@ -70,29 +71,6 @@ def _comments(result: PlanResult) -> list[str]:
         f"(given {1e6 * given.residual:.3g} um) over payloads of {low:g} to {high:g} kg.",
         result.verdict[0].upper() + result.verdict[1:] + ".",
     ]
-
-
-def _item(value: Any) -> Any:
-    """A value for TOML: sections below the first level in one line."""
-    if isinstance(value, dict):
-        table = tomlkit.table()
-        for key, each in value.items():
-            table.add(key, _inline(each))
-        return table
-    if isinstance(value, list) and value and isinstance(value[0], dict):
-        tables = tomlkit.aot()
-        for each in value:
-            tables.append(_item(each))
-        return tables
-    return value
-
-
-def _inline(value: Any) -> Any:
-    if isinstance(value, dict):
-        table = tomlkit.inline_table()
-        table.update({key: _inline(each) for key, each in value.items()})
-        return table
-    return [_inline(each) for each in value] if isinstance(value, list) else value
 
 
 def write_plan(result: PlanResult, folder: Path) -> list[Path]:

@@ -3,7 +3,6 @@ the table that applies it, and the scene file with that table."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +10,10 @@ from typing import Any
 
 import tomlkit
 
+from flexfmu.cosim.choices.scene_files import changed_document
 from flexfmu.cosim.choices.shapers.study import UNSHAPED_NAME, CandidateResult
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.model.scene.file import load_scene, read_scene_text
-from flexfmu.model.scene.keys import set_value
+from flexfmu.model.scene.file import load_scene
 
 RESOLUTION = 1e-4
 """Difference of times to rest [s] below which they are equal and the smaller path deviation decides."""
@@ -168,16 +167,8 @@ def write_shaped(
     Raises:
         ResultsError: the file can't be written.
     """
-    text, label, folder = read_scene_text(source)
-    # remove the shapers, and make the paths relative to the new folder
-    document = tomlkit.parse(text)
-    for changed, value in (changes or {}).items():
-        set_value(document, changed, value, label)
+    document = changed_document(source, target, changes or {})
     document.pop("shaper", None)
-    for table in (document["trajectory"], *document.get("controller", ()), *document.get("imperfection", ())):
-        key = {"fmu": "path", "python": "folder", "table": "file"}.get(table.get("kind"))
-        if key is not None and folder is not None:
-            table[key] = os.path.relpath(folder / table.get(key, "."), target.resolve().parent)
     # append the new shaper
     if section:
         document.append("shaper", _tables(section))

@@ -1,0 +1,170 @@
+"""What tuned values shall do: a figure to minimise, and conditions such as ``peak_torque_1 < 80 N.m``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS
+
+UNITS: Mapping[str, tuple[str, float]] = {
+    "rad": ("rad", 1.0),
+    "mrad": ("rad", 1e-3),
+    "deg": ("rad", math.pi / 180.0),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "µs": ("s", 1e-6),
+    "m": ("m", 1.0),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+    "µm": ("m", 1e-6),
+    "N.m": ("N.m", 1.0),
+    "N·m": ("N.m", 1.0),
+    "Nm": ("N.m", 1.0),
+    "W": ("W", 1.0),
+    "J": ("J", 1.0),
+    "m/s": ("m/s", 1.0),
+    "m/s2": ("m/s2", 1.0),
+    "rad/s": ("rad/s", 1.0),
+}
+"""Unit of a limit → SI unit, and factor to it."""
+
+_CONDITION = re.compile(
+    r"\s*(?P<name>[\w.-]+)\s*(?P<sign><=?|>=?)\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ%][\w./·]*)?\s*"
+)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A figure of a loop.
+
+    Attributes:
+        name: as it was asked for: of a metric, or of a metric without its joint.
+        parts: the metrics; the figure is the largest of them.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return ALL_METRICS[self.parts[0]].unit
+
+    def of(self, figures: Mapping[str, float | None], *, largest: bool = True) -> float | None:
+        """The figure, from those of a loop: the larger of both joints, or the smaller; None where one is missing."""
+        values = [figures.get(part) for part in self.parts]
+        known = [each for each in values if each is not None and not math.isnan(each)]
+        if len(known) < len(values):
+            return None
+        return max(known) if largest else min(known)
+
+    def shown(self, value: float | None) -> str:
+        """The value in the unit of tables."""
+        if value is None:
+            return "–"
+        info = ALL_METRICS[self.parts[0]]
+        return f"{value * info.display_factor:.4g} {info.display_unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A limit of a figure.
+
+    Attributes:
+        goal: the figure.
+        upper: whether the limit is the largest value, otherwise the smallest.
+        limit: in the figure's SI unit.
+        text: as it was written.
+    """
+
+    goal: Goal
+    upper: bool
+    limit: float
+    text: str
+
+    def excesses(self, figures: Mapping[str, float | None]) -> list[float]:
+        """How far each part of the figure is beyond the limit, relative to it; negative within it, infinite without a value.
+
+        For a limit of zero it is the distance itself.
+        """
+        found = []
+        for part in self.goal.parts:
+            value = figures.get(part)
+            if value is None or math.isnan(value):
+                found.append(math.inf)
+                continue
+            distance = value - self.limit if self.upper else self.limit - value
+            found.append(distance / abs(self.limit) if self.limit else distance)
+        return found
+
+    def shown(self, figures: Mapping[str, float | None]) -> str:
+        """The figure that is closest to the limit, in the unit of tables."""
+        return self.goal.shown(self.goal.of(figures, largest=self.upper))
+
+
+def split(texts: Iterable[str]) -> list[str]:
+    """Return the parts between commas of options that take several at once."""
+    return [part.strip() for text in texts for part in text.split(",") if part.strip()]
+
+
+def parse_goal(name: str) -> Goal:
+    """Return the figure of a name, ``rms_tracking_error`` for the larger one of both joints.
+
+    Raises:
+        InputError: there is no such figure.
+    """
+    if name in ALL_METRICS:
+        return Goal(name, (name,))
+    parts = tuple(each for each in (f"{name}_1", f"{name}_2") if each in ALL_METRICS)
+    if len(parts) == 2:
+        return Goal(name, parts)
+    known = [*ALL_METRICS, *dict.fromkeys(each[:-2] for each in ALL_METRICS if each.endswith("_2"))]
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
+    raise InputError(f"there is no metric {name!r}; {hint}")
+
+
+def parse_condition(text: str) -> Condition:
+    """Return a condition from ``FIGURE<LIMIT`` or ``FIGURE>LIMIT``; the limit may have a unit, and is in SI units without one.
+
+    Raises:
+        InputError: it has another form, or the unit isn't the figure's.
+    """
+    found = _CONDITION.fullmatch(text)
+    number = _number(found["number"]) if found else None
+    if found is None or number is None:
+        raise InputError(
+            f"a condition is FIGURE<LIMIT or FIGURE>LIMIT, peak_torque_1<80 or settling_time<20ms, got {text!r}"
+        )
+    goal, unit = parse_goal(found["name"]), found["unit"]
+    return Condition(goal, found["sign"].startswith("<"), _in_si(number, unit, goal, text), text.strip())
+
+
+def _in_si(number: float, unit: str | None, goal: Goal, text: str) -> float:
+    """The limit in SI units.
+
+    Raises:
+        InputError: the unit isn't the figure's.
+    """
+    if unit is None:
+        return number
+    base, factor = UNITS.get(unit, ("", 1.0))
+    if base != goal.unit:
+        own = [each for each, (si, _) in UNITS.items() if si == goal.unit] or ["no unit"]
+        raise InputError(f"{text!r}: {goal.name} is in {', '.join(own)}, not in {unit}")
+    return float(number * factor)
+
+
+def _number(text: str) -> float | None:
+    """A finite number; None for anything else."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

@@ -1,0 +1,190 @@
+"""`flexfmu tune`: gains and other keys of a scene, chosen by runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.engine.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from flexfmu.cosim.choices.gains.tuner import TuneResult
+
+
+def tune(
+    scene: SceneArgument,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=FROM:TO",
+            help="A key of the scene and the interval of its values: pd.kp=1e3:1e5, controller[0].derivative=10:500; may be "
+            "repeated, or several with commas. Default: none, at least one is needed.",
+            show_default=False,
+        ),
+    ] = None,
+    minimise: Annotated[
+        str,
+        typer.Option(
+            metavar="FIGURE",
+            help="A metric, of both joints the larger without a number at its end: rms_tracking_error, settling_time.",
+        ),
+    ] = "rms_tracking_error",
+    subject_to: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CONDITION",
+            help="FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms; "
+            "may be repeated, or several with commas. Default: none.",
+            show_default=False,
+        ),
+    ] = None,
+    payload_band: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BAND",
+            help="Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 "
+            "to 8 kg. Default: the scene's alone.",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="trust-region, which improves the best of the first trials, or sample."),
+    ] = "trust-region",
+    trials: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=2, help="Number of trials. Default: some 50 for each key.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the first trials.")] = 0,
+    processes: Annotated[
+        int | None,
+        typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.toml",
+            help="Write the tuned scene here. Default: into the folder of the results.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-tune."),
+    ] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Discard the trials of another tuning in the folder. Default: refuse.")
+    ] = False,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Tune gains and other keys of a scene: what minimises a figure within limits, by runs without derivatives.
+
+    Writes tuned.toml, which every command takes, and all trials as tune.csv. Every trial is kept at once: after Ctrl-C the best
+    so far is written, and the same command continues.
+    """
+    import os
+
+    from flexfmu.cosim.choices.gains.front import tune_scene
+    from flexfmu.cosim.choices.gains.goals import split
+    from flexfmu.cosim.choices.gains.robustness import parse_band
+    from flexfmu.cosim.choices.gains.tuned_files import summary, write_tuned, write_tuning
+    from flexfmu.cosim.engine.files import RESULTS
+    from flexfmu.cosim.reports.text import to_json
+    from flexfmu.model.scene.keys import parse_setting
+
+    if output is not None and output.suffix != ".toml":
+        raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
+    robot = load_resolved(scene, settings)
+    folder = out or RESULTS / f"{robot.name}-tune"
+    with progress() as show:
+        result = tune_scene(
+            robot,
+            split(over or ()),
+            minimise,
+            split(subject_to or ()),
+            payload_band=None if payload_band is None else parse_band(payload_band),
+            method=method,
+            trials=trials,
+            seed=seed,
+            processes=processes or os.cpu_count() or 1,
+            folder=folder,
+            restart=restart,
+            show=show,
+        )
+    target = output or folder / "tuned.toml"
+    changes = dict(map(parse_setting, settings or ()))
+    files = [write_tuned(result, target, scene, changes), *write_tuning(result, folder)]
+    if result.interrupted:
+        show_note("interrupted: these are the best values so far; the same command continues")
+    if json:
+        print_text(to_json({**summary(result), "files": [str(path) for path in files]}))
+    else:
+        _print(result, [str(path) for path in files])
+    return 0 if result.is_feasible else FAILURE
+
+
+def _print(result: TuneResult, files: list[str]) -> None:
+    """The values, the figures, and the files."""
+    from rich.text import Text
+
+    failed = sum(1 for each in result.trials if each.message)
+    print_rich(_values(result), _figures(result))
+    if not result.is_feasible:
+        print_rich(Text("No trial keeps all limits; these values miss them least.", style="yellow"))
+    for key in _at_end(result):
+        print_rich(Text(f"{key} is at the end of its interval: a wider one may be better.", style="yellow"))
+    print_rich(Text(f"{len(result.trials)} trials, {failed} of which failed; results: {', '.join(files)}"))
+
+
+def _at_end(result: TuneResult) -> list[str]:
+    """Keys whose tuned value is within 1 % of an end of the interval."""
+    over = result.study.over
+    shares = {each.key: each.share_of(result.values[each.key]) for each in over if each.key in result.values}
+    return [key for key, share in shares.items() if not 0.01 < share < 0.99]
+
+
+def _values(result: TuneResult) -> Table:
+    """The keys, given and tuned."""
+    from rich.table import Column
+
+    from flexfmu.cosim.reports.terminal import titled_table
+    from flexfmu.model.scene.keys import location
+    from flexfmu.model.scene.messages import unit_of
+    from flexfmu.model.scene.schema import Scene
+
+    heads = (Column(each, justify="right") for each in ("given", "tuned", "from", "to"))
+    table = titled_table(f"{result.study.scene.name}, tuned", "key", *heads)
+    data = result.study.scene.model_dump()
+    for each, own in zip(result.study.over, result.study.given(), strict=True):
+        unit = unit_of(location(data, each.key), Scene)
+        tuned = result.values.get(each.key, own)
+        cells = ("–" if value is None else f"{value:.5g}" for value in (own, tuned, each.low, each.high))
+        table.add_row(f"{each.key} [{unit}]" if unit else each.key, *cells)
+    return table
+
+
+def _figures(result: TuneResult) -> Table:
+    """The figure that is minimised and those with limits, given and tuned."""
+    from rich.table import Column
+
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    study, pair = result.study, (result.given.figures, result.best.figures)
+    heads = (Column(each, justify="right") for each in ("given", "tuned", "limit"))
+    band = "" if study.band is None else ", worst over the payloads"
+    table = titled_table(f"Figures{band}", "figure", *heads)
+    goal = study.minimise
+    table.add_row(goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
+    for each in study.conditions:
+        limit = f"{'<' if each.upper else '>'} {each.goal.shown(each.limit)}"
+        table.add_row(each.goal.name, *(each.shown(figures) for figures in pair), limit)
+    return table
