@@ -95,7 +95,8 @@ def generate_block_sources(
     description = block_description(block).named(naming)
     picture = block_picture(*PAGE_SIZE, FINE_PEN)
     pages = documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
-    return assemble_sources("block", description, experiment, code, pages, png(block_picture(ICON_SIZE, ICON_SIZE)))
+    icon = png(block_picture(ICON_SIZE, ICON_SIZE))
+    return assemble_sources("block", description, experiment, code, pages, icon, block.c_files)
 
 
 SAMPLES = "statistics.samples"

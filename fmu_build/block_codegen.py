@@ -45,7 +45,7 @@ _ARGUMENTS = ("x", "u", "p")
 def sample_function(block: SymbolicBlock) -> casadi.Function:
     """Function (x, u, p) → (y, next x) of output and update, dense.
 
-    Common scalar subexpressions are shared; matrix operations and long copies remain loops in C.
+    Common scalar subexpressions and calls of C functions are shared; matrix operations and long copies remain loops in C.
 
     Raises:
         ModelError: a function of the block has wrong sizes.
@@ -58,8 +58,10 @@ def sample_function(block: SymbolicBlock) -> casadi.Function:
     is_scalar = all(function.is_a("SXFunction") for function in functions)
     symbol: Any = casadi.SX if is_scalar else casadi.MX
     arguments = [symbol.sym(name, size) for name, size in zip(_ARGUMENTS, sizes, strict=True)]
-    results = [casadi.densify(function.call(arguments)[0]) for function in functions]
-    if is_scalar:
+    # inlined, so that output and update share one call of a function in C
+    calls_c = bool(block.c_files)
+    results = [casadi.densify(function.call(arguments, calls_c, False)[0]) for function in functions]
+    if is_scalar or calls_c:
         results = casadi.cse(results)
     sample = casadi.Function("model_sample", arguments, results, list(_ARGUMENTS), ["y", "next_x"])
     return with_runs_copied(sample) if is_scalar else sample

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +11,7 @@ from flexfmu.fmu_build.cache import content_hash
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, LANES_FILE, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.documentation import documentation, plant_picture
+from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.naming import Naming, named_model
 from flexfmu.fmu_build.picture import ICON_FILE, png
@@ -117,6 +118,7 @@ def assemble_sources(
     code: Callable[[str], dict[str, str]],
     pages: dict[str, str],
     icon: bytes,
+    called: Mapping[str, str] | None = None,
 ) -> Sources:
     """Assemble the files of an FMU; the GUID is the hash of C code and description with a blank GUID.
 
@@ -127,10 +129,20 @@ def assemble_sources(
         code: function from a GUID to the generated C files, name → text.
         pages: documentation, path below the FMU's root → text.
         icon: PNG file; may be empty.
+        called: further C files and headers, whose functions the generated ones call, name → text.
+
+    Raises:
+        ModelError: a further file has the name of one of the runtime or a generated one.
     """
     # the GUID is the hash of the texts with a blank GUID
     runtime = runtime_sources(kind)
     blank = code("")
+    taken = sorted(set(called or ()) & {*runtime, *blank})
+    if taken:
+        raise ModelError(
+            f"the C file {taken[0]!r} has the name of a file of every FMU; rename it, to my_{taken[0]} for example"
+        )
+    runtime |= called or {}
     names = c_files((*blank, *runtime))
     blank_text = description_xml(description, "", experiment, names)
     guid = _guid((blank_text, *_flatten(blank), *_flatten(runtime)))

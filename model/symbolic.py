@@ -220,6 +220,7 @@ class SymbolicBlock:
         update: CasADi function (x, u, p) → next x.
         feedthrough: output → inputs that it depends on at the same instant (direct feedthrough).
         latency: output → its delay at low frequency [s], without the hold; outputs without a delay are left out.
+        c_files: C files and headers that the functions call as `casadi.external`, name → text; compiled into the block's FMU.
     """
 
     name: str
@@ -234,3 +235,4 @@ class SymbolicBlock:
     offset: float = 0.0
     feedthrough: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     latency: Mapping[str, float] = field(default_factory=dict)
+    c_files: Mapping[str, str] = field(default_factory=dict)

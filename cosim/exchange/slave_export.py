@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.python_slave import FunctionSlave
 from flexfmu.cosim.control.imperfections.lag import Lag
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
@@ -200,9 +201,14 @@ def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float)
         exported = BlockSlave(slave.sampled(step), slave.name) if isinstance(slave, Lag) else slave
         # only symbolic equations can be compiled to C
         if not isinstance(exported, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
+            if isinstance(exported, FunctionSlave):
+                raise InputError(
+                    f"slave {slave.name!r} can't be exported as an FMU. {exported.reason}. Write it with operations that CasADi knows "
+                    "(casadi.if_else in place of if, no float), or name the other slaves to export"
+                )
             raise InputError(
                 f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't be exported as an FMU; make it a "
-                "SymbolicBlock (flexfmu.model.symbolic) or a python-control system, or name the other slaves to export"
+                "function with @flexfmu.controller, a SymbolicBlock (flexfmu.model.symbolic) or a python-control system, or name the other slaves to export"
             )
         chosen.append(exported)
     return tuple(chosen)

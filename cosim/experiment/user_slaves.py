@@ -58,14 +58,14 @@ class SlaveNames:
 
 
 def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = None) -> Slave:
-    """Make a slave from a block, a python-control system, the path of an FMU, or a slave.
+    """Make a slave from a function with `flexfmu.controller`, a block, a python-control system, the path of an FMU, or a slave.
 
     The FMU of a block has the sample time of the block; an FMU without variable step is sampled at the step size of its
     default experiment; all others make communication steps. For another sample time use
     `flexfmu.cosim.engine.fmu.sampled_slave.fmu_slave`.
 
     Args:
-        source: block, python-control system, path or slave.
+        source: function, block, python-control system, path or slave.
         names: names assigned so far.
         name: name of the slave; by default from the block, file or slave.
 
@@ -73,12 +73,15 @@ def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = No
         InputError: the source is none of these, the name is taken, or the FMU can't be loaded.
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
+    from flexfmu.cosim.control.controllers.function_controller import FunctionController
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
     from flexfmu.model.symbolic import SymbolicBlock
 
     names = names or SlaveNames()
     if isinstance(source, SymbolicBlock):
         return BlockSlave(source, names.chosen(name, source.name))
+    if isinstance(source, FunctionController):
+        return source.slave(names.chosen(name, source.name))
     if type(source).__module__.partition(".")[0] == "control":
         from flexfmu.cosim.control.controllers.from_control import control_block
 
@@ -92,12 +95,14 @@ def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = No
             slave.name = name  # type: ignore[misc]
         return slave
     raise InputError(
-        f"a {type(source).__name__} can't be a slave: take a SymbolicBlock, a slave, a python-control system or an FMU's path"
+        f"a {type(source).__name__} can't be a slave: take a function with @flexfmu.controller, a SymbolicBlock, a slave, a "
+        "python-control system or an FMU's path"
     )
 
 
 def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = ".") -> Any:
-    """Import ``module:name`` and call it with the arguments; an object that is not callable is returned as it is.
+    """Import ``module:name`` and call it with the arguments, which are the parameters of a function with the decorator
+    `flexfmu.controller`; an object that is not callable is returned as it is.
 
     Args:
         source: ``module:name``, for example ``my_controllers:Damper``.
@@ -108,6 +113,8 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     Raises:
         InputError: the module or name doesn't exist, the import fails, or the call fails.
     """
+    from flexfmu.cosim.control.controllers.function_controller import FunctionController
+
     # import the module from the folder or the installed ones
     module_name, _, name = source.partition(":")
     try:
@@ -125,6 +132,8 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     # return the object, or the result of calling it
     if not callable(found):
         return found
+    if isinstance(found, FunctionController):
+        return found.changed(arguments)
     try:
         return found(**arguments)
     except (Exception, SystemExit) as error:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, ValidationInfo
 
-from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection, Sampling
+from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection, Sampling, from_scene_file
 from flexfmu.model.scene.section import (
     NotNegative,
     NotNegativePerJoint,
@@ -200,6 +200,32 @@ class StateSpaceSection(SampledSection):
     outputs: SignalNames
 
 
+def _files(value: Any, info: ValidationInfo) -> Any:
+    """One path or several as a tuple, each from the scene file's folder."""
+    paths = [value] if isinstance(value, str) else value
+    texts = isinstance(paths, (list, tuple)) and paths and all(isinstance(each, str) for each in paths)
+    if not texts:
+        raise ValueError(f"give the path of a C file, or a list of C files and headers, got {value!r}")
+    return tuple(from_scene_file(each, info) for each in paths)
+
+
+class CFunctionSection(SampledSection):
+    """A function in C that calculates outputs and next states; its signature stands in docs/control-loop.md.
+
+    `source` is the C file, or a list of C files and headers, relative to the scene file's folder. `units` gives the unit of
+    signals and parameters where it isn't that of the robot's signal of this name.
+    """
+
+    kind: Literal["c-function"]
+    source: Annotated[str | tuple[str, ...], BeforeValidator(_files)]
+    function: str = ""
+    inputs: SignalNames
+    outputs: SignalNames
+    parameters: dict[str, float] = Field(default_factory=dict)
+    states: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    units: dict[str, str] = Field(default_factory=dict)
+
+
 ControllerSection = Annotated[
     PdSection
     | PidSection
@@ -209,6 +235,7 @@ ControllerSection = Annotated[
     | LearningSection
     | StateFeedbackSection
     | StateSpaceSection
+    | CFunctionSection
     | PythonSection
     | FmuSection,
     Field(discriminator="kind"),

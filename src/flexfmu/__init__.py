@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, sweep, tune
+    from flexfmu.cosim.control.controllers.own_function import controller
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.motors import motor_loads
@@ -35,6 +36,7 @@ __all__ = [
     "__version__",
     "build",
     "compare",
+    "controller",
     "display",
     "linearize",
     "link_stresses",
@@ -55,6 +57,7 @@ _HOMES = {
     "Scene": "flexfmu.model.scene.schema",
     "build": "flexfmu.api",
     "compare": "flexfmu.api",
+    "controller": "flexfmu.cosim.control.controllers.own_function",
     "display": "flexfmu.cosim.metrics.metric_table",
     "linearize": "flexfmu.api",
     "link_stresses": "flexfmu.cosim.metrics.stress",

@@ -6,7 +6,7 @@ Either way the loop in C calls CasADi's evaluation directly: the virtual machine
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from ctypes import CDLL, c_char_p, c_void_p, cast, py_object, pythonapi
 from functools import cache, lru_cache
 from pathlib import Path
@@ -70,7 +70,7 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
     function = sample_function(block)
     if compiled is None:
         compiled = function.n_instructions() >= COMPILED_FROM
-    return compile_function(function) if compiled else function
+    return compile_function(function, c_files=block.c_files) if compiled else function
 
 
 def bound(
@@ -122,12 +122,15 @@ def _needs_no_python(function: casadi.Function) -> bool:
     return kind in QUIET_FUNCTIONS and not any(function.instruction_id(i) in LOUD_OPERATIONS for i in range(count))
 
 
-def compile_function(function: casadi.Function, *companions: casadi.Function) -> casadi.Function:
+def compile_function(
+    function: casadi.Function, *companions: casadi.Function, c_files: Mapping[str, str] | None = None
+) -> casadi.Function:
     """Return the same function in compiled C; each generated source is compiled once.
 
     Args:
         function: the function.
         companions: functions that CasADi looks up by name in the same library, such as the Jacobian ``jac_<name>``.
+        c_files: C files and headers that the function calls, name → text.
 
     Raises:
         MissingCompilerError: there is no C compiler.
@@ -138,13 +141,19 @@ def compile_function(function: casadi.Function, *companions: casadi.Function) ->
     for each in (function, *companions):
         generator.add(each)
     code = with_elementary_functions(str(generator.dump()))
-    return casadi.external(function.name(), str(_library(function.name(), code)))
+    return casadi.external(function.name(), str(library(function.name(), code, tuple((c_files or {}).items()))))
 
 
 @lru_cache(maxsize=64)
-def _library(name: str, code: str) -> Path:
-    """Compile a generated C file to a shared library, which the cache keeps under the hash of its content."""
-    sources = Sources(name, "", "", {f"{name}.c": code}, elementary_sources(), {})
+def library(name: str, code: str, c_files: tuple[tuple[str, str], ...] = ()) -> Path:
+    """Compile a C file to a shared library, which the cache keeps under the hash of its content; errors as for `compile_function`.
+
+    Args:
+        name: name of the library.
+        code: the C file, generated.
+        c_files: further C files and headers, (name, text) each.
+    """
+    sources = Sources(name, "", "", {f"{name}.c": code}, elementary_sources() | dict(c_files), {})
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
     file = f"blocks/{content_hash([content])}{platform.suffix}"

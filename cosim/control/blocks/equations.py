@@ -33,6 +33,7 @@ def block(
     states: Sequence[float] = (),
     symbol: Any = casadi.SX,
     latency: Mapping[str, float] | None = None,
+    c_files: Mapping[str, str] | None = None,
 ) -> SymbolicBlock:
     """Build a block from equations; an output has direct feedthrough from every input that it depends on structurally.
 
@@ -44,6 +45,7 @@ def block(
         states: start values of x.
         symbol: `casadi.SX` for scalar operations; `casadi.MX` for operations on whole vectors.
         latency: output → delay at low frequency [s].
+        c_files: C files and headers that the equations call as `casadi.external`, name → text.
 
     Raises:
         InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of
@@ -67,6 +69,7 @@ def block(
         output=casadi.Function("output", arguments, [output], ["x", "u", "p"], ["y"]),
         update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
         latency=latency or {},
+        c_files=c_files or {},
     )
     # direct feedthrough follows from the output function
     check_variables(result)

@@ -41,6 +41,7 @@ class BlockSlave:
         self.block = block
         self.sample_time, self.offset = block.sample_time, block.offset
         self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
+        self.has_foreign_code = bool(block.c_files)
         known = (*block.inputs, *block.parameters)
         self.variables = tuple(slave_variable(each) for each in (*known, *block.outputs))
         # one array, which the function reads and writes in place: variables, states, next states

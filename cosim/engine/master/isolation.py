@@ -48,13 +48,13 @@ def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *
     # isolate foreign slaves, but not objects that the caller may read after the run
     if wanted is None:
         foreign = [slave for slave in slaves if is_foreign(slave)]
-        objects = theirs and any(not hasattr(slave, "path") for slave in foreign)
+        objects = theirs and any(not (hasattr(slave, "path") or hasattr(slave, "block")) for slave in foreign)
         wanted = AVAILABLE and bool(foreign) and not objects
     return Isolation(call_limit) if wanted else None
 
 
 def is_foreign(slave: Slave) -> bool:
-    """Whether a slave runs foreign code: an FMU of another tool, or a Python class outside this package."""
+    """Whether a slave runs foreign code: an FMU of another tool, a Python class outside this package, or a user's function."""
     if isinstance(slave, FmuSlave | SampledFmu | FmuTask):
         return not open_fmu(slave.path).is_ours
-    return not type(slave).__module__.startswith("flexfmu.")
+    return getattr(slave, "has_foreign_code", False) or not type(slave).__module__.startswith("flexfmu.")

@@ -1,0 +1,194 @@
+"""A controller written in C: one function with a fixed signature, called by the loop in C and compiled into the block's FMU.
+
+The function calculates outputs and next states from the time, inputs, parameters and states, and keeps nothing itself, so that
+every importer may repeat a sample. Its file is compiled with its prototype in front, so that the compiler refuses another
+signature, and with the toolkit's elementary functions, so that its FMU gives the same bits everywhere.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import casadi
+
+from flexfmu.cosim.control.blocks.code import library
+from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters, named_signals
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import check_sampling
+from flexfmu.fmu_build.errors import CompileError
+from flexfmu.model.scene.controllers import CFunctionSection
+from flexfmu.model.symbolic import SymbolicBlock
+
+SIGNATURE = "void {}(double t, const double *u, const double *p, const double *x, double *y, double *next_x)"
+"""Time [s], inputs, parameters and states → outputs and next states."""
+
+CALL = "user_function"
+"""Name of the function that CasADi calls, and of its file."""
+
+_CALL_FILE = """/* Calls {function} as CasADi calls its functions: (x, u, p) -> (y, next_x); the last state counts the samples. */
+#include <math.h>
+
+{prototype};
+int {call}(const double **arg, double **res, long long *iw, double *w, int mem);
+
+int {call}(const double **arg, double **res, long long *iw, double *w, int mem) {{
+  double *next_x = res[1] ? res[1] : w + {outputs};
+  (void)iw, (void)mem;
+  {function}({offset!r} + arg[0][{states}] * {sample_time!r}, arg[1], arg[2], arg[0], res[0] ? res[0] : w, next_x);
+  next_x[{states}] = arg[0][{states}] + 1.0;
+  return 0;
+}}
+"""
+
+_LIBRARY_FILE = """/* What CasADi asks a library for: the numbers of arguments, results and their elements. */
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+typedef long long casadi_int;
+
+EXPORT int {call}(const double **arg, double **res, long long *iw, double *w, int mem);
+static const casadi_int in[3][3] = {{{{{states} + 1, 1, 1}}, {{{inputs}, 1, 1}}, {{{parameters}, 1, 1}}}};
+static const casadi_int out[2][3] = {{{{{outputs}, 1, 1}}, {{{states} + 1, 1, 1}}}};
+EXPORT casadi_int {call}_n_in(void) {{ return 3; }}
+EXPORT casadi_int {call}_n_out(void) {{ return 2; }}
+EXPORT const casadi_int *{call}_sparsity_in(casadi_int i) {{ return in[i]; }}
+EXPORT const casadi_int *{call}_sparsity_out(casadi_int i) {{ return out[i]; }}
+EXPORT int {call}_work(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_int *w) {{
+  *arg = 3, *res = 2, *iw = 0, *w = {outputs} + {states} + 1;
+  return 0;
+}}
+"""
+
+
+def c_function(
+    source: str | Path | Sequence[str | Path],
+    function: str = "",
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    sample_time: float,
+    offset: float = 0.0,
+    parameters: Mapping[str, float] | None = None,
+    states: Sequence[float] = (),
+    units: Mapping[str, str] | None = None,
+    name: str = "c_function",
+) -> SymbolicBlock:
+    """Build the block of a function in C.
+
+    Its signature is `SIGNATURE`: t is the instant of the sample [s], counted from the start; u, p and x have the inputs, parameters
+    and states in their order; the function writes all of y and next_x. It must not keep values between calls: an importer may
+    repeat a sample. The file is C99.
+
+    Args:
+        source: the C file, or a list of C files and headers.
+        function: name of the function; by default that of the first file.
+        inputs, outputs: names of the signals.
+        sample_time, offset: [s].
+        parameters: name → value; tunable.
+        states: start values.
+        units: name → unit of signals and parameters; by default those of the robot's signals of these names.
+        name: name of the block.
+
+    Raises:
+        InputError: a file can't be read or compiled, or has no such function; a name is repeated, a number isn't finite, or
+            the sample time isn't positive.
+        MissingCompilerError: there is no C compiler.
+    """
+    check_sampling(sample_time, offset, name)
+    if not outputs:
+        raise InputError(f'{name}: a controller needs `outputs`, such as ["joint1.torque", "joint2.torque"]')
+    # variables by their names
+    units = units or {}
+    taken, given = named_signals(inputs, "input", units), named_signals(outputs, "output", units)
+    values = named_parameters(parameters or {}, units)
+    check_units(units, [*taken, *given, *values])
+    # the function's files, its call, and what describes the call to CasADi
+    paths = [Path(each) for each in ([source] if isinstance(source, (str, Path)) else source)]
+    function = function or paths[0].stem
+    if not re.fullmatch(r"[A-Za-z_]\w*", function):
+        raise InputError(f"{name}: {function!r} is no name of a C function; give `function`")
+    facts = {
+        "function": function,
+        "call": CALL,
+        "prototype": SIGNATURE.format(function),
+        "inputs": len(taken),
+        "parameters": len(values),
+        "outputs": len(given),
+        "states": len(states),
+        "sample_time": float(sample_time),
+        "offset": float(offset),
+    }
+    files, caller = _user_files(paths, facts["prototype"]), _CALL_FILE.format(**facts)
+    call = _loaded(_LIBRARY_FILE.format(**facts) + caller, files, function)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        y, following = call(x, u, p)
+        return y, following
+
+    return block(
+        name,
+        f"The function {function} in C",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=taken,
+        outputs=given,
+        parameters=values,
+        states=[*states, 0.0],
+        symbol=casadi.MX,
+        c_files={**files, f"{CALL}.c": caller},
+    )
+
+
+def _user_files(paths: Sequence[Path], prototype: object) -> dict[str, str]:
+    """The user's files, name → text; in C files the prototype stands in front.
+
+    Raises:
+        InputError: a file can't be read.
+    """
+    texts = {}
+    for path in paths:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "it isn't UTF-8 text"
+            raise InputError(f"can't read the C file {path}: {reason}") from None
+        front = f'#include "elementary.h"\n{prototype};\n#line 1 "{path.name}"\n' if path.suffix == ".c" else ""
+        texts[path.name] = front + text
+    return texts
+
+
+def _loaded(code: str, c_files: Mapping[str, str], function: str) -> casadi.Function:
+    """The compiled function, with derivatives by finite differences for whoever linearises it.
+
+    Raises:
+        InputError: the files can't be compiled, or don't define the function.
+        MissingCompilerError: there is no C compiler.
+    """
+    try:
+        path = library(f"{CALL}_library", code, tuple(sorted(c_files.items())))
+    except CompileError as error:
+        raise InputError(f"{error}; the function must be\n    {SIGNATURE.format(function)}") from None
+    return casadi.external(CALL, str(path), {"enable_fd": True})
+
+
+@builds(CFunctionSection)
+def _from_section(section: CFunctionSection, context: LoopContext) -> SymbolicBlock:
+    return c_function(
+        section.source,
+        section.function,
+        inputs=section.inputs,
+        outputs=section.outputs,
+        sample_time=section.sample_time,
+        offset=section.offset,
+        parameters=section.parameters,
+        states=section.states,
+        units=section.units,
+        name=context.name,
+    )

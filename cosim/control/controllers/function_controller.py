@@ -1,0 +1,277 @@
+"""A Python function as a sampled controller: a block where CasADi can trace it, else a slave in Python."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Any
+
+import casadi
+import numpy as np
+
+from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.flat_values import as_column, as_elements
+from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters
+from flexfmu.cosim.control.controllers.python_slave import FunctionSlave, described
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray, check_sampling
+from flexfmu.model.symbolic import SymbolicBlock, Variable
+
+REFERENCE = ".reference."
+"""Part of the names of inputs that belong to ``reference``."""
+
+TRIALS = 8
+"""Sets of arguments with which the traced function is compared; the first has the start values."""
+
+AGREEMENT = 1e-9
+"""Relative difference from which traced and called function differ: NumPy and CasADi round elementary functions differently."""
+
+
+class NotSymbolicError(InputError):
+    """CasADi can't trace a function."""
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionController:
+    """A function as a sampled controller; calling it calls the function.
+
+    Attributes:
+        function: the function.
+        name: name of the slave.
+        sample_time, offset: [s].
+        inputs, outputs: variables in their order.
+        states: start values.
+        parameters: keyword arguments of the function: floats and sequences of floats are tunable, others constants.
+        units: name → unit.
+        symbolic: True requires a `SymbolicBlock`, False a slave in Python without trial calls, None takes what is possible.
+    """
+
+    function: Callable[..., Any]
+    name: str
+    sample_time: float
+    offset: float
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    states: tuple[float, ...]
+    parameters: Mapping[str, Any]
+    units: Mapping[str, str]
+    symbolic: bool | None = None
+
+    def __post_init__(self) -> None:
+        check_sampling(self.sample_time, self.offset, self.name)
+        check_units(self.units, [*self.inputs, *self.outputs, *self.variables])
+
+    def __call__(self, *arguments: Any, **keywords: Any) -> Any:
+        return self.function(*arguments, **keywords)
+
+    @property
+    def variables(self) -> list[Variable]:
+        """The tunable parameters; the elements of a sequence are ``name[1]``, ``name[2]`` and so on."""
+        values: dict[str, float] = {}
+        for name, value in self.parameters.items():
+            if isinstance(value, float):
+                values[name] = value
+            elif isinstance(value, tuple):
+                values |= {f"{name}[{i}]": element for i, element in enumerate(value, start=1)}
+        return named_parameters(values, self.units)
+
+    def changed(self, arguments: Mapping[str, Any]) -> FunctionController:
+        """Return the controller with other parameters, sample time or offset.
+
+        Raises:
+            InputError: the function has no such parameter, or a value is of another kind than the default.
+        """
+        parameters: dict[str, Any] = dict(self.parameters)
+        timing: dict[str, Any] = {}
+        for name, value in arguments.items():
+            if name in parameters:
+                parameters[name] = _like(parameters[name], value, f"{self.name}: {name}")
+            elif name in ("sample_time", "offset"):
+                timing[name] = float(value)
+            else:
+                known = [*parameters, "sample_time", "offset"]
+                near = get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
+                raise InputError(f"{self.name} has no parameter {name!r}; {hint}")
+        return replace(self, parameters=parameters, **timing)
+
+    def slave(self, name: str = "") -> BlockSlave | FunctionSlave:
+        """Return the slave: of the block where CasADi can trace the function, else in Python.
+
+        Raises:
+            InputError: the function fails, returns wrong numbers of values, or depends on more than its arguments.
+        """
+        reason = "symbolic = False"
+        if self.symbolic is not False:
+            try:
+                return BlockSlave(self.block(), name)
+            except NotSymbolicError as error:
+                if self.symbolic:
+                    raise
+                reason = str(error)
+        return FunctionSlave(
+            name or self.name,
+            self._called,
+            (self.inputs, self.variables, self.outputs),
+            self.states,
+            self.sample_time,
+            self.offset,
+            reason,
+        )
+
+    def block(self) -> SymbolicBlock:
+        """Return the block of the function, traced with CasADi's symbols and compared with calls.
+
+        Raises:
+            NotSymbolicError: CasADi can't trace it; it may still be a slave in Python.
+            InputError: as for `slave`.
+        """
+        trials, reasons = self._trials(), []
+        # columns of symbols for functions of vectors, arrays of symbols for those that take elements one by one
+        for kind in (lambda column: column, as_elements):
+            try:
+                made = self._traced(kind)
+                _compare(made, trials)
+                return made
+            except NotSymbolicError as error:
+                reasons.append(error)
+        raise reasons[0]
+
+    def _traced(self, kind: Callable[[Vector], Any]) -> SymbolicBlock:
+        """The block from one call with symbols of a kind."""
+
+        def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on functions of NumPy
+                y, following = self._called(kind(x), kind(u), kind(p))
+            return casadi.SX(y), casadi.vertcat(casadi.SX(following), x[-1] + 1.0)
+
+        try:
+            return block(
+                self.name,
+                (inspect.getdoc(self.function) or f"The function {self.name}").partition("\n")[0],
+                equations,
+                sample_time=self.sample_time,
+                offset=self.offset,
+                inputs=self.inputs,
+                outputs=self.outputs,
+                parameters=self.variables,
+                states=[*self.states, 0.0],
+            )
+        except InputError:
+            raise
+        except Exception as error:
+            raise NotSymbolicError(f"{self.name}: CasADi can't trace the function: {described(error)}") from error
+
+    def _trials(self) -> list[tuple[RealArray, ...]]:
+        """Arguments x, u, p and results y, next x of calls with numbers.
+
+        Raises:
+            InputError: every call fails, or a call repeated gives other values.
+        """
+        random = np.random.default_rng(0)
+        start, gains = np.array([*self.states, 0.0]), np.array([each.start for each in self.variables], dtype=float)
+        found: list[tuple[RealArray, ...]] = []
+        failure: Exception | None = None
+        for k in range(TRIALS):
+            x = start + np.append(random.normal(size=len(self.states)), 1.0) * k
+            u = random.normal(size=len(self.inputs)) * k
+            try:
+                with np.errstate(all="ignore"):
+                    found.append((x, u, gains, *self._called(x, u, gains)))
+            except InputError:
+                raise
+            except Exception as error:
+                failure = error
+        if not found:
+            raise InputError(f"{self.name} fails: {described(failure)}") from failure
+        # the first call again
+        x, u, p, *first = found[0]
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, self._called(x, u, p), strict=True)):
+            raise InputError(
+                f"{self.name} gives other values for the same arguments: what it keeps between calls must be its `state`, so that "
+                "samples can be repeated; or say symbolic=False, and it is called at samples only"
+            )
+        return found
+
+    def _called(self, x: Any, u: Any, p: Any) -> tuple[Any, Any]:
+        """Outputs and next states, both flat, from states with the counter, inputs and parameters: numbers or symbols.
+
+        Raises:
+            InputError: the function returns a wrong number of values.
+        """
+        is_reference = np.array([REFERENCE in each.name for each in self.inputs], dtype=bool)
+        given = {
+            "t": self.offset + x[-1] * self.sample_time,
+            "reference": u[np.flatnonzero(is_reference).tolist()],
+            "measurement": u[np.flatnonzero(~is_reference).tolist()],
+            "state": x[: len(self.states)],
+        }
+        wanted = inspect.signature(self.function).parameters
+        result = self.function(
+            **{name: value for name, value in given.items() if name in wanted}, **self._with_values(p)
+        )
+        if not self.states:
+            return self._flat(result, len(self.outputs), "outputs"), as_column([])
+        if not isinstance(result, tuple) or len(result) != 2:
+            raise InputError(f"{self.name} has states and must return two things: outputs, next states")
+        return (
+            self._flat(result[0], len(self.outputs), "outputs"),
+            self._flat(result[1], len(self.states), "states"),
+        )
+
+    def _with_values(self, p: Any) -> dict[str, Any]:
+        """The keyword arguments, tunable ones with values from p."""
+        values, at = dict(self.parameters), 0
+        for name, value in self.parameters.items():
+            if isinstance(value, float):
+                values[name], at = p[at], at + 1
+            elif isinstance(value, tuple):
+                values[name], at = p[at : at + len(value)], at + len(value)
+        return values
+
+    def _flat(self, values: Any, count: int, what: str) -> Any:
+        column = as_column(values)
+        size = column.numel() if isinstance(column, casadi.SX) else column.size
+        if size != count:
+            raise InputError(f"{self.name} returns {size} values for its {count} {what}")
+        return column
+
+
+def _compare(made: SymbolicBlock, trials: Sequence[tuple[RealArray, ...]]) -> None:
+    """Compare a block with calls of its function.
+
+    Raises:
+        NotSymbolicError: values differ.
+    """
+    for x, u, p, y, following in trials:
+        traced = casadi.vertcat(made.output(x, u, p), made.update(x, u, p)).full()[:, 0]
+        called = np.concatenate([y, following, [x[-1] + 1.0]])
+        if not np.allclose(traced, called, rtol=AGREEMENT, atol=AGREEMENT, equal_nan=True):
+            raise NotSymbolicError(
+                f"{made.name}: with CasADi's symbols the function calculates other values than with numbers"
+            )
+
+
+def _like(default: Any, value: Any, where: str) -> Any:
+    """The value, as a float or a tuple of floats where the default is one.
+
+    Raises:
+        InputError: it can't be.
+    """
+    try:
+        if isinstance(default, float):
+            return float(value)
+        if isinstance(default, tuple) and default and isinstance(default[0], float):
+            found = tuple(float(each) for each in value)
+            if len(found) == len(default):
+                return found
+            raise ValueError
+    except (TypeError, ValueError):
+        what = "a number" if isinstance(default, float) else f"{len(default)} numbers"
+        raise InputError(f"{where} must be {what}, got {value!r}") from None
+    return value

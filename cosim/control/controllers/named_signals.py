@@ -1,0 +1,76 @@
+"""Inputs, outputs and parameters of a user's controller from their names; the robot's signals have their units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from math import isfinite
+
+from flexfmu.cosim.control.controllers.joints import UNITS
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.symbolic import Causality, Variable
+
+METRES = {"position": "m", "velocity": "m/s", "acceleration": "m/s2"}
+_JOINT = re.compile(r"joint\d+(?:\.reference)?\.(position|velocity|acceleration)$")
+_END_EFFECTOR = re.compile(r"end_effector(?:\.reference)?\.(position|velocity|acceleration)\.[xy]$")
+_EFFORT = re.compile(r"joint\d+\.(torque|feedforward)$|(force)\.[xy]$")
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a signal of the robot by its name; ``1``, which connects to any unit, for other names."""
+    if found := _JOINT.match(name):
+        return UNITS[found[1]]  # type: ignore[index]
+    if found := _END_EFFECTOR.match(name):
+        return METRES[found[1]]
+    if found := _EFFORT.match(name):
+        return "N" if found[2] else "N.m"
+    return "1"
+
+
+def named_signals(names: Sequence[str], causality: Causality, units: Mapping[str, str]) -> list[Variable]:
+    """Return the inputs or outputs of these names.
+
+    Args:
+        names: names of the signals.
+        causality: input or output.
+        units: name → unit, where it isn't that of `unit_of`.
+
+    Raises:
+        InputError: the names aren't a list of texts.
+    """
+    if isinstance(names, str) or not all(isinstance(name, str) and name for name in names):
+        raise InputError(f'{causality}s must be a list of names, such as ["joint1.position"], got {names!r}')
+    start = 0.0 if causality == "input" else None
+    return [
+        Variable(name, units.get(name) or unit_of(name), f"{causality.capitalize()} {name}", causality, start)
+        for name in names
+    ]
+
+
+def named_parameters(values: Mapping[str, float], units: Mapping[str, str]) -> list[Variable]:
+    """Return the tunable parameters of these names and values; errors as for `check_units`.
+
+    Raises:
+        InputError: a value isn't a finite number.
+    """
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+            raise InputError(f"the parameter {name!r} must be a finite number, got {value!r}")
+    return [
+        Variable(name, units.get(name, "1"), f"Parameter {name}", "parameter", float(value), tunable=True)
+        for name, value in values.items()
+    ]
+
+
+def check_units(units: Mapping[str, str], variables: Sequence[Variable]) -> None:
+    """Check that units belong to variables.
+
+    Raises:
+        InputError: a name is none of a variable; the message has the nearest one.
+    """
+    names = [variable.name for variable in variables]
+    for name in units:
+        if name not in names:
+            near = get_close_matches(name, names, n=1, cutoff=0.0)[0]
+            raise InputError(f"`units` names {name!r}, which is no variable; did you mean {near!r}?")

@@ -1,0 +1,127 @@
+"""A user's Python function as a sampled slave: for functions that CasADi can't trace."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.control.blocks.slave import check_parameter, slave_variable
+from flexfmu.cosim.engine.errors import InputError, SlaveError
+from flexfmu.cosim.engine.slave import Indices, RealArray
+from flexfmu.model.symbolic import Variable
+
+
+class FunctionSlave:
+    """Calls a function (states with the counter of samples, inputs, parameters) → (outputs, next states) at its instants.
+
+    Args:
+        name: name of the slave.
+        function: the function, of arrays.
+        variables: inputs, parameters and outputs.
+        states: start values.
+        sample_time, offset: [s].
+        reason: why it isn't a block.
+
+    Attributes:
+        has_foreign_code: True, as the function is the user's.
+    """
+
+    has_foreign_code = True
+
+    def __init__(
+        self,
+        name: str,
+        function: Callable[[RealArray, RealArray, RealArray], tuple[Any, Any]],
+        variables: tuple[Sequence[Variable], Sequence[Variable], Sequence[Variable]],
+        states: Sequence[float],
+        sample_time: float,
+        offset: float,
+        reason: str,
+    ) -> None:
+        inputs, parameters, outputs = variables
+        self.name, self.reason = name, reason
+        self.sample_time, self.offset = sample_time, offset
+        self.variables = tuple(slave_variable(each) for each in (*inputs, *parameters, *outputs))
+        self._function, self._parameters, self._start = function, parameters, np.array([*states, 0.0])
+        # one array: inputs, parameters, outputs, states, counter of samples
+        sizes = np.cumsum([len(inputs), len(parameters), len(outputs)])
+        self._inputs, self._known, self._end = sizes.tolist()
+        self._memory = np.zeros(self._end + len(self._start))
+        self._memory[: self._known] = [each.start or 0.0 for each in (*inputs, *parameters)]
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Set the start states and calculate the outputs."""
+        self._memory[self._end :] = self._start
+        self._calculate(start_time)
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs and parameters (n,).
+
+        Raises:
+            InputError: a variable is an output, or a parameter's value isn't finite.
+        """
+        for index, value in zip(indices.tolist(), values.tolist(), strict=True):
+            if index >= self._known:
+                raise InputError(f"{self.name}.{self.variables[index].name} is an output and can't be set")
+            if index >= self._inputs:
+                check_parameter(self._parameters[index - self._inputs], value, self.name)
+        self._memory[indices] = values
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Write the variables' values into ``values`` (n,)."""
+        values[:] = self._memory[indices]
+
+    def sample(self, time: float) -> None:
+        """Calculate outputs and next states from the inputs just set.
+
+        Raises:
+            SlaveError: the function fails, or a value isn't finite.
+        """
+        following = self._calculate(time)
+        self._memory[self._end : -1] = following
+        self._memory[-1] += 1.0
+
+    def step(self, time: float, step: float) -> None:
+        """Do nothing: the outputs are constant between the sample instants."""
+
+    def terminate(self) -> None:
+        """Reset the inputs to their start values, so that the next run repeats this one."""
+        self._memory[: self._inputs] = 0.0
+
+    def save(self) -> RealArray:
+        """Return a copy of inputs, parameters, outputs and states."""
+        return self._memory.copy()
+
+    def restore(self, state: RealArray) -> None:
+        """Set the state that `save` returned."""
+        self._memory[:] = state
+
+    def _calculate(self, time: float) -> RealArray:
+        """Set the outputs and return the next states."""
+        # copies, so that the function can't change what it gets
+        inputs, parameters, _, states = np.split(self._memory.copy(), [self._inputs, self._known, self._end])
+        try:
+            outputs, following = self._function(states, inputs, parameters)
+        except Exception as error:
+            raise SlaveError(self.name, described(error), time) from error
+        if not (np.isfinite(outputs).all() and np.isfinite(following).all()):
+            wrong = [name for name, value in zip(self._names(), outputs, strict=True) if not np.isfinite(value)]
+            raise SlaveError(self.name, f"{wrong[0] if wrong else 'the next state'} isn't finite", time)
+        self._memory[self._known : self._end] = outputs
+        next_states: RealArray = following
+        return next_states
+
+    def _names(self) -> list[str]:
+        return [each.name for each in self.variables[self._known :]]
+
+
+def described(error: BaseException | None) -> str:
+    """Type and first line of an error, and the last line of the user's code on the way to it."""
+    frames = traceback.extract_tb(error.__traceback__) if error else []
+    own = [each for each in frames if "/casadi/" not in each.filename and "/numpy/" not in each.filename]
+    where = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {lines[0] if lines else ''}{where}"
