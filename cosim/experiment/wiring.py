@@ -8,6 +8,7 @@ from difflib import get_close_matches
 
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import Causality, Slave
+from flexfmu.cosim.experiment.fitting_signals import check_misspelt, check_units, no_source
 
 OPTIONAL = ".feedforward"
 """Suffix of inputs that may stay unconnected; they keep their start values."""
@@ -111,6 +112,7 @@ def wire(
         raise WiringError(_nothing_arrives(controllers, plant))
     if not controllers:
         _check_takers(inline_blocks, wiring)
+    check_misspelt(controllers, plant, wiring.connections)
     return wiring
 
 
@@ -194,10 +196,7 @@ class _Bus:
         elif name.endswith(OPTIONAL):
             return
         else:
-            raise WiringError(
-                f"{target} has no source: no signal has that name. Connect it explicitly, "
-                f'connect = {{ "{name}" = "joint1.position" }} for example; there are: {", ".join(self.sources)}'
-            )
+            raise WiringError(no_source(self.slaves, self.sources, target))
         self.connections.append((source, target))
 
     def find(self, name: str) -> str | None:
@@ -237,6 +236,7 @@ class _Bus:
         feeding = {name: self.sources[name] for name in _names(plant, "input") if name in self.sources}
         own = {name: source for name, source in feeding.items() if source.partition(".")[0] != plant.name}
         self.connections += [(source, f"{plant.name}.{name}") for name, source in own.items()]
+        check_units(self.slaves, self.sources, self.connections)
         return Wiring(tuple(self.connections), own)
 
 

@@ -47,10 +47,11 @@ def controller(
     floats, are tunable parameters; anything else is a constant. It must not keep anything between calls.
 
     Args:
-        sample_time, offset: [s].
+        sample_time: [s].
         inputs: names of signals; by default the reference positions and velocities of both joints, then the measured ones.
         outputs: names of signals; by default the torques of both joints.
         state: start values.
+        offset: first sample instant [s].
         units: name → unit of signals and parameters that aren't the robot's.
         name: name of the slave; by default the function's.
         symbolic: True requires a `SymbolicBlock`, False a slave in Python without trial calls, None takes what is possible.

@@ -126,6 +126,8 @@ def test_explicit_connections_come_first() -> None:
     ("controllers", "inline_blocks", "explicit", "message"),
     [
         ([Names("c", ["q.refernce"], ["torque"])], [], {}, "c.q.refernce has no source"),
+        ([Names("c", ["q.refernce"], ["torque"])], [], {}, "did you mean 'q.reference'"),
+        ([Names("c", ["q"], ["torque", "forces"])], [], {}, "c.forces is connected to nothing, and plant.force has no"),
         ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both output torque"),
         ([Names("c", [], ["q"])], [], {}, "c outputs q, but so does the robot"),
         ([Names("c", ["q"], ["y"])], [], {}, r"\(c\.y\) reaches the robot, which takes torque, force"),
