@@ -75,7 +75,7 @@ class FunctionController:
         for name, value in self.parameters.items():
             if isinstance(value, float):
                 values[name] = value
-            elif isinstance(value, tuple):
+            elif is_vector(value):
                 values |= {f"{name}[{i}]": element for i, element in enumerate(value, start=1)}
         return named_parameters(values, self.units)
 
@@ -91,7 +91,7 @@ class FunctionController:
             if name in parameters:
                 parameters[name] = _like(parameters[name], value, f"{self.name}: {name}")
             elif name in ("sample_time", "offset"):
-                timing[name] = float(value)
+                timing[name] = _like(0.0, value, f"{self.name}: {name}")
             else:
                 known = [*parameters, "sample_time", "offset"]
                 near = get_close_matches(name, known, n=1)
@@ -108,14 +108,14 @@ class FunctionController:
         reason = "symbolic = False"
         if self.symbolic is not False:
             try:
-                return BlockSlave(self.block(), name)
+                return BlockSlave(function_block(self), name)
             except NotSymbolicError as error:
                 if self.symbolic:
                     raise
                 reason = str(error)
         return FunctionSlave(
             name or self.name,
-            self._called,
+            self.called,
             (self.inputs, self.variables, self.outputs),
             self.states,
             self.sample_time,
@@ -123,51 +123,7 @@ class FunctionController:
             reason,
         )
 
-    def block(self) -> SymbolicBlock:
-        """Return the block of the function, traced with CasADi's symbols and compared with calls.
-
-        Raises:
-            NotSymbolicError: CasADi can't trace it; it may still be a slave in Python.
-            InputError: as for `slave`.
-        """
-        trials, reasons = self._trials(), []
-        # columns of symbols for functions of vectors, arrays of symbols for those that take elements one by one
-        for kind in (lambda column: column, as_elements):
-            try:
-                made = self._traced(kind)
-                _compare(made, trials)
-                return made
-            except NotSymbolicError as error:
-                reasons.append(error)
-        raise reasons[0]
-
-    def _traced(self, kind: Callable[[Vector], Any]) -> SymbolicBlock:
-        """The block from one call with symbols of a kind."""
-
-        def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on functions of NumPy
-                y, following = self._called(kind(x), kind(u), kind(p))
-            return casadi.SX(y), casadi.vertcat(casadi.SX(following), x[-1] + 1.0)
-
-        try:
-            return block(
-                self.name,
-                (inspect.getdoc(self.function) or f"The function {self.name}").partition("\n")[0],
-                equations,
-                sample_time=self.sample_time,
-                offset=self.offset,
-                inputs=self.inputs,
-                outputs=self.outputs,
-                parameters=self.variables,
-                states=[*self.states, 0.0],
-            )
-        except InputError:
-            raise
-        except Exception as error:
-            raise NotSymbolicError(f"{self.name}: CasADi can't trace the function: {described(error)}") from error
-
-    def _trials(self) -> list[tuple[RealArray, ...]]:
+    def trials(self) -> list[tuple[RealArray, ...]]:
         """Arguments x, u, p and results y, next x of calls with numbers.
 
         Raises:
@@ -182,7 +138,7 @@ class FunctionController:
             u = random.normal(size=len(self.inputs)) * k
             try:
                 with np.errstate(all="ignore"):
-                    found.append((x, u, gains, *self._called(x, u, gains)))
+                    found.append((x, u, gains, *self.called(x, u, gains)))
             except InputError:
                 raise
             except Exception as error:
@@ -191,14 +147,14 @@ class FunctionController:
             raise InputError(f"{self.name} fails: {described(failure)}") from failure
         # the first call again
         x, u, p, *first = found[0]
-        if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, self._called(x, u, p), strict=True)):
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, self.called(x, u, p), strict=True)):
             raise InputError(
                 f"{self.name} gives other values for the same arguments: what it keeps between calls must be its `state`, so that "
                 "samples can be repeated; or say symbolic=False, and it is called at samples only"
             )
         return found
 
-    def _called(self, x: Any, u: Any, p: Any) -> tuple[Any, Any]:
+    def called(self, x: Any, u: Any, p: Any) -> tuple[Any, Any]:
         """Outputs and next states, both flat, from states with the counter, inputs and parameters: numbers or symbols.
 
         Raises:
@@ -230,7 +186,7 @@ class FunctionController:
         for name, value in self.parameters.items():
             if isinstance(value, float):
                 values[name], at = p[at], at + 1
-            elif isinstance(value, tuple):
+            elif is_vector(value):
                 values[name], at = p[at : at + len(value)], at + len(value)
         return values
 
@@ -240,6 +196,56 @@ class FunctionController:
         if size != count:
             raise InputError(f"{self.name} returns {size} values for its {count} {what}")
         return column
+
+
+def is_vector(value: Any) -> bool:
+    """Whether a default is a tuple of floats, each of which is a tunable parameter."""
+    return isinstance(value, tuple) and len(value) > 0 and all(isinstance(each, float) for each in value)
+
+
+def function_block(controller: FunctionController) -> SymbolicBlock:
+    """Return the block of a function, traced with CasADi's symbols and compared with calls.
+
+    Raises:
+        NotSymbolicError: CasADi can't trace it; it may still be a slave in Python.
+        InputError: the function fails, returns wrong numbers of values, or depends on more than its arguments.
+    """
+    trials, reasons = controller.trials(), []
+    # columns of symbols for functions of vectors, arrays of symbols for those that take elements one by one
+    for kind in (lambda column: column, as_elements):
+        try:
+            made = _traced(controller, kind)
+            _compare(made, trials)
+            return made
+        except NotSymbolicError as error:
+            reasons.append(error)
+    raise reasons[0]
+
+
+def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> SymbolicBlock:
+    """The block from one call with symbols of a kind."""
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on functions of NumPy
+            try:
+                y, following = (casadi.SX(each) for each in controller.called(kind(x), kind(u), kind(p)))
+            except Exception as error:
+                reason = f"{controller.name}: CasADi can't trace the function: {described(error)}"
+                raise NotSymbolicError(reason) from error
+        return y, casadi.vertcat(following, x[-1] + 1.0)
+
+    return block(
+        controller.name,
+        (inspect.getdoc(controller.function) or f"The function {controller.name}").partition("\n")[0],
+        equations,
+        sample_time=controller.sample_time,
+        offset=controller.offset,
+        inputs=controller.inputs,
+        outputs=controller.outputs,
+        parameters=controller.variables,
+        states=[*controller.states, 0.0],
+    )
 
 
 def _compare(made: SymbolicBlock, trials: Sequence[tuple[RealArray, ...]]) -> None:
@@ -266,7 +272,7 @@ def _like(default: Any, value: Any, where: str) -> Any:
     try:
         if isinstance(default, float):
             return float(value)
-        if isinstance(default, tuple) and default and isinstance(default[0], float):
+        if is_vector(default):
             found = tuple(float(each) for each in value)
             if len(found) == len(default):
                 return found

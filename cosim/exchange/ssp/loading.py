@@ -30,6 +30,7 @@ from flexfmu.cosim.engine.trajectory_slave import REFERENCES, TrajectorySlave
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.exchange.ssp.parameters import start_values
 from flexfmu.cosim.exchange.ssp.reading import read_structure
+from flexfmu.cosim.exchange.ssp.scene_names import as_in_scene, is_exported_scene
 from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, Subsystem, levels
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, check_connectors, component_fmu
 from flexfmu.cosim.exchange.ssp.wiring import Network, Origin, shown, wires
@@ -75,6 +76,8 @@ class SspSystem:
         """Simulate the system with `flexfmu.cosim.engine.master.master.simulate`.
 
         Signals have the names of the file: ``inner.first.x`` for a component in a subsystem, ``inner.y`` for a system's connector.
+        Those of an exported scene have the names that they have in `flexfmu.cosim.experiment.prepared_scene.run_scene`, ``joint1.torque``
+        for example; the recording finds them by their names in the file, ``plant.joint1.torque``, too.
 
         Args:
             tolerance: relative tolerance of the FMUs; None for the file's, or the FMUs' own if the file has none.
@@ -109,7 +112,8 @@ class SspSystem:
             source = columns.get(".".join(origin.node))
             if source is not None:
                 columns.setdefault(name, _mapped(source, origin))
-        return Recording(recording.time, columns)
+        is_scene = is_exported_scene(self.system) and all(slave == name for slave, name in owners.items())
+        return Recording(recording.time, as_in_scene(self.system, columns) if is_scene else columns)
 
 
 def load_ssp(

@@ -6,6 +6,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import casadi
@@ -14,14 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export_support.blocks import SAMPLE_TIME, expected
+from flexfmu.cosim.control.controllers.c_function import c_function
 from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
+from flexfmu.cosim.control.controllers.function_controller import function_block
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
 from flexfmu.cosim.control.controllers.lqg import lqg
+from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
@@ -62,6 +66,22 @@ def oscillator() -> Any:
     return linear_system([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.2]], [[1.0, 0.0]], sample_time=SAMPLE_TIME)
 
 
+def in_c() -> SymbolicBlock:
+    """A function in C with states, parameters and the time."""
+    names: Any = {"inputs": ["u1", "u2"], "outputs": ["y1", "y2"], "parameters": {"a": 0.9, "b": 3.0}}
+    return c_function(Path(__file__).with_name("filter.c"), states=[0.2, -0.1], **names, **TIME)
+
+
+def of_python() -> SymbolicBlock:
+    """The same function in Python."""
+
+    @controller(inputs=["u1", "u2"], outputs=["y1", "y2"], state=[0.2, -0.1], symbolic=True, **TIME)
+    def filtered(t: Any, measurement: Any, state: Any, *, a: float = 0.9, b: float = 3.0) -> Any:
+        return a * state + b * measurement * np.sin(40.0 * t), a * state + (1.0 - a) * measurement
+
+    return function_block(filtered)
+
+
 DRIVEN: Any = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}
 TIME: Any = {"sample_time": SAMPLE_TIME}
 
@@ -80,6 +100,8 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "state_feedback": feedback,
     "lqg": lambda: lqg(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), **TIME),
     "state_space": lambda: state_space(oscillator()),
+    "c_function": in_c,
+    "function_block": of_python,
     "control_block": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
     "shaper_block": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
     "saturation": lambda: saturation(POSITIONS, -0.5, 0.7, **TIME),

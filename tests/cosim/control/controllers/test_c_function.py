@@ -1,0 +1,212 @@
+"""Controllers written in C: the numbers of the built-in ones, their place in the loop in C, and what is said about wrong ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
+from flexfmu.cosim.engine.binding import Evaluation
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.isolation import isolation
+from flexfmu.cosim.exchange.slave_export import export_slaves
+from flexfmu.cosim.exchange.ssp.export import export_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+
+INPUTS = [
+    f"joint{j}.{kind}" for kind in ("reference.position", "reference.velocity", "position", "velocity") for j in (1, 2)
+]
+OUTPUTS = ["joint1.torque", "joint2.torque"]
+PD = """
+  for (int j = 0; j < 2; ++j) y[j] = p[0] * (u[j] - u[4 + j]) + p[1] * (u[2 + j] - u[6 + j]);
+"""
+H = 1e-3
+Write = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def write(tmp_path_factory: pytest.TempPathFactory) -> Write:
+    """Writes a C file with a function of the signature: write(name, body, front)."""
+    folder = tmp_path_factory.mktemp("c")
+
+    def written(name: str, body: str, front: str = "") -> Path:
+        path = folder / f"{name}.c"
+        path.write_text(f"{front}\n{SIGNATURE.format(name)} {{{body}}}\n", encoding="utf-8")
+        return path
+
+    return written
+
+
+@pytest.fixture(scope="module")
+def robot() -> Scene:
+    """The paper's robot, driven by torques."""
+    return load_scene("barnard2012-6kg").replace(
+        {
+            "name": "c",
+            "cosimulation.drive": "torque",
+            "effects.motor_inertia": 0.1,
+            "trajectory.dwell": 0.0,
+        }
+    )
+
+
+def section(path: Path, **changes: Any) -> dict[str, Any]:
+    """The table of PD control in C."""
+    return {
+        "kind": "c-function",
+        "source": str(path),
+        "inputs": INPUTS,
+        "outputs": OUTPUTS,
+        "parameters": {"kp": 5e3, "kd": 50.0},
+        "sample_time": H,
+        **changes,
+    }
+
+
+def test_it_is_the_built_in_pd(write: Write, robot: Scene, tmp_path: Path) -> None:
+    """The same numbers as `pd` in the loop, as an exported FMU and as an SSP file, with the names of the scene."""
+    path, built_in = write("own_pd", PD), {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": H}
+    expected = run_scene(robot.replace({"controller": [built_in]})).recording
+    scene = robot.replace({"controller": [section(path)]})
+    fmu = export_slaves(scene, tmp_path, names=["c_function"]).slaves[0].path
+    runs = [run_scene(scene), run_scene(robot.replace({"controller": [{"kind": "fmu", "path": str(fmu)}]}))]
+    for run in runs:
+        assert run.completed, run.message
+        for name in ("joint1.position", "joint2.torque", "end_effector.position.x"):
+            values = expected[name].values
+            np.testing.assert_allclose(run.recording[name].values, values, rtol=0.0, atol=1e-12 * abs(values).max())
+    packed = load_ssp(export_ssp(scene, tmp_path / "c.ssp")).simulate().recording
+    np.testing.assert_allclose(
+        packed["joint1.position"].values, expected["joint1.position"].values, rtol=0.0, atol=1e-11
+    )
+    own = {name for name in runs[0].recording.columns if not name.startswith("end_effector.reference")}
+    assert set(packed.columns) == own
+
+
+def test_states_parameters_and_time(write: Write) -> None:
+    """y_k = a x_k + sin(t_k), x_k+1 = x_k + u_k, the time counted from the first instant's offset; both to the last bit but the
+    sine's."""
+    path = write("sums", "y[0] = p[0] * x[0] + sin(t); next_x[0] = x[0] + u[0];", "#include <math.h>")
+    block = c_function(
+        path, inputs=["in"], outputs=["out"], parameters={"a": 3.0}, states=[0.25], sample_time=H, offset=0.1
+    )
+    slave, u = BlockSlave(block), np.random.default_rng(3).normal(size=30)
+    slave.initialize(0.0, 1.0, None)
+    x, value = 0.25, np.empty(1)
+    for k in range(30):
+        slave.set(np.array([0]), u[k : k + 1])
+        slave.sample(0.1 + k * H)
+        slave.get(np.array([2]), value)
+        assert value[0] == pytest.approx(3.0 * x + np.sin(0.1 + k * H), rel=1e-15, abs=1e-15)
+        x += u[k]
+
+
+def test_loop_in_c_calls_it(write: Write) -> None:
+    """No Python in a sample; and the run is isolated, since C may crash."""
+    slave = BlockSlave(
+        c_function(
+            write("own_pd", PD), inputs=INPUTS, outputs=OUTPUTS, parameters={"kp": 1.0, "kd": 1.0}, sample_time=H
+        )
+    )
+    assert any(isinstance(call, Evaluation) for call in slave.sample_calls("sample") or ())
+    assert isolation(None, [slave], 1.0, theirs=True) is not None
+
+
+def test_compiled_block_includes_it(write: Write) -> None:
+    """Compiled C of output and update has the same numbers as CasADi's virtual machine."""
+    block = c_function(
+        write("own_pd", PD), inputs=INPUTS, outputs=OUTPUTS, parameters={"kp": 7.0, "kd": 3.0}, sample_time=H
+    )
+    found = []
+    for compiled in (False, True):
+        slave, values = BlockSlave(block, compiled=compiled), np.empty(2)
+        slave.set(np.arange(8), np.linspace(-1.0, 1.0, 8))
+        slave.initialize(0.0, 1.0, None)
+        slave.get(np.array([10, 11]), values)
+        found.append(values)
+    assert found[0].tolist() == found[1].tolist() != [0.0, 0.0]
+
+
+def test_several_files(write: Write, tmp_path: Path) -> None:
+    """Headers and further C files belong to the function."""
+    (tmp_path / "half.h").write_text("double half(double x);\n")
+    (tmp_path / "half.c").write_text('#include "half.h"\ndouble half(double x) { return 0.5 * x; }\n')
+    first = write("halved", "y[0] = half(u[0]);", '#include "half.h"')
+    files = [first, tmp_path / "half.c", tmp_path / "half.h"]
+    slave, value = BlockSlave(c_function(files, inputs=["in"], outputs=["out"], sample_time=H)), np.empty(1)
+    slave.set(np.array([0]), np.array([3.0]))
+    slave.initialize(0.0, 1.0, None)
+    slave.get(np.array([1]), value)
+    assert value[0] == 1.5
+
+
+@pytest.mark.skipif("sys.platform != 'linux'", reason="isolation needs Linux")
+def test_a_crash_ends_the_run_alone(write: Write, robot: Scene) -> None:
+    """The message names the slave, and what was recorded stays."""
+    path = write("crash", "y[0] = t < 0.05 ? 0.0 : *(volatile double *)0; y[1] = 0.0;")
+    run = run_scene(robot.replace({"controller": [section(path, parameters={}, name="wild")]}))
+    assert not run.completed
+    assert "wild" in run.message
+    assert run.recording.time[-1] > 0.04
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"function": "other"}, "undefined|other"),
+        ({"function": "no name"}, "is no name of a C function"),
+        ({"outputs": []}, "needs `outputs`"),
+        ({"inputs": ["a", "a"]}, "two variables are named 'a'"),
+        ({"parameters": {"a": float("nan")}}, "'a' must be a finite number, got nan"),
+        ({"units": {"joint1.torqe": "N.m"}}, "did you mean 'joint1.torque'"),
+        ({"sample_time": 0.0}, "the sample time must be positive"),
+        ({"source": "missing.c"}, "can't read the C file missing.c"),
+    ],
+)
+def test_wrong_input_is_named(write: Write, changes: dict[str, Any], message: str) -> None:
+    """Every mistake is said in a sentence with what would do."""
+    given: dict[str, Any] = {
+        "source": write("own_pd", PD),
+        "inputs": INPUTS,
+        "outputs": OUTPUTS,
+        "sample_time": H,
+        **changes,
+    }
+    with pytest.raises(InputError, match=message):
+        c_function(**given)
+
+
+def test_another_signature_is_refused(tmp_path: Path) -> None:
+    """The compiler sees the prototype; the message has the signature."""
+    path = tmp_path / "short.c"
+    path.write_text("void short_one(double t, double *y) { y[0] = t; }\n")
+    with pytest.raises(InputError, match=r"void short_one\(double t, const double \*u, const double \*p"):
+        c_function(path, "short_one", inputs=["u"], outputs=["y"], sample_time=H)
+
+
+def test_a_file_of_the_runtime_keeps_its_name(write: Write, tmp_path: Path) -> None:
+    """A user's file can't replace one that every FMU has."""
+    block = c_function(write("model", "y[0] = u[0];"), inputs=["in"], outputs=["out"], sample_time=H)
+    header = {**block.c_files, "model.h": ""}
+    from dataclasses import replace
+
+    from flexfmu.fmu_build.block_build import build_block_fmu
+
+    with pytest.raises(ModelError, match=r"'model\.h' has the name of a file of every FMU; rename it"):
+        build_block_fmu(replace(block, c_files=header), tmp_path / "x.fmu")
+
+
+def test_section_says_what_it_takes() -> None:
+    """A source that is no path is named with its key."""
+    with pytest.raises(SceneError, match=r"controller\[0\].*source.*got 3"):
+        load_scene("barnard2012-6kg").replace({"controller": [section(Path("x.c"), source=3)]})
