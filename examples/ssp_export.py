@@ -29,8 +29,8 @@ print(f"{path.name}: {path.stat().st_size / 1024:.0f} KiB, valid; {', '.join(eac
 SIGNAL = "end_effector.position.x"
 expected = run_scene(scene).recording[SIGNAL]
 loaded = load_ssp(path)
-found = loaded.simulate().recording[f"plant.{SIGNAL}"]
+found = loaded.simulate().recording[SIGNAL]
 print(f"largest difference to the scene's own run: {np.abs(found.values - expected.values).max():.1e} m")
 
-coarse = load_ssp(path, step=2 * loaded.step).simulate().recording[f"plant.{SIGNAL}"]
+coarse = load_ssp(path, step=2 * loaded.step).simulate().recording[SIGNAL]
 print(f"end, twice the step: {coarse.values[-1]:.9f} m; as exported: {found.values[-1]:.9f} m")

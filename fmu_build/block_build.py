@@ -96,7 +96,8 @@ def generate_block_sources(
     picture = block_picture(*PAGE_SIZE, FINE_PEN)
     pages = documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
     icon = png(block_picture(ICON_SIZE, ICON_SIZE))
-    return assemble_sources("block", description, experiment, code, pages, icon, block.c_files)
+    sources = assemble_sources("block", description, experiment, code, pages, icon, block.c_files)
+    return replace(sources, libraries=block.libraries)
 
 
 SAMPLES = "statistics.samples"

@@ -22,9 +22,9 @@ from flexfmu.fmu_build.cache import (
     store,
 )
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.errors import ArchiveError, PlatformError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.platforms import Platform, find_platforms
+from flexfmu.fmu_build.platforms import Platform, find_platforms, native_platform
 from flexfmu.fmu_build.toolchain import find_compiler
 
 if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
@@ -191,10 +191,16 @@ def _build(
 ) -> bytes:
     compilers = [find_compiler(platform) for platform in platforms]  # fail early if a compiler is missing
     sources = make_sources()
+    others = [each.name for each in platforms if sources.libraries and each.name != native_platform().name]
+    if others:
+        raise PlatformError(
+            f"{', '.join(sources.libraries)} is for this machine; for {others[0]} give the C source instead"
+        )
     files = sources.archive_files()
     for compiler in compilers:
         progress(f"compiling for {compiler.platform.name}")
         library = f"binaries/{compiler.platform.name}/{sources.model_identifier}{compiler.platform.suffix}"
         files[library] = compile_library(sources, compiler, cache=cache)
+        files |= {f"binaries/{compiler.platform.name}/{name}": each.content for name, each in sources.libraries.items()}
     progress("packing")
     return pack(files)

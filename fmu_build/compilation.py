@@ -70,8 +70,22 @@ def compile_library(
         compiler.compile(missing, folder)
         for job in missing:
             _keep(folder / job.object_file, kept[job])
-        compiler.link([job.object_file for job in jobs.values()], library, folder)
+        beside = _stand_ins(sources, compiler, folder)
+        compiler.link([*(job.object_file for job in jobs.values()), *beside], library, folder)
         return (folder / library).read_bytes()
+
+
+def _stand_ins(sources: Sources, compiler: Compiler, folder: Path) -> tuple[str, ...]:
+    """Arguments of the linker for shared libraries that lie beside this one.
+
+    It is linked with empty libraries of their names, since the name that a library was built with, its SONAME, may be another one.
+    """
+    for name, each in sources.libraries.items():
+        job = CompileJob(f"{Path(name).stem}.c", GENERATED_FLAGS)
+        (folder / job.source).write_text(f'__attribute__((visibility("default"))) void {each.function}(void) {{}}\n')
+        compiler.compile([job], folder)
+        compiler.link([job.object_file], name, folder)
+    return (*sources.libraries, "-Wl,-rpath,$ORIGIN") if sources.libraries else ()
 
 
 def _with_small_ones_joined(sources: Sources) -> dict[str, str]:

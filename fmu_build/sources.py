@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
 
@@ -19,7 +19,7 @@ from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS
 
 if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SymbolicModel
+    from flexfmu.model.symbolic import SharedLibrary, SymbolicModel
 
 FmuKind = Literal["plant", "block", "trajectory"]
 """Kind of an FMU; all kinds share the FMI layer of the runtime."""
@@ -60,6 +60,7 @@ class Sources:
         runtime: C files and headers of the runtime, name → text.
         documentation: path below the FMU's root → text.
         icon: PNG file; may be empty.
+        libraries: shared libraries that the FMU's own one needs beside it, name → library.
     """
 
     model_identifier: str
@@ -69,6 +70,7 @@ class Sources:
     runtime: dict[str, str]
     documentation: dict[str, str]
     icon: bytes = b""
+    libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
 
     @property
     def generated_bytes(self) -> int:

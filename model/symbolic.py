@@ -206,6 +206,19 @@ class SymbolicModel:
 
 
 @dataclass(frozen=True)
+class SharedLibrary:
+    """A shared library of a user that a block's functions call.
+
+    Attributes:
+        content: the file.
+        function: name of the function that is called.
+    """
+
+    content: bytes
+    function: str
+
+
+@dataclass(frozen=True)
 class SymbolicBlock:
     """A block as equations and variables; immutable.
 
@@ -221,6 +234,7 @@ class SymbolicBlock:
         feedthrough: output → inputs that it depends on at the same instant (direct feedthrough).
         latency: output → its delay at low frequency [s], without the hold; outputs without a delay are left out.
         c_files: C files and headers that the functions call as `casadi.external`, name → text; compiled into the block's FMU.
+        libraries: shared libraries for this platform that the C files call, name of the file → library; copied into the FMU.
     """
 
     name: str
@@ -236,3 +250,4 @@ class SymbolicBlock:
     feedthrough: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     latency: Mapping[str, float] = field(default_factory=dict)
     c_files: Mapping[str, str] = field(default_factory=dict)
+    libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)

@@ -23,7 +23,7 @@ from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, elementary_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
-from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock
 
 COMPILED_FROM = 200
 """Blocks of at least this many operations are compiled by default.
@@ -70,7 +70,9 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
     function = sample_function(block)
     if compiled is None:
         compiled = function.n_instructions() >= COMPILED_FROM
-    return compile_function(function, c_files=block.c_files) if compiled else function
+    if not compiled:
+        return function
+    return compile_function(function, c_files=block.c_files, libraries=block.libraries)
 
 
 def bound(
@@ -123,7 +125,10 @@ def _needs_no_python(function: casadi.Function) -> bool:
 
 
 def compile_function(
-    function: casadi.Function, *companions: casadi.Function, c_files: Mapping[str, str] | None = None
+    function: casadi.Function,
+    *companions: casadi.Function,
+    c_files: Mapping[str, str] | None = None,
+    libraries: Mapping[str, SharedLibrary] | None = None,
 ) -> casadi.Function:
     """Return the same function in compiled C; each generated source is compiled once.
 
@@ -131,6 +136,7 @@ def compile_function(
         function: the function.
         companions: functions that CasADi looks up by name in the same library, such as the Jacobian ``jac_<name>``.
         c_files: C files and headers that the function calls, name → text.
+        libraries: shared libraries that these call, name → library.
 
     Raises:
         MissingCompilerError: there is no C compiler.
@@ -141,21 +147,31 @@ def compile_function(
     for each in (function, *companions):
         generator.add(each)
     code = with_elementary_functions(str(generator.dump()))
-    return casadi.external(function.name(), str(library(function.name(), code, tuple((c_files or {}).items()))))
+    called = tuple((c_files or {}).items()), tuple((libraries or {}).items())
+    return casadi.external(function.name(), str(library(function.name(), code, *called)))
 
 
 @lru_cache(maxsize=64)
-def library(name: str, code: str, c_files: tuple[tuple[str, str], ...] = ()) -> Path:
+def library(
+    name: str,
+    code: str,
+    c_files: tuple[tuple[str, str], ...] = (),
+    libraries: tuple[tuple[str, SharedLibrary], ...] = (),
+) -> Path:
     """Compile a C file to a shared library, which the cache keeps under the hash of its content; errors as for `compile_function`.
 
     Args:
         name: name of the library.
         code: the C file, generated.
         c_files: further C files and headers, (name, text) each.
+        libraries: shared libraries that these call, (name, library) each; they are stored beside the compiled one.
     """
-    sources = Sources(name, "", "", {f"{name}.c": code}, elementary_sources() | dict(c_files), {})
+    runtime = elementary_sources() | dict(c_files)
+    sources = Sources(name, "", "", {f"{name}.c": code}, runtime, {}, libraries=dict(libraries))
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
+    for beside, each in libraries:
+        store(f"blocks/{beside}", each.content)
     file = f"blocks/{content_hash([content])}{platform.suffix}"
     path = cached(file)
     return path if path is not None and path.read_bytes() == content else store(file, content)

@@ -11,7 +11,7 @@ import casadi
 
 from flexfmu.cosim.control.blocks.slave import check_variables
 from flexfmu.cosim.engine.slave import check_sampling
-from flexfmu.model.symbolic import SymbolicBlock, Variable
+from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock, Variable
 
 Vector = Any
 """A CasADi column vector, SX or MX."""
@@ -34,6 +34,7 @@ def block(
     symbol: Any = casadi.SX,
     latency: Mapping[str, float] | None = None,
     c_files: Mapping[str, str] | None = None,
+    libraries: Mapping[str, SharedLibrary] | None = None,
 ) -> SymbolicBlock:
     """Build a block from equations; an output has direct feedthrough from every input that it depends on structurally.
 
@@ -46,6 +47,7 @@ def block(
         symbol: `casadi.SX` for scalar operations; `casadi.MX` for operations on whole vectors.
         latency: output → delay at low frequency [s].
         c_files: C files and headers that the equations call as `casadi.external`, name → text.
+        libraries: shared libraries that these call, name → library.
 
     Raises:
         InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of
@@ -70,6 +72,7 @@ def block(
         update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
         latency=latency or {},
         c_files=c_files or {},
+        libraries=libraries or {},
     )
     # direct feedthrough follows from the output function
     check_variables(result)

@@ -8,7 +8,9 @@ signature, and with the toolkit's elementary functions, so that its FMU gives th
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping, Sequence
+from ctypes import CDLL
 from pathlib import Path
 
 import casadi
@@ -19,12 +21,16 @@ from flexfmu.cosim.control.controllers.named_signals import check_units, named_p
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
+from flexfmu.fmu_build.cache import content_hash
 from flexfmu.fmu_build.errors import CompileError
 from flexfmu.model.scene.controllers import CFunctionSection
-from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock
 
 SIGNATURE = "void {}(double t, const double *u, const double *p, const double *x, double *y, double *next_x)"
 """Time [s], inputs, parameters and states → outputs and next states."""
+
+LIBRARIES = (".so",)
+"""Suffixes of shared libraries."""
 
 CALL = "user_function"
 """Name of the function that CasADi calls, and of its file."""
@@ -86,8 +92,8 @@ def c_function(
     repeat a sample. The file is C99.
 
     Args:
-        source: the C file, or a list of C files and headers.
-        function: name of the function; by default that of the first file.
+        source: the C file, or a list of C files and headers; on Linux a shared library (``.so``) too, which the FMU contains.
+        function: name of the function; by default that of the first file, without ``lib``.
         inputs, outputs: names of the signals.
         sample_time, offset: [s].
         parameters: name → value; tunable.
@@ -110,7 +116,8 @@ def c_function(
     check_units(units, [*taken, *given, *values])
     # the function's files, its call, and what describes the call to CasADi
     paths = [Path(each) for each in ([source] if isinstance(source, (str, Path)) else source)]
-    function = function or paths[0].stem
+    first = paths[0]
+    function = function or (first.stem.removeprefix("lib") if first.suffix in LIBRARIES else first.stem)
     if not re.fullmatch(r"[A-Za-z_]\w*", function):
         raise InputError(f"{name}: {function!r} is no name of a C function; give `function`")
     facts = {
@@ -124,8 +131,10 @@ def c_function(
         "sample_time": float(sample_time),
         "offset": float(offset),
     }
-    files, caller = _user_files(paths, facts["prototype"]), _CALL_FILE.format(**facts)
-    call = _loaded(_LIBRARY_FILE.format(**facts) + caller, files, function)
+    libraries = _shared_libraries([path for path in paths if path.suffix in LIBRARIES], function)
+    files = _user_files([path for path in paths if path.suffix not in LIBRARIES], facts["prototype"])
+    caller = "".join(f"/* needs {each} */\n" for each in libraries) + _CALL_FILE.format(**facts)
+    call = _loaded(_LIBRARY_FILE.format(**facts) + caller, files, libraries, function)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         y, following = call(x, u, p)
@@ -143,6 +152,7 @@ def c_function(
         states=[*states, 0.0],
         symbol=casadi.MX,
         c_files={**files, f"{CALL}.c": caller},
+        libraries=libraries,
     )
 
 
@@ -164,7 +174,29 @@ def _user_files(paths: Sequence[Path], prototype: object) -> dict[str, str]:
     return texts
 
 
-def _loaded(code: str, c_files: Mapping[str, str], function: str) -> casadi.Function:
+def _shared_libraries(paths: Sequence[Path], function: str) -> dict[str, SharedLibrary]:
+    """The user's shared libraries under names with the hash of their content, since a process loads one file of a name only.
+
+    Raises:
+        InputError: a library can't be loaded or has no such function, or this system isn't Linux.
+    """
+    found = {}
+    for path in paths:
+        if sys.platform != "linux":
+            raise InputError(f"{path}: shared libraries are taken on Linux; give the C source instead")
+        try:
+            loaded, content = CDLL(str(path.resolve())), path.read_bytes()
+        except OSError as error:
+            raise InputError(f"can't load the shared library {path}: {error}") from None
+        if not hasattr(loaded, function):
+            raise InputError(f"the shared library {path} has no function {function!r}; name it as `function`")
+        found[f"{path.stem}-{content_hash([content])[:12]}.so"] = SharedLibrary(content, function)
+    return found
+
+
+def _loaded(
+    code: str, c_files: Mapping[str, str], libraries: Mapping[str, SharedLibrary], function: str
+) -> casadi.Function:
     """The compiled function, with derivatives by finite differences for whoever linearises it.
 
     Raises:
@@ -172,7 +204,7 @@ def _loaded(code: str, c_files: Mapping[str, str], function: str) -> casadi.Func
         MissingCompilerError: there is no C compiler.
     """
     try:
-        path = library(f"{CALL}_library", code, tuple(sorted(c_files.items())))
+        path = library(f"{CALL}_library", code, tuple(sorted(c_files.items())), tuple(libraries.items()))
     except CompileError as error:
         raise InputError(f"{error}; the function must be\n    {SIGNATURE.format(function)}") from None
     return casadi.external(CALL, str(path), {"enable_fd": True})

@@ -33,8 +33,9 @@ SECTIONS = [
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_examples_are_scenes(robot: Scene, block: str) -> None:
-    """Every block can be read, and its slaves be made and named."""
+def test_examples_are_scenes(robot: Scene, block: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every block can be read, and its slaves be made and named; files that it names are examples."""
+    monkeypatch.chdir(Path(__file__).parents[3] / "examples")
     data = tomllib.loads(block)
     changes: dict[str, Any] = {f"cosimulation.{key}": value for key, value in data.pop("cosimulation", {}).items()}
     loop = loop_of(robot.replace(changes | data))

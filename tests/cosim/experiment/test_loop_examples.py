@@ -168,3 +168,18 @@ def test_all_examples_of_loops_are_tested() -> None:
     mine = [path.name for path in EXAMPLES.glob("*.py") if path.name.startswith(prefixes)]
     assert mine
     assert all(f'"{name}"' in tested for name in mine)
+
+
+def test_custom_function(tmp_path: Path) -> None:
+    """The function controls the robot as it stands and from a scene file, and leaves as an FMU."""
+    python, scene_file, exported = lines("custom_function.py", tmp_path)
+    assert value(python, "tracking error") < 10.0
+    assert value(scene_file, "tracking error") < 20.0
+    assert exported.startswith("exported: own_pid.fmu, PID control")
+    assert (tmp_path / "fmus" / "own_pid.fmu").is_file()
+
+
+def test_controller_c_function(tmp_path: Path) -> None:
+    """The function in C and its FMU give the same error to the last digit."""
+    here, fmu = (value(line, "tracking error") for line in lines("controller_c_function.py", tmp_path))
+    assert here == fmu < 10.0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fmpy import simulate_fmu
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
@@ -18,6 +21,7 @@ from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -150,6 +154,27 @@ def test_several_files(write: Write, tmp_path: Path) -> None:
     assert value[0] == 1.5
 
 
+@pytest.mark.skipif("sys.platform != 'linux'", reason="shared libraries are taken on Linux")
+def test_a_shared_library_is_in_the_fmu(write: Write, robot: Scene, tmp_path: Path) -> None:
+    """The FMU holds the library, whatever its SONAME, and needs no other file: it runs after that is gone; and two libraries of one
+    name are two."""
+    found = []
+    for gain in (1.0, 2.0):
+        library = tmp_path / "libgain.so"
+        source = write("gain", f"y[0] = {gain} * u[0];")
+        subprocess.run(["cc", "-shared", "-fPIC", "-Wl,-soname,libgain.so.7", "-o", library, source], check=True)
+        block = c_function(library, inputs=["in"], outputs=["out"], sample_time=H)
+        slave, value = BlockSlave(block), np.empty(1)
+        fmu = build_block_fmu(block, tmp_path / f"gain{gain:g}.fmu").path
+        library.unlink()
+        slave.set(np.array([0]), np.array([3.0]))
+        slave.initialize(0.0, 1.0, None)
+        slave.get(np.array([1]), value)
+        result = simulate_fmu(str(fmu), start_values={"in": 3.0}, stop_time=2 * H, output=["out"])
+        found += [value[0], result["out"][-1]]
+    assert found == [3.0, 3.0, 6.0, 6.0]
+
+
 @pytest.mark.skipif("sys.platform != 'linux'", reason="isolation needs Linux")
 def test_a_crash_ends_the_run_alone(write: Write, robot: Scene) -> None:
     """The message names the slave, and what was recorded stays."""
@@ -196,12 +221,8 @@ def test_another_signature_is_refused(tmp_path: Path) -> None:
 
 def test_a_file_of_the_runtime_keeps_its_name(write: Write, tmp_path: Path) -> None:
     """A user's file can't replace one that every FMU has."""
-    block = c_function(write("model", "y[0] = u[0];"), inputs=["in"], outputs=["out"], sample_time=H)
+    block = c_function(write("taken", "y[0] = u[0];"), inputs=["in"], outputs=["out"], sample_time=H)
     header = {**block.c_files, "model.h": ""}
-    from dataclasses import replace
-
-    from flexfmu.fmu_build.block_build import build_block_fmu
-
     with pytest.raises(ModelError, match=r"'model\.h' has the name of a file of every FMU; rename it"):
         build_block_fmu(replace(block, c_files=header), tmp_path / "x.fmu")
 
