@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from time import process_time
 from timeit import repeat
+from typing import Any
 
 import numpy as np
 from idle import idle_fmu
@@ -15,7 +16,9 @@ from paper_scene import SCENE, Timed, best_times, timed
 from speed_figure import SpeedFigure
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.c_function import c_function
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque
+from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
@@ -49,6 +52,16 @@ LONG_LOOP = {
     "controller": [{"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": SAMPLE_TIME}],
     "imperfection": [{"kind": "encoder", "counts_per_turn": 1e6}],
 }
+
+
+C_PD = Path(__file__).with_name("pd.c")
+GAINS = {"kp": 1e3, "kd": 10.0}
+
+
+def pd_function(reference: Any, measurement: Any, *, kp: float = 1e3, kd: float = 10.0) -> Any:
+    """PD control as a function."""
+    error = reference - measurement
+    return kp * error[:2] + kd * error[2:]
 
 
 class PdInPython:
@@ -117,21 +130,35 @@ def sample_figures(folder: Path) -> Iterator[SpeedFigure]:
     block = pd(1e3, 10.0, sample_time=SAMPLE_TIME)
     own = PdInPython(BlockSlave(block))
     dynamic = computed_torque(inverse_dynamics(SCENE), 1e4, 200.0, sample_time=SAMPLE_TIME)
+    names = [each.name for each in block.inputs if "feedforward" not in each.name]
+    outputs = [each.name for each in block.outputs]
+    in_c = c_function(C_PD, "pd", inputs=names, outputs=outputs, parameters=GAINS, sample_time=SAMPLE_TIME)
+    traced, called = (
+        controller(sample_time=SAMPLE_TIME, symbolic=symbolic)(pd_function).slave() for symbolic in (True, False)
+    )
     controllers: list[Slave | None] = [
         None,
         BlockSlave(block),
         BlockSlave(dynamic),
         SampledFmu(build_block_fmu(block).path, "exported"),
         own,
+        BlockSlave(in_c),
+        traced,
+        called,
     ]
     times = best_times([sampled(each, idle) for each in controllers], ROUNDS)
     alone, *others = times
-    pd_sample, torque_sample, exported, python = ((each - alone) * SAMPLE_TIME / SECONDS for each in others)
+    pd_sample, torque_sample, exported, python, c_sample, traced_sample, called_sample = (
+        (each - alone) * SAMPLE_TIME / SECONDS for each in others
+    )
     note = f"{1e6 * alone * SAMPLE_TIME / SECONDS:.2f} µs a step with a plant that does nothing"
     yield SpeedFigure("PD, a sample beside the plant", 1e6 * pd_sample, 1.0, "µs", note=note)
     yield SpeedFigure("computed torque, a sample beside the plant", 1e6 * torque_sample, 2.0, "µs")
     note = f"{1e6 * exported:.2f} µs a sample"
     yield SpeedFigure("PD as an FMU, in terms of the block", exported / pd_sample, 2.0, "×", note=note)
+    yield SpeedFigure("PD as a function in C, a sample", 1e6 * c_sample, 1.0, "µs")
+    yield SpeedFigure("PD as a traced Python function, a sample", 1e6 * traced_sample, 1.0, "µs")
+    yield SpeedFigure("PD as a Python function that isn't traced, a sample", 1e6 * called_sample, 30.0, "µs")
     call = own.own_call()
     note = f"{1e6 * call:.2f} µs for the methods by themselves"
     yield SpeedFigure("PD in Python, a sample beyond its methods", 1e6 * (python - call), 2.0, "µs", note=note)

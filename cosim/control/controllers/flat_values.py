@@ -13,6 +13,8 @@ from flexfmu.cosim.control.blocks.equations import Vector
 
 def as_column(values: Any) -> Any:
     """Nested sequences, arrays, numbers and symbols as one column of symbols, or one array of floats."""
+    if isinstance(values, np.ndarray) and values.dtype == float:
+        return values.ravel()
     pieces = list(_pieces(values))
     if any(isinstance(each, casadi.SX) for each in pieces):
         return casadi.vertcat(*pieces)

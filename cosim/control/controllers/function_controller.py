@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import cached_property
 from typing import Any
 
 import casadi
@@ -138,7 +139,7 @@ class FunctionController:
             u = random.normal(size=len(self.inputs)) * k
             try:
                 with np.errstate(all="ignore"):
-                    found.append((x, u, gains, *self.called(x, u, gains)))
+                    found.append((x, u, gains, *self.called(x.copy(), u.copy(), gains.copy())))
             except InputError:
                 raise
             except Exception as error:
@@ -147,7 +148,10 @@ class FunctionController:
             raise InputError(f"{self.name} fails: {described(failure)}") from failure
         # the first call again
         x, u, p, *first = found[0]
-        if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, self.called(x, u, p), strict=True)):
+        if not all(
+            np.array_equal(a, b, equal_nan=True)
+            for a, b in zip(first, self.called(x.copy(), u.copy(), p.copy()), strict=True)
+        ):
             raise InputError(
                 f"{self.name} gives other values for the same arguments: what it keeps between calls must be its `state`, so that "
                 "samples can be repeated; or say symbolic=False, and it is called at samples only"
@@ -160,17 +164,17 @@ class FunctionController:
         Raises:
             InputError: the function returns a wrong number of values.
         """
-        is_reference = np.array([REFERENCE in each.name for each in self.inputs], dtype=bool)
-        given = {
-            "t": self.offset + x[-1] * self.sample_time,
-            "reference": u[np.flatnonzero(is_reference).tolist()],
-            "measurement": u[np.flatnonzero(~is_reference).tolist()],
-            "state": x[: len(self.states)],
-        }
-        wanted = inspect.signature(self.function).parameters
-        result = self.function(
-            **{name: value for name, value in given.items() if name in wanted}, **self._with_values(p)
-        )
+        wanted, references, others = self._arguments
+        given: dict[str, Any] = {}
+        if "t" in wanted:
+            given["t"] = self.offset + x[-1] * self.sample_time
+        if "reference" in wanted:
+            given["reference"] = u[references]
+        if "measurement" in wanted:
+            given["measurement"] = u[others]
+        if "state" in wanted:
+            given["state"] = x[:-1]
+        result = self.function(**given, **self._with_values(p))
         if not self.states:
             return self._flat(result, len(self.outputs), "outputs"), as_column([])
         if not isinstance(result, tuple) or len(result) != 2:
@@ -179,6 +183,14 @@ class FunctionController:
             self._flat(result[0], len(self.outputs), "outputs"),
             self._flat(result[1], len(self.states), "states"),
         )
+
+    @cached_property
+    def _arguments(self) -> tuple[Collection[str], list[int], list[int]]:
+        """Names of the function's arguments, and indices of the inputs that are references and of the others."""
+        names = [each.name for each in self.inputs]
+        references = [i for i, name in enumerate(names) if REFERENCE in name]
+        others = [i for i, name in enumerate(names) if REFERENCE not in name]
+        return inspect.signature(self.function).parameters, references, others
 
     def _with_values(self, p: Any) -> dict[str, Any]:
         """The keyword arguments, tunable ones with values from p."""

@@ -102,7 +102,12 @@ class FunctionSlave:
     def _calculate(self, time: float) -> RealArray:
         """Set the outputs and return the next states."""
         # copies, so that the function can't change what it gets
-        inputs, parameters, _, states = np.split(self._memory.copy(), [self._inputs, self._known, self._end])
+        values = self._memory.copy()
+        inputs, parameters, states = (
+            values[: self._inputs],
+            values[self._inputs : self._known],
+            values[self._end :],
+        )
         try:
             outputs, following = self._function(states, inputs, parameters)
         except Exception as error:

@@ -143,6 +143,19 @@ def test_traced_function_leaves_as_an_fmu(robot: Scene, tmp_path: Path) -> None:
         export_slaves(other, tmp_path)
 
 
+def test_arguments_may_be_changed_in_place() -> None:
+    """A function that adds to its state in place is no other function."""
+
+    @flexfmu.controller(sample_time=H, state=[1.0], **SINGLE)
+    def law(reference: Any, state: Any) -> Any:
+        state += reference[0]
+        return state[0], state
+
+    for symbolic in (None, False):
+        slave = flexfmu.controller(sample_time=H, state=[1.0], symbolic=symbolic, **SINGLE)(law.function).slave()
+        np.testing.assert_allclose(sampled(slave, np.full((4, 4), 2.0))[:, 0], [3.0, 5.0, 7.0, 9.0], rtol=1e-15)
+
+
 def test_impure_functions_are_refused() -> None:
     """What is kept between calls or drawn would differ between repeated samples; said so, unless told not to try."""
     sums: list[float] = []
