@@ -66,7 +66,7 @@ def controller(
     states = tuple(float(value) for value in np.atleast_1d(np.asarray(state, dtype=float)))
 
     def decorate(function: Callable[..., Any]) -> FunctionController:
-        own: str = name or getattr(function, "__name__", "controller")
+        own = name or str(getattr(function, "__name__", "controller"))
         return FunctionController(
             function,
             own,
