@@ -11,6 +11,9 @@ from flexfmu.cosim.engine.slave import Slave
 MISSPELT = 0.9
 """Similarity (`difflib`) from which the name of an unused output counts as a misspelt input of the robot."""
 
+NEAREST = 8
+"""Number of signals in a message where no unit tells which ones fit."""
+
 
 def no_source(slaves: Mapping[str, Slave], sources: Mapping[str, str], target: str) -> str:
     """Return the message that an input has no source, with what would fit by name and by unit.
@@ -25,7 +28,8 @@ def no_source(slaves: Mapping[str, Slave], sources: Mapping[str, str], target: s
     same = [signal for signal, each in units.items() if unit and each == unit]
     hint = f"; did you mean {near[0]!r}{_bracketed(units[near[0]])}?" if near else "."
     best = [*near, *same, *units, "joint1.position"][0]
-    there = f"in {unit} there are: {', '.join(same)}" if same else f"there are: {', '.join(units)}"
+    nearest = get_close_matches(name, units, n=NEAREST, cutoff=0.0)
+    there = f"in {unit} there are: {', '.join(same)}" if same else f"the nearest signals are: {', '.join(nearest)}"
     return (
         f"{target}{_bracketed(unit)} has no source: no signal has that name{hint} Rename it, or connect it explicitly, "
         f'connect = {{ "{name}" = "{best}" }} for example; {there}'

@@ -113,7 +113,7 @@ def c_function(
     units = units or {}
     taken, given = named_signals(inputs, "input", units), named_signals(outputs, "output", units)
     values = named_parameters(parameters or {}, units)
-    check_units(units, [*taken, *given, *values])
+    check_units(units, [*taken, *given, *values], name)
     # the function's files, its call, and what describes the call to CasADi
     paths = [Path(each) for each in ([source] if isinstance(source, (str, Path)) else source)]
     first = paths[0]
@@ -174,6 +174,21 @@ def _user_files(paths: Sequence[Path], prototype: object) -> dict[str, str]:
     return texts
 
 
+def _check_defined(function: str, files: Mapping[str, str]) -> None:
+    """Check that a file defines the function.
+
+    Raises:
+        InputError: none does; the message has the functions that they define.
+    """
+    bodies = "\n".join(text.partition("#line")[2] or text for text in files.values())  # without the prototype
+    defined = re.findall(r"\bvoid\s+(\w+)\s*\([^;{]*\)\s*\{", bodies)
+    if not re.search(rf"\b{function}\s*\(", bodies):
+        hint = f"name one of theirs as `function` ({', '.join(defined)}), or " if defined else ""
+        raise InputError(
+            f"{', '.join(files)}: there is no function {function!r}; {hint}add {SIGNATURE.format(function)}"
+        )
+
+
 def _shared_libraries(paths: Sequence[Path], function: str) -> dict[str, SharedLibrary]:
     """The user's shared libraries under names with the hash of their content, since a process loads one file of a name only.
 
@@ -206,6 +221,8 @@ def _loaded(
     try:
         path = library(f"{CALL}_library", code, tuple(sorted(c_files.items())), tuple(libraries.items()))
     except CompileError as error:
+        if not libraries:
+            _check_defined(function, c_files)
         raise InputError(f"{error}; the function must be\n    {SIGNATURE.format(function)}") from None
     return casadi.external(CALL, str(path), {"enable_fd": True})
 

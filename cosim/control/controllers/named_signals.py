@@ -63,7 +63,7 @@ def named_parameters(values: Mapping[str, float], units: Mapping[str, str]) -> l
     ]
 
 
-def check_units(units: Mapping[str, str], variables: Sequence[Variable]) -> None:
+def check_units(units: Mapping[str, str], variables: Sequence[Variable], where: str) -> None:
     """Check that units belong to variables.
 
     Raises:
@@ -73,4 +73,4 @@ def check_units(units: Mapping[str, str], variables: Sequence[Variable]) -> None
     for name in units:
         if name not in names:
             near = get_close_matches(name, names, n=1, cutoff=0.0)[0]
-            raise InputError(f"`units` names {name!r}, which is no variable; did you mean {near!r}?")
+            raise InputError(f"{where}: `units` names {name!r}, which is no variable; did you mean {near!r}?")

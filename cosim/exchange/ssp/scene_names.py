@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.linear_map import IDENTITY
@@ -45,4 +47,11 @@ def as_in_scene(system: System, columns: Mapping[str, Column]) -> Mapping[str, C
     feeding = {target.removeprefix(f"{PLANT}."): source for source, target in ends if target.startswith(f"{PLANT}.")}
     sources = plain_names(columns, PLANT, REFERENCES, feeding)
     found = {name: held(columns[each.name]) if each.held else columns[each.name] for name, each in sources.items()}
+    # inputs of the robot that nothing feeds, at the values that the file sets
+    plant = next(slave for slave in system.slaves if slave.name == PLANT)
+    shape = next(iter(columns.values())).values.shape
+    for each in plant.variables:
+        value = plant.parameters.get(each.name) if isinstance(plant, FmuSlave) else None
+        if each.causality == "input" and each.name not in feeding and isinstance(value, float):
+            found[each.name] = held(Column(each.unit, np.broadcast_to(value, shape)))
     return FoundByBothNames(found, columns)

@@ -188,7 +188,10 @@ def test_a_crash_ends_the_run_alone(write: Write, robot: Scene) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"function": "other"}, "undefined|other"),
+        (
+            {"function": "other"},
+            r"own_pd\.c: there is no function 'other'; name one of theirs as `function` \(own_pd\), or",
+        ),
         ({"function": "no name"}, "is no name of a C function"),
         ({"outputs": []}, "needs `outputs`"),
         ({"inputs": ["a", "a"]}, "two variables are named 'a'"),

@@ -47,7 +47,7 @@ def test_export_then_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         summary["stop_time"],
     )
     recording = Recording.read_csv(tmp_path / "results" / "barnard2012-6kg" / "results.csv")
-    assert recording["plant.end_effector.position.x"].values[-1] == pytest.approx(0.175, abs=1e-3)
+    assert recording["end_effector.position.x"].values[-1] == pytest.approx(0.175, abs=1e-3)
 
 
 @pytest.mark.slow

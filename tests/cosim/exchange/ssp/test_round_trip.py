@@ -145,6 +145,10 @@ def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scen
     x = simulation.recording["end_effector.position.x"].values
     assert simulation.outcome is Outcome.COMPLETED
     assert np.ptp(x) < 1e-9
+    expected = run_scene(scene).recording
+    own = {name for name in expected.columns if not name.startswith("end_effector.reference")}
+    assert set(simulation.recording.columns) == own
+    assert simulation.recording["joint1.torque"].values[-1] == expected["joint1.torque"].values[-1] != 0.0
 
 
 @pytest.mark.slow
