@@ -184,6 +184,11 @@ class FunctionController:
             self._flat(result[1], len(self.states), "states"),
         )
 
+    @property
+    def takes_time(self) -> bool:
+        """Whether the function has the argument ``t``."""
+        return "t" in self._arguments[0]
+
     @cached_property
     def _arguments(self) -> tuple[Collection[str], list[int], list[int]]:
         """Names of the function's arguments, and indices of the inputs that are references and of the others."""
@@ -235,9 +240,11 @@ def function_block(controller: FunctionController) -> SymbolicBlock:
 
 
 def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> SymbolicBlock:
-    """The block from one call with symbols of a kind."""
+    """The block from one call with symbols of a kind; its last state counts the samples if the function takes the time."""
+    counter = [0.0] if controller.takes_time else []
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        x = x if counter else casadi.vertcat(x, 0.0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on functions of NumPy
             try:
@@ -245,7 +252,7 @@ def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> Sy
             except Exception as error:
                 reason = f"{controller.name}: CasADi can't trace the function: {described(error)}"
                 raise NotSymbolicError(reason) from error
-        return y, casadi.vertcat(following, x[-1] + 1.0)
+        return y, casadi.vertcat(following, x[-1] + 1.0) if counter else following
 
     return block(
         controller.name,
@@ -256,7 +263,7 @@ def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> Sy
         inputs=controller.inputs,
         outputs=controller.outputs,
         parameters=controller.variables,
-        states=[*controller.states, 0.0],
+        states=[*controller.states, *counter],
     )
 
 
@@ -267,8 +274,10 @@ def _compare(made: SymbolicBlock, trials: Sequence[tuple[RealArray, ...]]) -> No
         NotSymbolicError: values differ.
     """
     for x, u, p, y, following in trials:
-        traced = casadi.vertcat(made.output(x, u, p), made.update(x, u, p)).full()[:, 0]
-        called = np.concatenate([y, following, [x[-1] + 1.0]])
+        states = x[: len(made.states)]
+        traced = casadi.vertcat(made.output(states, u, p), made.update(states, u, p)).full()[:, 0]
+        counter = [x[-1] + 1.0] if len(made.states) > len(following) else []
+        called = np.concatenate([y, following, counter])
         if not np.allclose(traced, called, rtol=AGREEMENT, atol=AGREEMENT, equal_nan=True):
             raise NotSymbolicError(
                 f"{made.name}: with CasADi's symbols the function calculates other values than with numbers"

@@ -250,4 +250,5 @@ def test_block_is_named_and_described() -> None:
     block = function_block(springs)
     assert (block.name, block.description) == ("springs", "Springs and dampers.")
     assert {each.unit for each in block.outputs} == {"N.m"}
+    assert block.states == ()  # no counter of samples without the time
     assert springs(np.ones(4), np.zeros(4)).tolist() == [5050.0, 5050.0]
