@@ -42,8 +42,11 @@ CASCADE = {
     **TIME,
 }
 
+H_INFINITY = {"kind": "h-infinity", "bandwidth": 20.0, "torque_limit": 90.0, **TIME}
+
 LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "PD": ([PD], None, 1.0),
+    "H-infinity of order 32": ([H_INFINITY], None, 8.0),
     "cascade of three loops": ([CASCADE], None, 1.5),
 }
 """What is sampled → controllers, the entry whose time is taken off (None: the plant alone), and target [µs]."""

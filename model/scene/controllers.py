@@ -188,6 +188,20 @@ class StateFeedbackSection(SampledSection):
     torque_limit: TorqueLimit = None
 
 
+class HInfinitySection(SampledSection):
+    """H-infinity loop shaping for the robot linearised at `pose`, from measured angles alone.
+
+    The weight of each joint is k (1 + 1 / (integral_time s)), with the k for which the joint's own loop crosses 1 at `bandwidth`. The
+    integral time is 5 / (2 pi bandwidth) by default.
+    """
+
+    kind: Literal["h-infinity"]
+    pose: Literal["start", "middle", "end"] = "end"
+    bandwidth: Annotated[PositivePerJoint, quantity("Hz")]
+    integral_time: Annotated[PositivePerJoint | None, quantity("s")] = None
+    torque_limit: TorqueLimit = None
+
+
 class StateSpaceSection(SampledSection):
     """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; the signals are named like those of the robot."""
 
@@ -234,6 +248,7 @@ ControllerSection = Annotated[
     | FeedforwardSection
     | LearningSection
     | StateFeedbackSection
+    | HInfinitySection
     | StateSpaceSection
     | CFunctionSection
     | PythonSection

@@ -21,6 +21,7 @@ from flexfmu.cosim.control.controllers.computed_torque import computed_torque, i
 from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.control.controllers.function_controller import function_block
+from flexfmu.cosim.control.controllers.h_infinity import h_infinity
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
@@ -99,6 +100,7 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "iterative_learning": lambda: iterative_learning(100.0, 40, shift=2, forgetting=0.01, **TIME),
     "state_feedback": feedback,
     "lqg": lambda: lqg(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), **TIME),
+    "h_infinity": lambda: h_infinity(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), 3.0, **TIME),
     "state_space": lambda: state_space(oscillator()),
     "c_function": in_c,
     "function_block": of_python,

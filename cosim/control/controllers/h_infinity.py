@@ -1,0 +1,313 @@
+"""H-infinity loop shaping for the torque-driven robot (D. McFarlane, K. Glover, IEEE Trans. Automatic Control 37, 1992, 759-769).
+
+The robot is linearised about its equilibrium at a pose and sampled with a zero-order hold. Weights shape it: each joint gets
+W = k (1 + 1 / (T s)) with the gain k for which the joint's own loop crosses 1 at its bandwidth. The controller K then stabilises the
+shaped plant G W with the largest margin epsilon against perturbations of its normalised coprime factors; epsilon = 1 / gamma, where
+gamma is the H-infinity norm of [I; K] (I - G W K)^-1 [I, G W]. Formulas for a plant with feedthrough: S. Skogestad,
+I. Postlethwaite, Multivariable Feedback Control, 2nd ed. 2005, section 9.4.2.
+
+The design is made in the w plane, w = 2/h (z - 1)/(z + 1), and transformed back, which keeps stability and H-infinity norms: both hold for
+the sampled loop, not for an approximation of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import casadi
+import numpy as np
+from scipy.linalg import solve_continuous_are
+
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.joints import (
+    JOINTS,
+    Limits,
+    PerJoint,
+    feedforwards,
+    measurements,
+    per_joint,
+    references,
+    saturate,
+    torque_limits,
+    torques,
+)
+from flexfmu.cosim.control.controllers.linear_system import times
+from flexfmu.cosim.control.controllers.lqg import POSITIONS, TORQUES
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray, check_sampling
+from flexfmu.model.linear import linearize, operating_point
+from flexfmu.model.scene.controllers import HInfinitySection
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.trajectories.along_path import positions_along
+
+SUBOPTIMAL = 1.1
+"""Ratio of gamma to its smallest value: at the smallest one the controller's equations are singular."""
+
+INTEGRAL = 5.0
+"""Integral time, relative to 1 / bandwidth in rad/s, where none is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A linear system, continuous or discrete.
+
+    Attributes:
+        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m).
+    """
+
+    A: RealArray
+    B: RealArray
+    C: RealArray
+    D: RealArray
+
+    def __matmul__(self, first: System) -> System:
+        """This system after another one: y = self(first(u))."""
+        zero = np.zeros((first.A.shape[0], self.A.shape[0]))
+        return System(
+            np.block([[first.A, zero], [self.B @ first.C, self.A]]),
+            np.vstack([first.B, self.B @ first.D]),
+            np.hstack([self.D @ first.C, self.C]),
+            self.D @ first.D,
+        )
+
+    def to_w(self, sample_time: float) -> System:
+        """Return this discrete system as one of w = 2/h (z - 1)/(z + 1)."""
+        rate = 2.0 / sample_time
+        inverse = np.linalg.inv(np.eye(len(self.A)) + self.A)
+        return System(
+            rate * inverse @ (self.A - np.eye(len(self.A))),
+            sqrt(2.0 * rate) * inverse @ self.B,
+            sqrt(2.0 * rate) * self.C @ inverse,
+            self.D - self.C @ inverse @ self.B,
+        )
+
+    def to_z(self, sample_time: float) -> System:
+        """Return this system of w as a discrete one; the inverse of `to_w`."""
+        rate = 2.0 / sample_time
+        inverse = np.linalg.inv(rate * np.eye(len(self.A)) - self.A)
+        return System(
+            inverse @ (rate * np.eye(len(self.A)) + self.A),
+            sqrt(2.0 * rate) * inverse @ self.B,
+            sqrt(2.0 * rate) * self.C @ inverse,
+            self.D + self.C @ inverse @ self.B,
+        )
+
+
+def coprime_controller(plant: System, suboptimal: float = SUBOPTIMAL) -> tuple[System, float]:
+    """Return the controller that is most robust against perturbations of the plant's normalised coprime factors, and gamma.
+
+    Args:
+        plant: continuous, stabilisable and detectable.
+        suboptimal: ratio of gamma to its smallest value, above 1.
+
+    Returns:
+        K for positive feedback, u = K y, of the plant's order; gamma, the H-infinity norm of [I; K] (I - G K)^-1 [I, G], which is
+        at most this, and at least sqrt(1 + rho(X Z)).
+
+    Raises:
+        InputError: the Riccati equations have no solution.
+    """
+    A, B, C, D = plant.A, plant.B, plant.C, plant.D
+    S, R = np.eye(B.shape[1]) + D.T @ D, np.eye(C.shape[0]) + D @ D.T
+    shifted = A - B @ np.linalg.solve(S, D.T @ C)
+    try:
+        X = solve_continuous_are(shifted, B, C.T @ np.linalg.solve(R, C), S)
+        Z = solve_continuous_are(shifted.T, C.T, B @ np.linalg.solve(S, B.T), R)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError(f"H-infinity loop shaping has no solution for this plant: {error}") from error
+    gamma = suboptimal * sqrt(1.0 + float(np.abs(np.linalg.eigvals(X @ Z)).max()))
+    # the central controller
+    F = -np.linalg.solve(S, D.T @ C + B.T @ X)
+    scaled = np.linalg.solve(((1.0 - gamma**2) * np.eye(len(A)) + X @ Z).T, gamma**2 * Z @ C.T)
+    gain = np.asarray(scaled, dtype=np.float64)
+    return System(A + B @ F + gain @ (C + D @ F), gain, B.T @ X, -D.T), gamma
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedLoop:
+    """A design: weights, controller and how robust they are.
+
+    Attributes:
+        weights: W, discrete, joint by joint.
+        controller: K, discrete, for positive feedback of the deviation from the reference.
+        margin: epsilon = 1 / gamma; above 0.25 the shape of the loop is compatible with robustness.
+    """
+
+    weights: System
+    controller: System
+    margin: float
+
+
+def shape_loop(plant: System, sample_time: float, bandwidth: RealArray, integral_time: RealArray) -> ShapedLoop:
+    """Design weights and controller of a sampled plant with as many inputs as outputs.
+
+    Args:
+        plant: discrete.
+        sample_time: h [s].
+        bandwidth: (n,) frequencies at which each input's own loop crosses 1 before the controller [rad/s], below pi / h.
+        integral_time: (n,) T [s].
+
+    Raises:
+        InputError: the Riccati equations have no solution, or the loop isn't stable.
+    """
+    # in the w plane, with the unit of time 1 / bandwidth, which keeps the Riccati equations well scaled
+    scale = float(bandwidth.max())
+    h = scale * sample_time
+    robot = plant.to_w(h)
+    crossing = 2.0 / h * np.tan(bandwidth * sample_time / 2.0)
+    corner = 1.0 / (scale * integral_time)
+    gains = [
+        1.0 / abs(_response(robot, w)[i, i] * (1.0 + c / (1j * w)))
+        for i, (w, c) in enumerate(zip(crossing, corner, strict=True))
+    ]
+    n = len(gains)
+    weights = System(np.zeros((n, n)), np.diag(corner), np.diag(gains), np.diag(gains))
+    controller, gamma = coprime_controller(robot @ weights)
+    found = ShapedLoop(weights.to_z(h), controller.to_z(h), 1.0 / gamma)
+    radius = float(np.abs(np.linalg.eigvals(closed_loop(plant, found))).max())
+    if not radius < 1.0:
+        raise InputError(
+            f"H-infinity loop shaping: the sampled loop isn't stable (largest eigenvalue {radius:.6g}); give a lower bandwidth"
+        )
+    return found
+
+
+def closed_loop(plant: System, loop: ShapedLoop) -> RealArray:
+    """Return the matrix of the loop of a discrete plant without feedthrough, its references at rest."""
+    whole = loop.weights @ loop.controller
+    return np.block(
+        [
+            [plant.A + plant.B @ whole.D @ plant.C, plant.B @ whole.C],
+            [whole.B @ plant.C, whole.A],
+        ]
+    )
+
+
+def _response(system: System, frequency: float) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    """Frequency response of a continuous system at a frequency [rad/s]."""
+    resolvent = np.linalg.solve(1j * frequency * np.eye(len(system.A)) - system.A, system.B)
+    return np.asarray(system.C @ resolvent + system.D, dtype=np.complex128)
+
+
+def h_infinity(
+    scene: Scene,
+    position: tuple[float, float],
+    bandwidth: PerJoint,
+    integral_time: PerJoint | None = None,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    limits: Limits | None = None,
+    name: str = "h_infinity",
+) -> SymbolicBlock:
+    """Build the block: torque = sat(u_0 + W(z) K(z) (q - q_r) + feedforward), from measured angles alone.
+
+    At the limits the weights get what the motors give (R. Hanus, M. Kinnaert, J.-L. Henrotte, Automatica 23, 1987, 729-739), so that
+    their integrals don't wind up. Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless
+    connected); output ``joint1.torque``.
+
+    Args:
+        scene: the robot.
+        position: end-effector position of the rigid robot at the pose (2,) [m].
+        bandwidth: frequency at which each joint's loop crosses 1 [Hz], below half the sampling frequency.
+        integral_time: of each joint [s]; None for 5 / (2 pi bandwidth).
+        sample_time, offset: [s].
+        limits: torque limits; None for none.
+        name: name of the block.
+
+    Raises:
+        InputError: python-control is missing, a frequency or time isn't positive, or there is no stable loop.
+        EquilibriumError: there is no equilibrium at the pose.
+    """
+    check_sampling(sample_time, offset, name)
+    frequency = _positive(bandwidth, "bandwidth", "Hz", name)
+    if (frequency >= 0.5 / sample_time).any():
+        raise InputError(
+            f"{name}: bandwidth must be below half the sampling frequency, {0.5 / sample_time:g} Hz, got {frequency.max():g} Hz"
+        )
+    rate = 2.0 * pi * frequency
+    times_i = INTEGRAL / rate if integral_time is None else _positive(integral_time, "integral_time", "s", name)
+    robot = from_control(
+        linearize(scene, position, POSITIONS)[:, :2],
+        method="zoh",
+        sample_time=sample_time,
+        inputs=TORQUES,
+        outputs=POSITIONS,
+    )
+    loop = shape_loop(System(robot.A, robot.B, robot.C, robot.D), sample_time, rate, times_i)
+    holding = operating_point(scene, position).inputs[:2]
+    return _block(loop, holding, sample_time=sample_time, offset=offset, limits=limits, name=name)
+
+
+def _block(
+    loop: ShapedLoop,
+    holding: Sequence[float] | RealArray,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    limits: Limits | None = None,
+    joints: Sequence[str] = JOINTS,
+    name: str = "h_infinity",
+) -> SymbolicBlock:
+    """Build the block of a design; ``holding`` are the torques u_0 at the equilibrium [N.m], the rest as for `h_infinity`."""
+    W, K, n = loop.weights, loop.controller, len(joints)
+    order, u_0 = len(K.A), np.asarray(holding, dtype=float)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        inside, outside = x[:order], x[order:]
+        reference, angle, feedforward = split(u, n)
+        # controller, then weights
+        deviation = angle - reference
+        shaped = times(K.C, inside) + times(K.D, deviation)
+        wanted = u_0 + feedforward + times(W.C, outside) + times(W.D, shaped)
+        torque = saturate(wanted, *split(p, n)) if limits else wanted
+        # the weights get the input that would have given this torque
+        applied = (
+            shaped + times(np.asarray(np.linalg.inv(W.D), dtype=np.float64), torque - wanted) if limits else shaped
+        )
+        updated = times(K.A, inside) + times(K.B, deviation), times(W.A, outside) + times(W.B, applied)
+        return torque, casadi.vertcat(*updated)
+
+    return block(
+        name,
+        f"H-infinity loop shaping of order {order + n}",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=[*references(joints, "position"), *measurements(joints, "position"), *feedforwards(joints)],
+        outputs=torques(joints),
+        parameters=limits.parameters(joints) if limits else (),
+        states=[0.0] * (order + n),
+    )
+
+
+def _positive(values: PerJoint, what: str, unit: str, name: str) -> RealArray:
+    """Return one positive number for each joint.
+
+    Raises:
+        InputError: one isn't.
+    """
+    found = np.array(per_joint(JOINTS, f"{name}: {what}", values, unit), dtype=float)
+    for each in found.tolist():
+        if not each > 0.0:
+            raise InputError(f"{name}: {what} must be positive, got {each:g} {unit}")
+    return found
+
+
+@builds(HInfinitySection)
+def _from_section(section: HInfinitySection, context: LoopContext) -> SymbolicBlock:
+    x, y = positions_along(context.along_path, {"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose])[0].tolist()
+    return h_infinity(
+        context.scene,
+        (x, y),
+        section.bandwidth,
+        section.integral_time,
+        limits=torque_limits(section.torque_limit),
+        sample_time=section.sample_time,
+        offset=section.offset,
+    )
