@@ -27,7 +27,7 @@ def changed_document(source: str | Path, target: Path, changes: Mapping[str, Any
     text, label, folder = read_scene_text(source)
     document = tomlkit.parse(text)
     for key, value in changes.items():
-        set_value(document, key, value, label)
+        set_value(document, key, toml_item(value), label)
     # paths of files that tables name
     arrays = [each for each in document.values() if isinstance(each, list)]
     tables: list[Any] = [

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from flexfmu.cosim.choices.gains.tuner import TuneResult
+    from flexfmu.model.scene.schema import Scene
 
 
 def tune(
@@ -50,6 +51,15 @@ def tune(
             metavar="BAND",
             help="Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 "
             "to 8 kg. Default: the scene's alone.",
+            show_default=False,
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND:HZ",
+            help="Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10; feedforward "
+            "stays. Default: the scene's.",
             show_default=False,
         ),
     ] = None,
@@ -105,6 +115,10 @@ def tune(
         raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
     robot = load_resolved(scene, settings)
     folder = out or RESULTS / f"{robot.name}-tune"
+    changes = dict(map(parse_setting, settings or ()))
+    if start is not None:
+        robot = _started(robot, start)
+        changes["controller"] = robot.model_dump(mode="json", exclude_none=True, exclude_defaults=True)["controller"]
     with progress() as show:
         result = tune_scene(
             robot,
@@ -121,7 +135,6 @@ def tune(
             show=show,
         )
     target = output or folder / "tuned.toml"
-    changes = dict(map(parse_setting, settings or ()))
     files = [write_tuned(result, target, scene, changes), *write_tuning(result, folder)]
     if result.interrupted:
         show_note("interrupted: these are the best values so far; the same command continues")
@@ -130,6 +143,22 @@ def tune(
     else:
         _print(result, [str(path) for path in files])
     return 0 if result.is_feasible else FAILURE
+
+
+def _started(scene: Scene, text: str) -> Scene:
+    """The scene with the controller of ``KIND:HZ``.
+
+    Raises:
+        InputError: it has another form.
+    """
+    from flexfmu.cosim.choices.gains.starts import started
+
+    kind, _, number = text.partition(":")
+    try:
+        bandwidth = float(number.removesuffix("Hz"))
+    except ValueError:
+        raise InputError(f"--start takes KIND:HZ, cascade:10 for example, got {text!r}") from None
+    return started(scene, kind, bandwidth)  # type: ignore[arg-type]
 
 
 def _print(result: TuneResult, files: list[str]) -> None:

@@ -19,6 +19,10 @@ GAINS = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
 """Short name of a gain → its key."""
 
 
+FREE = ("arguments", "parameters", "connect")
+"""Keys whose tables have names of their own."""
+
+
 def parse_setting(text: str) -> tuple[str, Any]:
     """The key and its value from ``KEY=VALUE``; errors as for `parse_value`."""
     key, sign, value = (part.strip() for part in text.partition("="))
@@ -151,8 +155,8 @@ def _parts(data: Mapping[str, Any], key: str, label: str) -> list[str | int]:
             )
         parts[:1] = homes[0] if homes else parts[:1]
     # a gain by its short name
-    if len(parts) > 2 and isinstance(data.get(str(parts[0])), list | tuple):
-        parts[2] = GAINS.get(str(parts[2]), parts[2])
+    if len(parts) > 2 and isinstance(data.get(str(parts[0])), list | tuple) and parts[2] not in FREE:
+        parts[2:] = [GAINS.get(str(part), part) for part in parts[2:]]
     return parts
 
 

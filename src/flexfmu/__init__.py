@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, sweep, tune
+    from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, start_gains, sweep, tune
     from flexfmu.cosim.control.controllers.own_function import controller
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
@@ -47,6 +47,7 @@ __all__ = [
     "plan",
     "plan_motion",
     "run",
+    "start_gains",
     "sweep",
     "tune",
 ]
@@ -68,6 +69,7 @@ _HOMES = {
     "plan": "flexfmu.api",
     "plan_motion": "flexfmu.api",
     "run": "flexfmu.api",
+    "start_gains": "flexfmu.api",
     "sweep": "flexfmu.api",
     "tune": "flexfmu.api",
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from flexfmu.cosim.choices.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -399,6 +399,41 @@ def sweep(
     if folder is not None:
         write_files(result, folder, plot=False)
     return result
+
+
+def start_gains(
+    scene: SceneSource,
+    kind: Literal["pd", "pid", "cascade"],
+    bandwidth: float,
+    *,
+    pose: Literal["start", "middle", "end"] = "end",
+    sample_time: float | None = None,
+) -> dict[str, Any]:
+    """Return a controller whose gains give rigid joints a bandwidth, to start tuning from.
+
+        scene = scene.replace({"controller": [flexfmu.start_gains(scene, "cascade", 10.0)]})
+
+    Calls `flexfmu.cosim.choices.gains.starts.start_controller`, whose module has the formulas.
+
+    Args:
+        scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive the robot.
+        kind: ``pd``, ``pid`` or ``cascade``.
+        bandwidth: [Hz]; a tenth of the lowest natural frequency is a safe start.
+        pose: where the joints' inertias are taken.
+        sample_time: [s]; None for that of the scene's first controller, or 1 ms.
+
+    Returns:
+        The table of the controller, as in the scene file.
+
+    Raises:
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        InputError: the kind or the pose is unknown, the bandwidth isn't positive, or torques don't drive the robot.
+        TrajectoryError: the motion is not feasible.
+        TypeError: ``scene`` is of another type.
+    """
+    from flexfmu.cosim.choices.gains.starts import start_controller
+
+    return start_controller(resolved(_scene(scene)), kind, bandwidth, pose, sample_time)
 
 
 def tune(

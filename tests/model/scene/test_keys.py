@@ -52,6 +52,23 @@ def test_every_value_has_a_key(key: str, value: Any, unit: str) -> None:
     assert Scene.model_validate(changed) == SCENE
 
 
+def test_short_names_of_gains_within_a_slave() -> None:
+    """Also in the tables of a cascade's loops; arguments of slaves of one's own have their own names."""
+    cascade = {
+        "kind": "cascade",
+        "position": {"proportional": 30.0},
+        "velocity": {"proportional": 9.0},
+        "sample_time": 1e-3,
+    }
+    own = {"kind": "python", "source": "module:name", "arguments": {"kp": 1.0}}
+    scene = SCENE.replace({"controller": [cascade, own]}).replace(
+        {"cascade.velocity.kp[1]": 8.0, "python.arguments.kp": 2.0}
+    )
+    first, second = (each.model_dump() for each in scene.controller)
+    assert first["velocity"]["proportional"] == (9.0, 8.0)
+    assert second["arguments"] == {"kp": 2.0}
+
+
 @pytest.mark.parametrize(
     ("key", "message"),
     [
