@@ -10,20 +10,23 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector
 
+SYMBOLS = (casadi.SX, casadi.MX)
+"""Types of CasADi's symbols."""
+
 
 def as_column(values: Any) -> Any:
     """Nested sequences, arrays, numbers and symbols as one column of symbols, or one array of floats."""
     if isinstance(values, np.ndarray) and values.dtype == float:
         return values.ravel()
     pieces = list(_pieces(values))
-    if any(isinstance(each, casadi.SX) for each in pieces):
+    if any(isinstance(each, SYMBOLS) for each in pieces):
         return casadi.vertcat(*pieces)
     return np.concatenate([np.ravel(np.asarray(each, dtype=float)) for each in pieces]) if pieces else np.zeros(0)
 
 
 def _pieces(values: Any) -> Iterable[Any]:
     """The numbers, arrays of numbers and symbols in nested sequences."""
-    if isinstance(values, casadi.SX):
+    if isinstance(values, SYMBOLS):
         yield casadi.vec(values)
     elif isinstance(values, (list, tuple)) or (isinstance(values, np.ndarray) and values.dtype == object):
         for each in np.ravel(values) if isinstance(values, np.ndarray) else values:

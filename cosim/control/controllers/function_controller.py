@@ -15,7 +15,8 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.flat_values import as_column, as_elements
+from flexfmu.cosim.control.controllers.flat_values import SYMBOLS, as_column, as_elements
+from flexfmu.cosim.control.controllers.function_parameters import is_vector, like
 from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters
 from flexfmu.cosim.control.controllers.python_slave import FunctionSlave, described
 from flexfmu.cosim.engine.errors import InputError
@@ -30,6 +31,14 @@ TRIALS = 8
 
 AGREEMENT = 1e-9
 """Relative difference from which traced and called function differ: NumPy and CasADi round elementary functions differently."""
+
+KINDS: tuple[tuple[Any, Callable[[Vector], Any]], ...] = (
+    (casadi.SX, lambda column: column),
+    (casadi.SX, as_elements),
+    (casadi.MX, lambda column: column),
+)
+"""Symbols with which functions are traced: columns for those of vectors, arrays for those that take elements one by one, and matrix
+expressions for those that call CasADi's functions, as of tables."""
 
 
 class NotSymbolicError(InputError):
@@ -90,9 +99,9 @@ class FunctionController:
         timing: dict[str, Any] = {}
         for name, value in arguments.items():
             if name in parameters:
-                parameters[name] = _like(parameters[name], value, f"{self.name}: {name}")
+                parameters[name] = like(parameters[name], value, f"{self.name}: {name}")
             elif name in ("sample_time", "offset"):
-                timing[name] = _like(0.0, value, f"{self.name}: {name}")
+                timing[name] = like(0.0, value, f"{self.name}: {name}")
             else:
                 known = [*parameters, "sample_time", "offset"]
                 near = get_close_matches(name, known, n=1)
@@ -209,15 +218,10 @@ class FunctionController:
 
     def _flat(self, values: Any, count: int, what: str) -> Any:
         column = as_column(values)
-        size = column.numel() if isinstance(column, casadi.SX) else column.size
+        size = column.numel() if isinstance(column, SYMBOLS) else column.size
         if size != count:
             raise InputError(f"{self.name} returns {size} values for its {count} {what}")
         return column
-
-
-def is_vector(value: Any) -> bool:
-    """Whether a default is a tuple of floats, each of which is a tunable parameter."""
-    return isinstance(value, tuple) and len(value) > 0 and all(isinstance(each, float) for each in value)
 
 
 def function_block(controller: FunctionController) -> SymbolicBlock:
@@ -228,10 +232,9 @@ def function_block(controller: FunctionController) -> SymbolicBlock:
         InputError: the function fails, returns wrong numbers of values, or depends on more than its arguments.
     """
     trials, reasons = controller.trials(), []
-    # columns of symbols for functions of vectors, arrays of symbols for those that take elements one by one
-    for kind in (lambda column: column, as_elements):
+    for symbol, kind in KINDS:
         try:
-            made = _traced(controller, kind)
+            made = _traced(controller, symbol, kind)
             _compare(made, trials)
             return made
         except NotSymbolicError as error:
@@ -239,7 +242,7 @@ def function_block(controller: FunctionController) -> SymbolicBlock:
     raise reasons[0]
 
 
-def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> SymbolicBlock:
+def _traced(controller: FunctionController, symbol: Any, kind: Callable[[Vector], Any]) -> SymbolicBlock:
     """The block from one call with symbols of a kind; its last state counts the samples if the function takes the time."""
     counter = [0.0] if controller.takes_time else []
 
@@ -248,7 +251,7 @@ def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> Sy
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on functions of NumPy
             try:
-                y, following = (casadi.SX(each) for each in controller.called(kind(x), kind(u), kind(p)))
+                y, following = (symbol(each) for each in controller.called(kind(x), kind(u), kind(p)))
             except Exception as error:
                 reason = f"{controller.name}: CasADi can't trace the function: {described(error)}"
                 raise NotSymbolicError(reason) from error
@@ -264,6 +267,7 @@ def _traced(controller: FunctionController, kind: Callable[[Vector], Any]) -> Sy
         outputs=controller.outputs,
         parameters=controller.variables,
         states=[*controller.states, *counter],
+        symbol=symbol,
     )
 
 
@@ -282,23 +286,3 @@ def _compare(made: SymbolicBlock, trials: Sequence[tuple[RealArray, ...]]) -> No
             raise NotSymbolicError(
                 f"{made.name}: with CasADi's symbols the function calculates other values than with numbers"
             )
-
-
-def _like(default: Any, value: Any, where: str) -> Any:
-    """The value, as a float or a tuple of floats where the default is one.
-
-    Raises:
-        InputError: it can't be.
-    """
-    try:
-        if isinstance(default, float):
-            return float(value)
-        if is_vector(default):
-            found = tuple(float(each) for each in value)
-            if len(found) == len(default):
-                return found
-            raise ValueError
-    except (TypeError, ValueError):
-        what = "a number" if isinstance(default, float) else f"{len(default)} numbers"
-        raise InputError(f"{where} must be {what}, got {value!r}") from None
-    return value

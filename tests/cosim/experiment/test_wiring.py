@@ -122,6 +122,26 @@ def test_explicit_connections_come_first() -> None:
     }
 
 
+def with_units(slave: Names, *units: str) -> Names:
+    """The slave with units of its variables."""
+    pairs = zip(slave.variables, units, strict=True)
+    slave.variables = tuple(SlaveVariable(each.name, each.causality, unit) for each, unit in pairs)
+    return slave
+
+
+def test_units_say_what_fits() -> None:
+    """A connection between different units names the signals that would fit, and so does an input without a source."""
+    motion = with_units(Names("trajectory", outputs=["q.reference"]), "rad")
+    plant = with_units(Names("plant", ["torque"], ["q", "v"]), "N.m", "rad", "rad/s")
+    mine = with_units(Names("mine", ["angle"], ["torque"]), "rad", "N.m")
+    with pytest.raises(
+        WiringError, match=r"plant\.v is in rad/s, mine\.angle is in rad; connect .* in rad \(q\.reference, q\)"
+    ):
+        wire(motion, plant, [mine], [], {"mine.angle": "v"})
+    with pytest.raises(WiringError, match=r"mine\.angle \[rad\] has no source.*in rad there are: q\.reference, q$"):
+        wire(motion, plant, [mine])
+
+
 @pytest.mark.parametrize(
     ("controllers", "inline_blocks", "explicit", "message"),
     [

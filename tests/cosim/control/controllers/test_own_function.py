@@ -103,6 +103,8 @@ def test_time_state_and_parameters(symbolic: bool) -> None:
     np.testing.assert_array_equal(slave.save(), after)
 
 
+TABLE = casadi.interpolant("table", "linear", [[-5.0, 0.0, 5.0]], [1.0, 0.0, 2.0])
+
 IDIOMS: list[Callable[[Any, Any], Any]] = [
     lambda r, m: np.clip(r, -1.0, 1.0) + np.maximum(r, m) + np.sign(m) + abs(m),
     lambda r, m: np.where(r > m, r, 2.0 * m),
@@ -112,6 +114,7 @@ IDIOMS: list[Callable[[Any, Any], Any]] = [
     lambda r, m: (np.dot(r, m), r.sum()),
     lambda r, m: casadi.if_else(r[0] > 0.0, m, r),
     lambda r, m: np.concatenate([r[:1], m[1:]]) * len(r),
+    lambda r, m: casadi.vertcat(TABLE(r[0]), m[1]),
 ]
 
 
