@@ -43,11 +43,19 @@ CASCADE = {
 }
 
 H_INFINITY = {"kind": "h-infinity", "bandwidth": 20.0, "torque_limit": 90.0, **TIME}
+GRAVITY = {"kind": "gravity-feedforward", **TIME}
+FRICTION = {"kind": "friction-compensation", "viscous": 1.0, "coulomb": 2.0, **TIME}
+OBSERVER = {"kind": "disturbance-observer", "time_constant": 0.02, **TIME}
 
 LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "PD": ([PD], None, 1.0),
     "H-infinity of order 32": ([H_INFINITY], None, 8.0),
     "cascade of three loops": ([CASCADE], None, 1.5),
+    "gravity feedforward": ([PD, GRAVITY], "PD", 1.0),
+    "friction compensation": ([PD, FRICTION], "PD", 1.0),
+    "sum of two feedforwards, with them": ([PD, GRAVITY, FRICTION], "PD", 2.0),
+    "disturbance observer, an inertia": ([PD, {**OBSERVER, "inertia": 0.15}], "PD", 1.0),
+    "disturbance observer, the rigid robot": ([PD, OBSERVER], "PD", 2.0),
 }
 """What is sampled → controllers, the entry whose time is taken off (None: the plant alone), and target [µs]."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from flexfmu.cosim.engine.slave import Slave
+from flexfmu.cosim.experiment.feedforwards import with_sum
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, shape_joints
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import InlineBlock, inline_block
@@ -89,7 +90,7 @@ def close_loop(
         controllers, imperfections, connect: as for `make_loop`.
         names: names assigned so far.
     """
-    acting = tuple(as_slave(each, names) for each in controllers)
+    acting = with_sum([as_slave(each, names) for each in controllers], connect, names)
     inline_blocks, parameters = list(shaped.inline_blocks), dict[str, float]()
     for each in imperfections:
         from flexfmu.cosim.control.imperfections.payload_error import PayloadError, with_payload_error

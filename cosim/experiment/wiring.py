@@ -161,11 +161,15 @@ class _Bus:
 
     def connect_controllers(self, controllers: Sequence[Slave]) -> None:
         """Connect the controllers' inputs, then make their outputs available."""
-        # each signal is the output of one controller
+        # each signal is the output of one controller, or of the one that adds up those of the others
         owners: dict[str, str] = {}
+        taken = {
+            name for each in controllers for name in _names(each, "input") if f"{each.name}.{name}" not in self.explicit
+        }
         for controller in controllers:
             for name in _names(controller, "output"):
-                if name in owners:
+                is_free = name.endswith(OPTIONAL) and name not in taken
+                if name in owners and f"{owners[name]}.{name}" not in taken and not is_free:
                     raise WiringError(
                         f"{owners[name]} and {controller.name} both output {name}; let one of them output "
                         f"{name.rpartition('.')[0]}{OPTIONAL}, which the other adds to its own, or leave one out"
@@ -193,6 +197,9 @@ class _Bus:
             source = f"{owners[name]}.{name}"
         elif (found := self.find(name)) is not None:
             source = found
+        elif name.endswith(OPTIONAL) and name.partition(".")[0] in self.slaves:
+            # the term of a sum
+            source = self.source(name)
         elif name.endswith(OPTIONAL):
             return
         else:

@@ -153,6 +153,41 @@ class FeedforwardSection(SampledSection):
     payload: Annotated[NotNegative | None, quantity("kg")] = None
 
 
+class FrictionCompensationSection(SampledSection):
+    """Torque against the motors' friction, added to the torque of another controller, from the reference's or the measured velocity.
+
+    Its law is that of smooth friction, viscous w + coulomb w / sqrt(w² + velocity²). Coefficients that are left out are the scene's.
+    """
+
+    kind: Literal["friction-compensation"]
+    viscous: Annotated[NotNegativePerJoint | None, quantity("N.m.s/rad")] = None
+    coulomb: Annotated[NotNegativePerJoint | None, quantity("N.m")] = None
+    velocity: Annotated[Positive | None, quantity("rad/s")] = None
+    motion: Literal["reference", "measured"] = "reference"
+
+
+class GravityFeedforwardSection(SampledSection):
+    """Torques that hold the rigid robot at rest in its pose, added to the torque of another controller; `payload` as above."""
+
+    kind: Literal["gravity-feedforward"]
+    motion: Literal["reference", "measured"] = "reference"
+    payload: Annotated[NotNegative | None, quantity("kg")] = None
+
+
+class DisturbanceObserverSection(SampledSection):
+    """Torque against the disturbance that explains the motion, added to the torque of another controller.
+
+    The model is the rigid robot with `payload`, or with `inertia` one inertia for each joint alone. `time_constant` is that of the
+    filter, `torque_limit` the largest torque that is added.
+    """
+
+    kind: Literal["disturbance-observer"]
+    time_constant: Annotated[NotNegativePerJoint, quantity("s")]
+    inertia: Annotated[PositivePerJoint | None, quantity("kg.m2")] = None
+    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    torque_limit: TorqueLimit = None
+
+
 class LearningSection(SampledSection):
     """P-type iterative learning control, added to the torque of another controller.
 
@@ -246,6 +281,9 @@ ControllerSection = Annotated[
     | CascadeSection
     | ComputedTorqueSection
     | FeedforwardSection
+    | FrictionCompensationSection
+    | GravityFeedforwardSection
+    | DisturbanceObserverSection
     | LearningSection
     | StateFeedbackSection
     | HInfinitySection

@@ -71,7 +71,7 @@ def computed_torque(
         InputError: the inverse dynamics don't fit the joints, a gain is negative or not finite, or the sample time
             isn't positive.
     """
-    _check(inverse_dynamics, joints, name)
+    check_dynamics(inverse_dynamics, joints, name)
 
     def law(x: Vector, signals: list[Vector], k: list[Vector]) -> tuple[Vector, Vector]:
         q_r, v_r, a_r, q, v = signals
@@ -110,7 +110,7 @@ def inverse_dynamics_feedforward(
     Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``; output ``joint1.feedforward``. Arguments
     and errors as for `computed_torque`.
     """
-    _check(inverse_dynamics, joints, name)
+    check_dynamics(inverse_dynamics, joints, name)
 
     # a function of the references alone, without states
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
@@ -127,7 +127,7 @@ def inverse_dynamics_feedforward(
     )
 
 
-def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:
+def check_dynamics(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:
     """Check that the inverse dynamics map three vectors to one, each with one element for each joint.
 
     Raises:
@@ -146,7 +146,7 @@ def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) 
 @builds(ComputedTorqueSection)
 def _from_section(section: ComputedTorqueSection, context: LoopContext) -> SymbolicBlock:
     return computed_torque(
-        _assumed_dynamics(context, section.payload),
+        assumed_dynamics(context, section.payload),
         section.proportional,
         section.derivative,
         limits=torque_limits(section.torque_limit),
@@ -159,11 +159,11 @@ def _from_section(section: ComputedTorqueSection, context: LoopContext) -> Symbo
 def _feedforward_from_section(section: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
     if section.robot == "flexible":
         return _flexible_feedforward(section, context)
-    dynamics = _assumed_dynamics(context, section.payload)
+    dynamics = assumed_dynamics(context, section.payload)
     return inverse_dynamics_feedforward(dynamics, sample_time=section.sample_time, offset=section.offset)
 
 
-def _assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
+def assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
     """Return the rigid inverse dynamics with the payload [kg] that a controller assumes; None for the scene's own."""
     return inverse_dynamics(_assumed(context, payload))
 

@@ -54,6 +54,15 @@ def test_controller_cascade(tmp_path: Path) -> None:
     assert torque < 0.5 * velocity < 0.5 * 0.2 * alone
 
 
+def test_controller_disturbance_observer(tmp_path: Path) -> None:
+    """Feedforwards with a wrong payload leave an error, which the observer takes away."""
+    rows = lines("controller_disturbance_observer.py", tmp_path)
+    largest, left = ([value(row, what) for row in rows] for what in ("largest error", "left at the end"))
+    assert largest == sorted(largest, reverse=True)
+    assert left[0] > left[1] > 0.1
+    assert left[3] < 1e-4
+
+
 def test_controller_computed_torque(tmp_path: Path) -> None:
     """Faster sampling helps where the model is right, hardly where the payload is wrong."""
     slow, slow_wrong, fast, fast_wrong = (value(x, "error") for x in lines("controller_computed_torque.py", tmp_path))

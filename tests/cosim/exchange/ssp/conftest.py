@@ -95,6 +95,46 @@ def controlled_scene() -> Scene:
     )
 
 
+OBSERVER = {"kind": "disturbance-observer", "time_constant": 0.05, "inertia": 0.15, "sample_time": 1e-3, "offset": 5e-5}
+
+
+@pytest.fixture(scope="session")
+def drive_scene(controlled_scene: Scene) -> Scene:
+    """The cascade of a drive at three rates, with an observer; each samples at other instants than those that feed it."""
+    cascade = {
+        "kind": "cascade",
+        "position": {"proportional": 60.0, "velocity_limit": 15.0, "offset": 5e-5},
+        "velocity": {"proportional": 120.0, "integral": 6e3, "sample_time": 5e-4, "offset": 1.5e-4},
+        "current": {"time_constant": 2e-4, "sample_time": 1e-4},
+        "torque_limit": 90.0,
+        "sample_time": 1e-3,
+    }
+    short = {"trajectory.width": 0.1, "trajectory.duration": 0.15}
+    changes = {"name": "drive", "controller": [cascade, OBSERVER], "shaper": [], "imperfection": [], **short}
+    return controlled_scene.replace(changes)
+
+
+@pytest.fixture(scope="session")
+def drive_ssp(drive_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The drive as an SSP file."""
+    return _exported(drive_scene, tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def summed_scene(drive_scene: Scene) -> Scene:
+    """The drive with feedforwards that add up."""
+    gravity = {"kind": "gravity-feedforward", "sample_time": 1e-3}
+    friction = {"kind": "friction-compensation", "viscous": 1.0, "sample_time": 5e-4}
+    cascade = drive_scene.controller[0].model_dump(exclude_none=True)
+    return drive_scene.replace({"name": "summed", "controller": [cascade, gravity, friction, OBSERVER]})
+
+
+@pytest.fixture(scope="session")
+def summed_ssp(summed_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The drive with feedforwards that add up, as an SSP file."""
+    return _exported(summed_scene, tmp_path_factory)
+
+
 @pytest.fixture(scope="session")
 def staggered_ssp(controlled_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The controlled scene as an SSP file, each block sampling after those that feed it."""

@@ -57,13 +57,15 @@ def test_other_importers(tool: str, motion_ssp: Path, reference: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", ["libcosimpy", "ecospy", "OMSimulator"])
-def test_controllers_in_other_importers(tool: str, staggered_ssp: Path) -> None:
-    """Controllers, shaper, encoder and amplifier too: each samples a communication step after those that feed it, so that
+@pytest.mark.parametrize("name", ["staggered", "drive"])
+def test_controllers_in_other_importers(tool: str, name: str, request: pytest.FixtureRequest) -> None:
+    """Controllers, shaper, encoder and amplifier, and all loops of a drive: each samples a communication step after those that feed it, so that
     what passes signals on a step late is in time."""
-    recording = load_ssp(staggered_ssp, stop=INSTANT).simulate().recording
+    path = request.getfixturevalue(f"{name}_ssp")
+    recording = load_ssp(path, stop=INSTANT).simulate().recording
     expected = float(recording[f"plant.{SIGNAL}"].values[-1])
     for step in (5e-5, 2.5e-5):
-        assert at_the_instant(tool, staggered_ssp, step) == pytest.approx(expected, abs=1e-8)
+        assert at_the_instant(tool, path, step) == pytest.approx(expected, abs=1e-8)
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ whatever goes in, by up to 1e6 in their fourth derivatives."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["motion", "controlled"])
+@pytest.mark.parametrize("name", ["motion", "controlled", "summed"])
 def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureRequest) -> None:
     """Same instants, same signals: derivatives are streamed, blocks are sampled at their own instants, the payload error
     and the shaper are there."""

@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from export_support.blocks import SAMPLE_TIME, expected
 from flexfmu.cosim.control.controllers.c_function import c_function
 from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
+from flexfmu.cosim.control.controllers.compensation import friction_compensation, gravity_feedforward
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
+from flexfmu.cosim.control.controllers.disturbance_observer import disturbance_observer
+from flexfmu.cosim.control.controllers.feedforward_sum import feedforward_sum
 from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.control.controllers.function_controller import function_block
@@ -94,6 +97,10 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "velocity_loop": lambda: velocity_loop(9.0, 500.0, inertia=0.2, limits=symmetric(8.0), **TIME),
     "velocity_loop: unlimited": lambda: velocity_loop((9.0, 8.0), 500.0, commands_current=False, **TIME),
     "current_loop": lambda: current_loop(2e-3, limits=symmetric(0.8), initial_torque=(0.3, -0.2), **TIME),
+    "friction_compensation": lambda: friction_compensation((1.5, 2.0), 3.0, velocity=0.1, **TIME),
+    "gravity_feedforward": lambda: gravity_feedforward(robot(), **TIME),
+    "disturbance_observer": lambda: disturbance_observer((0.2, 0.3), 5e-3, limits=symmetric(60.0), **TIME),
+    "feedforward_sum": lambda: feedforward_sum({f"joint{i}.feedforward": ("a", "b") for i in (1, 2)}, **TIME),
     "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
     "tabulated_feedforward": lambda: tabulated_feedforward(np.linspace(-1.0, 2.0, 160).reshape(80, 2), **TIME),
@@ -173,7 +180,7 @@ def source() -> SymbolicBlock:
 def signals_of(block: SymbolicBlock) -> list[int]:
     """The output of the source that each input of a block is connected to; angles of the robot where it must be assembled."""
     names = [each.name for each in block.inputs]
-    has_motion = any(name.endswith("acceleration") for name in names)
+    has_motion = any(name.endswith("acceleration") for name in names) or block.name == "gravity_feedforward"
     angles = [name for name in names if has_motion and name.endswith("position")]
     return [SIGNALS + angles.index(name) if name in angles else i for i, name in enumerate(names)]
 

@@ -1,0 +1,251 @@
+"""Feedforwards of single effects, and the disturbance observer: closed forms, a loop simulated by hand, and what they refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import pi
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.compensation import friction_compensation, gravity_feedforward
+from flexfmu.cosim.control.controllers.disturbance_observer import disturbance_observer
+from flexfmu.cosim.control.controllers.joints import symmetric
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.assembly import elbows, motor_angles
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
+
+Array = NDArray[np.float64]
+Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
+
+H = 1e-3
+ONE = ("axis",)
+JOINTS = ("joint1", "joint2")
+SCENE = load_scene("barnard2012-6kg")
+
+
+def scene_with(**sections: Any) -> Scene:
+    """The paper's robot, driven by torques."""
+    return SCENE.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, **sections})
+
+
+@pytest.mark.parametrize("motion", ["reference", "measured"])
+def test_friction_compensation_is_the_friction_of_the_robot(respond: Respond, motion: str) -> None:
+    """What inverse dynamics with smooth friction have more than those without, at any rate."""
+    friction = {"viscous": 1.3, "coulomb": 2.5, "velocity": 0.05}
+    scene = scene_with(**{"effects.joint_friction": friction})
+    section = {"kind": "friction-compensation", "motion": motion, "sample_time": H}
+    (slave, _) = loop_of(scene.replace({"controller": [section, {"kind": "pd", **PD}]})).controllers[:2]
+    rates = np.random.default_rng(3).normal(scale=0.2, size=(40, 2))
+    place = "reference.velocity" if motion == "reference" else "velocity"
+    found = respond(slave.block, {f"{joint}.{place}": rates[:, i] for i, joint in enumerate(JOINTS)})  # type: ignore[attr-defined]
+    q, zero = motor_angles(SCENE.mechanism, (0.05, 0.3)), [0.0, 0.0]
+    with_friction, without = (inverse_dynamics(each) for each in (scene, scene_with()))
+    for k, rate in enumerate(rates):
+        expected = (with_friction(q, rate, zero) - without(q, rate, zero)).full().ravel()
+        torque = [found[f"{joint}.feedforward"][k] for joint in JOINTS]
+        np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-12)
+
+
+def test_gravity_feedforward_is_virtual_work(respond: Respond) -> None:
+    """The gradient of the potential energy of links and payload: their weights times the change of their heights."""
+    m = SCENE.mechanism
+    weights = {
+        name: 9.81 * m.material.density * pi / 4.0 * link.diameter**2 * link.length
+        for name, link in (("proximal", m.proximal), ("distal", m.distal))
+    }
+
+    def energy(position: Array) -> float:
+        heights = [elbow[1] for elbow in elbows(m, (position[0], position[1]))]
+        proximal, distal = (0.5 * sum(heights), 0.5 * sum(heights) + position[1])
+        return weights["proximal"] * proximal + weights["distal"] * distal + 9.81 * SCENE.payload.mass * position[1]
+
+    def slopes(function: Callable[[Array], Any], position: Array) -> Array:
+        """Derivatives by differences of fourth order."""
+        h, columns = 1e-3, []
+        for each in h * np.eye(2):
+            far, near = (np.subtract(function(position + k * each), function(position - k * each)) for k in (2, 1))
+            columns.append((8.0 * near - far) / (12.0 * h))
+        return np.array(columns)
+
+    block = gravity_feedforward(inverse_dynamics(SCENE), sample_time=H)
+    for position in (np.array([0.05, 0.3]), np.array([-0.175, 0.32]), np.array([0.1, 0.35])):
+        angles = motor_angles(m, (position[0], position[1]))
+        found = respond(block, {f"{joint}.reference.position": [q] for joint, q in zip(JOINTS, angles, strict=True)})
+        turned = slopes(lambda x: np.array(motor_angles(m, (x[0], x[1]))), position)
+        expected = np.linalg.solve(turned, slopes(energy, position))
+        torque = [found[f"{joint}.feedforward"][0] for joint in JOINTS]
+        np.testing.assert_allclose(torque, expected, rtol=1e-9)
+
+
+def test_observer_finds_a_constant_disturbance(respond: Respond) -> None:
+    """-d (1 - exp(-k h / T)), whatever the torques are; within its limits."""
+    inertia, disturbance, time_constant, count = 0.2, 3.0, 0.01, 60
+    torque = np.random.default_rng(4).normal(scale=20.0, size=count)
+    # a held torque changes the rate in proportion
+    rate = np.concatenate([[0.4], 0.4 + H * np.cumsum(torque[:-1] + disturbance) / inertia])
+    signals = {"axis.velocity": rate, "axis.torque": torque}
+    fading = 1.0 - np.exp(-np.arange(count) * H / time_constant)
+    block = disturbance_observer(inertia, time_constant, sample_time=H, joints=ONE)
+    np.testing.assert_allclose(respond(block, signals)["axis.feedforward"], -disturbance * fading, rtol=0, atol=1e-12)
+    limited = disturbance_observer(inertia, time_constant, sample_time=H, limits=symmetric(2.0), joints=ONE)
+    found = respond(limited, signals)["axis.feedforward"]
+    np.testing.assert_allclose(found, np.maximum(-disturbance * fading, -2.0), rtol=0, atol=1e-12)
+    assert block.feedthrough["axis.feedforward"] == ("axis.velocity",)
+
+
+def test_observer_with_the_robot_as_its_model(respond: Respond) -> None:
+    """Torques of inverse dynamics at the mean motion need none; what is added to them is found, with the sign turned."""
+    dynamics, k = inverse_dynamics(SCENE), np.arange(50)
+    start = np.array(motor_angles(SCENE.mechanism, (0.0, 0.32)))
+    q = start + 0.1 * np.column_stack([np.sin(0.1 * k), np.cos(0.07 * k) - 1.0])
+    v = np.column_stack([np.cos(0.1 * k), -np.sin(0.07 * k)])
+    means = [0.5 * (each[1:] + each[:-1]) for each in (q, v)]
+    held = [dynamics(a, b, c).full().ravel() for a, b, c in zip(*means, np.diff(v, axis=0) / H, strict=True)]
+    torque = np.add([*held, held[-1]], [2.0, -1.0])
+    signals = {f"{joint}.position": q[:, i] for i, joint in enumerate(JOINTS)}
+    signals |= {f"{joint}.velocity": v[:, i] for i, joint in enumerate(JOINTS)}
+    signals |= {f"{joint}.torque": torque[:, i] for i, joint in enumerate(JOINTS)}
+    found = respond(disturbance_observer(dynamics, 5e-3, sample_time=H), signals)
+    for joint, extra in zip(JOINTS, (2.0, -1.0), strict=True):
+        expected = extra * (1.0 - np.exp(-k * H / 5e-3))
+        np.testing.assert_allclose(found[f"{joint}.feedforward"], expected, rtol=0.0, atol=1e-12 * abs(torque).max())
+
+
+class Axis:
+    """An inertia that a held torque turns, with a load that pulls; exact over every step."""
+
+    name = "plant"
+    variables = (
+        SlaveVariable("axis.position", "output"),
+        SlaveVariable("axis.velocity", "output"),
+        SlaveVariable("axis.torque", "input", start=0.0),
+    )
+    feedthrough: Mapping[str, tuple[str, ...]] = {"axis.position": (), "axis.velocity": ()}
+    inertia, load = 0.2, 3.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.values = np.array([0.1, 0.0, 0.0])
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.values[indices] = values
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.values[indices]
+
+    def step(self, time: float, step: float) -> None:
+        angle, rate, torque = self.values
+        acceleration = (torque - self.load) / self.inertia
+        self.values[:2] = angle + step * rate + step**2 / 2.0 * acceleration, rate + step * acceleration
+
+
+def test_observer_in_a_loop() -> None:
+    """PD, observer and an inertia under a load that the observer assumes too small: to 1e-12 at every instant, and no error is left."""
+    k_p, k_d, assumed, time_constant, count = 80.0, 6.0, 0.15, 8e-3, 1500
+    slaves = [
+        Axis(),
+        BlockSlave(pd(k_p, k_d, sample_time=H, joints=ONE)),
+        BlockSlave(disturbance_observer(assumed, time_constant, sample_time=H, joints=ONE), "observer"),
+    ]
+    wires = [
+        *((f"plant.axis.{kind}", f"{name}.axis.{kind}") for kind, name in [("position", "pd"), ("velocity", "pd"), ("velocity", "observer")]),
+        ("pd.axis.torque", "plant.axis.torque"),
+        ("pd.axis.torque", "observer.axis.torque"),
+        ("observer.axis.feedforward", "pd.axis.feedforward"),
+    ]  # fmt: skip
+    result = simulate(connect(slaves, wires), stop=count * H, step=H / 2.0)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    # by hand
+    angle, rate, before, last, estimate = 0.1, 0.0, 0.0, 0.0, 0.0
+    a, rows = np.exp(-H / time_constant), []
+    for k in range(count):
+        if k:
+            estimate = a * estimate + (1.0 - a) * (before - assumed * (rate - last) / H)
+        torque = -k_p * angle - k_d * rate + estimate
+        rows.append((angle, rate, torque))
+        before, last = torque, rate
+        acceleration = (torque - Axis.load) / Axis.inertia
+        angle, rate = angle + H * rate + H**2 / 2.0 * acceleration, rate + H * acceleration
+    exact, recording = np.array(rows), result.recording
+    at = np.searchsorted(recording.time, H * np.arange(count) + H / 4.0) - 1
+    for column, name in enumerate(("plant.axis.position", "plant.axis.velocity", "pd.axis.torque")):
+        scale = abs(exact[:, column]).max()
+        np.testing.assert_allclose(recording[name].values[at], exact[:, column], rtol=0.0, atol=1e-12 * scale)
+    assert abs(angle) < 1e-9
+
+
+PD: dict[str, Any] = {"proportional": 1e3, "derivative": 10.0, "sample_time": H}
+
+
+def test_sections_of_a_scene() -> None:
+    """Coefficients, payloads and models of the scene, unless the section has its own."""
+    kinds: dict[str, dict[str, Any]] = {
+        "friction-compensation": {"viscous": 0.5, "coulomb": [1.0, 2.0]},
+        "gravity-feedforward": {"motion": "measured", "payload": 0.0},
+        "disturbance-observer": {"time_constant": 0.01, "inertia": 0.2, "torque_limit": 30.0},
+    }
+    tables = [{"kind": kind, "sample_time": H, **keys} for kind, keys in kinds.items()]
+    friction, gravity, observer, _, total = loop_of(scene_with(controller=[*tables, {"kind": "pd", **PD}])).controllers
+    starts = {each.name: each.start for each in friction.variables if each.causality == "parameter"}
+    assert starts == {
+        "joint1.viscous_friction": 0.5,
+        "joint2.viscous_friction": 0.5,
+        "joint1.coulomb_friction": 1.0,
+        "joint2.coulomb_friction": 2.0,
+    }
+    assert [each.name for each in gravity.variables][:2] == ["joint1.position", "joint2.position"]
+    assert {"joint1.inertia", "joint1.time_constant", "joint1.torque.maximum"} < {
+        each.name for each in observer.variables
+    }
+    assert total.name == "feedforward_sum"
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: friction_compensation(-1.0, 0.0, sample_time=H), r"viscous_friction of joint1 must be at least 0\.0 N\.m\.s/rad"),
+    (lambda: friction_compensation(1.0, 0.0, velocity=0.0, sample_time=H), "the smoothing velocity must be above 0 rad/s, got 0.0"),
+    (lambda: friction_compensation(1.0, 0.0, motion="planned", sample_time=H), "'reference' or 'measured', got 'planned'"),  # type: ignore[arg-type]
+    (lambda: gravity_feedforward(inverse_dynamics(SCENE), sample_time=H, joints=ONE), "inverse dynamics must take"),
+    (lambda: gravity_feedforward(inverse_dynamics(SCENE), sample_time=0.0), "the sample time must be positive"),
+    (lambda: disturbance_observer(inverse_dynamics(SCENE), 1e-2, sample_time=H, joints=ONE), "inverse dynamics must take"),
+    (lambda: disturbance_observer([0.1, -0.1], 1e-2, sample_time=H), r"inertia of joint2 must be at least 0\.0 kg\.m2"),
+    (lambda: disturbance_observer(0.1, np.inf, sample_time=H), "time_constant of joint1 must be finite, got inf s"),
+    (lambda: loop_of(scene_with(controller=[{"kind": "friction-compensation", "sample_time": H}])),
+     "friction_compensation has no friction to compensate"),
+])  # fmt: skip
+def test_refused(make: Callable[[], Any], message: str) -> None:
+    """Value, unit and what would be right."""
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+ANY = st.one_of(st.floats(), st.floats(0.0, 1e3), st.just(0.0))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(ANY, min_size=4, max_size=4), ANY)
+def test_any_numbers_make_blocks_or_an_error(values: list[float], velocity: float) -> None:
+    """Coefficients that are finite and not negative make blocks, all others one sentence."""
+
+    def make() -> list[SymbolicBlock]:
+        friction = friction_compensation(values[0], values[1], velocity=velocity, sample_time=H)
+        return [friction, disturbance_observer(values[2], values[3], sample_time=H)]
+
+    if 0.0 < velocity < np.inf and all(0.0 <= each < np.inf for each in values):
+        assert len(make()) == 2
+        return
+    with pytest.raises(InputError) as refused:
+        make()
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,99 @@
+"""Several controllers that output the same feedforward: their sum, at the instants of the controller that takes it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.engine.errors import WiringError
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.wiring import wire
+from flexfmu.model.scene.schema import Scene
+
+PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+GRAVITY = {"kind": "gravity-feedforward", "sample_time": 2e-3}
+FRICTION = {"kind": "friction-compensation", "viscous": 2.0, "sample_time": 5e-4, "offset": 1e-4}
+
+
+@pytest.fixture(scope="module")
+def rigid(robot: Scene) -> Scene:
+    """Without flexible links, in a short motion."""
+    changes = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "trajectory.dwell": 0.0}
+    return robot.replace(changes)
+
+
+def test_the_controller_adds_both(rigid: Scene) -> None:
+    """The torque of each sample is that of the PD and both feedforwards as they are at its instants, at their own rates."""
+    run = run_scene(rigid.replace({"controller": [PD, GRAVITY, FRICTION]}))
+    assert run.completed, run.message
+    recording = run.recording
+    at = np.searchsorted(recording.time, 1e-3 * np.arange(400) + 1e-9) - 1
+    for joint in ("joint1", "joint2"):
+        signals = ("reference.position", "position", "reference.velocity", "velocity")
+        q_r, q, v_r, v = (recording[f"{joint}.{each}"].values[at] for each in signals)
+        terms = [
+            recording[f"{name}.{joint}.feedforward"].values[at]
+            for name in ("gravity_feedforward", "friction_compensation")
+        ]
+        expected = 1e4 * (q_r - q) + 100.0 * (v_r - v) + terms[0] + terms[1]
+        assert min(abs(each).max() for each in terms) > 1.0
+        np.testing.assert_allclose(
+            recording[f"{joint}.torque"].values[at], expected, rtol=0.0, atol=1e-12 * abs(expected).max()
+        )
+
+
+def test_the_sum_has_the_clock_of_who_takes_it(rigid: Scene) -> None:
+    """One slave more, whose terms are named after their slaves; no slave more for one feedforward alone."""
+    slow = {**PD, "sample_time": 3e-3, "offset": 1e-3}
+    *_, total = loop_of(rigid.replace({"controller": [GRAVITY, slow, FRICTION]})).controllers
+    assert (total.name, total.sample_time, total.offset) == ("feedforward_sum", 3e-3, 1e-3)  # type: ignore[attr-defined]
+    inputs = [each.name for each in total.variables if each.causality == "input"]
+    assert inputs[:2] == ["gravity_feedforward.joint1.feedforward", "friction_compensation.joint1.feedforward"]
+    assert len(loop_of(rigid.replace({"controller": [GRAVITY, PD]})).controllers) == 2
+
+
+class Signals:
+    """A robot or a trajectory that has outputs and takes torques, and does nothing."""
+
+    def __init__(self, name: str, outputs: set[str]) -> None:
+        self.name = name
+        torques = [SlaveVariable(f"joint{i}.torque", "input") for i in (1, 2)] if name == "plant" else []
+        self.variables = [*(SlaveVariable(each, "output") for each in sorted(outputs)), *torques]
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+    def get(self, indices: Indices, values: RealArray) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+
+
+def connections(loop: Loop) -> dict[str, str]:
+    """Input → output."""
+    inputs = {each.name for slave in loop.controllers for each in slave.variables if each.causality == "input"}
+    references = {each for each in inputs if ".reference." in each}
+    measured = {each for each in inputs - references if "feedforward" not in each}
+    wiring = wire(Signals("trajectory", references), Signals("plant", measured), loop.controllers, (), loop.connect)
+    return {target: source for source, target in wiring.connections}
+
+
+def test_explicit_connections_come_first(rigid: Scene) -> None:
+    """Who names one of both gets that one."""
+    chosen = {f"joint{i}.feedforward": f"gravity_feedforward.joint{i}.feedforward" for i in (1, 2)}
+    loop = loop_of(rigid.replace({"controller": [GRAVITY, {**PD, "connect": chosen}, FRICTION]}))
+    assert len(loop.controllers) == 3
+    assert connections(loop)["pd.joint1.feedforward"] == "gravity_feedforward.joint1.feedforward"
+    summed = connections(loop_of(rigid.replace({"controller": [GRAVITY, PD, FRICTION]})))
+    assert summed["pd.joint1.feedforward"] == "feedforward_sum.joint1.feedforward"
+    assert summed["feedforward_sum.gravity_feedforward.joint1.feedforward"] == "gravity_feedforward.joint1.feedforward"
+
+
+def test_no_common_instants(rigid: Scene) -> None:
+    """Two controllers at different instants can't share a sum."""
+    second = {**PD, "name": "second", "sample_time": 2e-3}
+    with pytest.raises(
+        WiringError,
+        match=r"pd, second, which take the sum, aren't sampled at the same instants: give them one sample_time",
+    ):
+        loop_of(rigid.replace({"controller": [GRAVITY, PD, FRICTION, second]}))
