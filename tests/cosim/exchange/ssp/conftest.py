@@ -109,7 +109,7 @@ def drive_scene(controlled_scene: Scene) -> Scene:
         "torque_limit": 90.0,
         "sample_time": 1e-3,
     }
-    short = {"trajectory.width": 0.1, "trajectory.duration": 0.15}
+    short = {"trajectory.width": 0.1, "trajectory.duration": 0.2}
     changes = {"name": "drive", "controller": [cascade, OBSERVER], "shaper": [], "imperfection": [], **short}
     return controlled_scene.replace(changes)
 
