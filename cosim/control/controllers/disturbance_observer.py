@@ -94,7 +94,7 @@ def disturbance_observer(
         equations,
         sample_time=sample_time,
         offset=offset,
-        inputs=[*measurements(joints, *kinds), *(_torque_input(joint) for joint in joints)],  # type: ignore[arg-type]
+        inputs=[*measurements(joints, *kinds), *(_torque_input(joint) for joint in joints)],
         outputs=feedforward_outputs(joints, "Torque against the observed disturbance"),
         parameters=[
             *gains(joints, "time_constant", time_constant, "s", "Time constant of the observer"),

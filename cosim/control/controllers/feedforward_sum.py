@@ -25,11 +25,14 @@ def feedforward_sum(
     Raises:
         InputError: the sample time isn't positive.
     """
-    signals = [(slave, output) for output, slaves in sources.items() for slave in slaves]
+    signals = [(output, slave) for output, slaves in sources.items() for slave in slaves]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         terms = dict(zip(signals, casadi.vertsplit(u), strict=True))
-        return casadi.vertcat(*(sum(terms[slave, each] for slave in slaves) for each, slaves in sources.items())), x
+        sums = [
+            casadi.sum1(casadi.vertcat(*(terms[each, slave] for slave in slaves))) for each, slaves in sources.items()
+        ]
+        return casadi.vertcat(*sums), x
 
     return block(
         name,
@@ -38,7 +41,7 @@ def feedforward_sum(
         sample_time=sample_time,
         offset=offset,
         inputs=[
-            Variable(f"{slave}.{each}", "N.m", f"Term of {each} from {slave}", "input", 0.0) for slave, each in signals
+            Variable(f"{slave}.{each}", "N.m", f"Term of {each} from {slave}", "input", 0.0) for each, slave in signals
         ],
         outputs=[Variable(each, "N.m", f"Sum of {each} of several controllers", "output") for each in sources],
     )
