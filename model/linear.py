@@ -91,6 +91,44 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
     )
 
 
+@dataclass(frozen=True, eq=False)
+class LinearPlant:
+    """dx/dt = A x + B u, y = C x + D u: the torque-driven plant about an equilibrium.
+
+    Attributes:
+        a, b, c, d: the matrices.
+        inputs, outputs: names of the FMU's variables, in the order of u and y.
+        rest: values of the inputs and of the outputs at the equilibrium.
+    """
+
+    a: RealArray
+    b: RealArray
+    c: RealArray
+    d: RealArray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    rest: tuple[RealArray, RealArray]
+
+
+def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
+    """The torque-driven plant about its equilibrium at `position` [m], with some of its outputs.
+
+    Raises:
+        ValueError: the position is out of reach.
+        EquilibriumError: there is no equilibrium.
+    """
+    plant, point = torque_driven_plant(scene), operating_point(scene, position)
+    names = [variable.name for variable in plant.outputs]
+    rows = [names.index(name) for name in outputs]
+    a, b, c, d = _matrices(plant, point)
+    n = len(plant.unknowns)
+    derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
+    values = plant.functions["outputs"](point.coordinates, np.zeros(n), np.zeros(n), point.inputs, derived)
+    at_rest = np.asarray(values.full())[rows, 0]
+    inputs = tuple(variable.name for variable in plant.inputs)
+    return LinearPlant(a, b, c[rows], d[rows], inputs, tuple(outputs), (point.inputs, at_rest))
+
+
 def signal_label(name: str) -> str:
     """A name that python-control accepts, with underscores for dots: ``joint1.torque`` → ``joint1_torque``."""
     return name.replace(".", "_")

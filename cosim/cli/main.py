@@ -30,6 +30,7 @@ from flexfmu.cosim.cli.console import (
 from flexfmu.cosim.cli.effects import effects
 from flexfmu.cosim.cli.export import export
 from flexfmu.cosim.cli.fmus import fmus
+from flexfmu.cosim.cli.margins import margins
 from flexfmu.cosim.cli.modes import modes
 from flexfmu.cosim.cli.paper import paper
 from flexfmu.cosim.cli.plan import plan
@@ -120,6 +121,7 @@ for _command in (
     plan,
     paper,
     modes,
+    margins,
     effects,
     shaper,
     workprec,

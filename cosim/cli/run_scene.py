@@ -88,6 +88,7 @@ def run_command(
         has_report = has_report and is_whole
         settings, measurements, problem = _measure(run, companions if is_whole else None, progressing)
         summary = summarise(run, measurements)
+        summary["health"]["stability"] = _stability(run)
         folder.write("summary.json", to_json(summary))
         if has_report:
             show("drawing the report", None)
@@ -133,3 +134,12 @@ def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> 
 
     rest = settings.end_equilibrium if settings is not None and settings.dwell else None
     return render_report(summary, draw_plots(run, rest))
+
+
+def _stability(run: Run) -> str | None:
+    """What there is to say of the stability of a scene's loop."""
+    if not run.scene.controller:
+        return None
+    from flexfmu.cosim.choices.margins.warning import stability_warning
+
+    return stability_warning(run)

@@ -41,7 +41,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     # what spoils the results
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
-    sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]
+    sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"], health["stability"]])]
     sentences += [sentence for part in (*motors, *links) for sentence in part["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
     parts.append(Text(files_sentence(files, folder)))

@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, compare, linearize, modes, plan, plan_motion, run, start_gains, sweep, tune
+    from flexfmu.api import build, compare, linearize, margins, modes, plan, plan_motion, run, start_gains, sweep, tune
     from flexfmu.cosim.control.controllers.own_function import controller
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
@@ -41,6 +41,7 @@ __all__ = [
     "linearize",
     "link_stresses",
     "load_scene",
+    "margins",
     "measure_run",
     "modes",
     "motor_loads",
@@ -63,6 +64,7 @@ _HOMES = {
     "linearize": "flexfmu.api",
     "link_stresses": "flexfmu.cosim.metrics.stress",
     "load_scene": "flexfmu.model.scene.file",
+    "margins": "flexfmu.api",
     "measure_run": "flexfmu.cosim.metrics.metrics",
     "modes": "flexfmu.api",
     "motor_loads": "flexfmu.cosim.metrics.motors",

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import control
 
     from flexfmu.cosim.choices.gains.tuner import TuneResult
+    from flexfmu.cosim.choices.margins.scene_margins import MarginsResult
     from flexfmu.cosim.choices.plans.planner import PlanResult
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
@@ -329,6 +330,34 @@ def linearize(
     from flexfmu.model.linear import linearize as linearize_scene  # needs CasADi, which `run` does without
 
     return linearize_scene(resolved(_scene(scene)), position, outputs)
+
+
+def margins(scene: SceneSource, *, poses: int = 5) -> MarginsResult:
+    """How far the sampled loop of a torque-driven scene is from instability, about equilibria along its path.
+
+        result = flexfmu.margins("examples/controller_scene.toml")
+        result.worst.gain_margin, result.to_pandas()
+
+    Calls `flexfmu.cosim.choices.margins.scene_margins.scene_margins`.
+
+    Args:
+        scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive it, with controllers.
+        poses: number of poses, equally spaced along the path; 1 for its end.
+
+    Returns:
+        Gain, phase and delay margin, disk margin, peak of the sensitivity and bandwidth for each pose and each cut, in SI units
+        and rad.
+
+    Raises:
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        InputError: the scene has no loop, a slave can't be linearised, or sample times have no common period.
+        TrajectoryError: the motion is not feasible.
+        EquilibriumError: the robot has no static equilibrium at a pose.
+        TypeError: ``scene`` is of another type.
+    """
+    from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+
+    return scene_margins(_scene(scene), poses=poses)
 
 
 def sweep(

@@ -1,0 +1,1 @@
+"""How far a sampled loop is from instability."""

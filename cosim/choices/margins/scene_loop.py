@@ -1,0 +1,272 @@
+"""The linear loop of a scene: its controllers, imperfections and filters, wired as for a run, about an equilibrium on its path."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.cosim.choices.margins.linear_blocks import LinearBlock, linear_block
+from flexfmu.cosim.choices.margins.linear_loop import Continuous, LinearLoop
+from flexfmu.cosim.control.imperfections.lag import Lag
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.dependencies import Connection
+from flexfmu.cosim.engine.master.system import AlgebraicLoop, System, connect
+from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.system import PLANT, REFERENCES
+from flexfmu.cosim.experiment.wiring import wire
+from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store
+from flexfmu.model.linear import LinearPlant, linear_plant
+from flexfmu.model.plants import torque_driven_plant
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """Stands for the robot's FMU where only its variables matter."""
+
+    name: str
+    variables: tuple[SlaveVariable, ...]
+    feedthrough: Mapping[str, Sequence[str]]
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Do nothing."""
+
+    def set(self, indices: object, values: RealArray) -> None:
+        """Do nothing."""
+
+    def get(self, indices: object, values: RealArray) -> None:
+        """Do nothing."""
+
+    def step(self, time: float, step: float) -> None:
+        """Do nothing."""
+
+
+class WiredLoop:
+    """The slaves of a scene's loop and their connections; `at` linearises them at a pose.
+
+    Args:
+        scene: the scene, driven by torques.
+        loop: its planned motion, controllers, shapers and imperfections.
+        robot: the robot's FMU, if there is one; otherwise its variables are those of its model.
+
+    Raises:
+        InputError: no controller feeds the robot, or slaves can't be connected.
+    """
+
+    def __init__(self, scene: Scene, loop: Loop, robot: Slave | None = None) -> None:
+        if scene.cosimulation.drive != "torque" or not loop.controllers:
+            raise InputError(
+                f'scene {scene.name} has no loop: margins need `cosimulation.drive = "torque"` and a [[controller]]'
+            )
+        robot = robot or _robot(scene)
+        references = TrajectorySlave(loop.driving, name=REFERENCES)
+        wiring = wire(references, robot, loop.controllers, loop.inline_blocks, loop.connect)
+        slaves: list[Slave] = [references, robot, *loop.controllers, *(each.slave for each in loop.inline_blocks)]
+        self.system: System = connect(slaves, wiring.connections)
+        self._scene = _of_the_robot(scene, loop.parameters)
+        if any(isinstance(each, AlgebraicLoop) for each in self.system.exchange_order):
+            raise InputError(f"scene {scene.name} has an algebraic loop, which can't be linearised")
+
+    @property
+    def sampled(self) -> list[int]:
+        """Indices of the sampled slaves."""
+        return [i for i, slave in enumerate(self.system.slaves) if isinstance(slave, Sampled)]
+
+    @property
+    def measured(self) -> list[str]:
+        """Outputs of the robot that something takes."""
+        slaves = self.system.slaves
+        taken = {each.output for each in self.system.connections if slaves[each.source].name == PLANT}
+        return [slaves[1].variables[i].name for i in sorted(taken)]
+
+    def at(self, position: tuple[float, float]) -> tuple[LinearLoop, tuple[str, ...]]:
+        """The linear loop about the equilibrium at a place of the end effector [m], and the names of its channels.
+
+        Raises:
+            InputError: a slave can't be linearised, or the loop isn't closed.
+            ValueError, EquilibriumError: see `linear_plant`.
+        """
+        return _Linearised(self.system, kept_plant(self._scene, position, self.measured), self.sampled).loop()
+
+
+def _robot(scene: Scene) -> Robot:
+    """The robot's variables."""
+    plant = torque_driven_plant(scene)
+    variables = [SlaveVariable(each.name, each.causality, each.unit) for each in (*plant.inputs, *plant.outputs)]
+    return Robot(PLANT, tuple(variables), plant.feedthrough)
+
+
+def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
+    """The linear robot, which the cache keeps: gains change more often than robots; see `linear_plant`."""
+    robot = scene.model_dump_json(include={"mechanism", "payload", "effects"})
+    key = content_hash(text.encode() for text in (package_fingerprint(), robot, repr(position), *outputs))
+    file = f"plants/{key}.json"
+    if (known := cached(file)) is not None:
+        data = json.loads(known.read_text(encoding="utf-8"))
+        rest = (np.array(data["rest"][0]), np.array(data["rest"][1]))
+        a, b, c, d = (np.array(each) for each in data["matrices"])
+        return LinearPlant(a, b, c, d, tuple(data["inputs"]), tuple(outputs), rest)
+    plant = linear_plant(scene, position, outputs)
+    matrices = [each.tolist() for each in (plant.a, plant.b, plant.c, plant.d)]
+    at_rest = [each.tolist() for each in plant.rest]
+    store(file, json.dumps({"matrices": matrices, "inputs": plant.inputs, "rest": at_rest}).encode())
+    return plant
+
+
+def _of_the_robot(scene: Scene, parameters: Mapping[str, float]) -> Scene:
+    """The scene of the real robot: with its own payload, and without Coulomb friction, which at standstill damps only."""
+    changes: dict[str, object] = dict(parameters)
+    if scene.effects.joint_friction.coulomb:
+        changes["effects.joint_friction.coulomb"] = 0.0
+    return scene.replace(changes) if changes else scene
+
+
+class _Linearised:
+    """Puts the linear loop together; arguments: the system, the robot's matrices, indices of the sampled slaves."""
+
+    def __init__(self, system: System, plant: LinearPlant, sampled: list[int]) -> None:
+        self._system, self._plant, self._sampled = system, plant, sampled
+        self._feeding: dict[tuple[int, str], Connection] = {
+            (each.target, system.slaves[each.target].variables[each.input].name): each for each in system.connections
+        }
+        self._lags = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Lag)]
+        for i, slave in enumerate(system.slaves):
+            if i > 1 and i not in sampled and not isinstance(slave, Lag):
+                raise InputError(f"{slave.name} can't be linearised: it is neither sampled nor a lag")
+        # signals: outputs of the robot, then of lags; outputs of sampled slaves
+        self._signals = {(1, name): k for k, name in enumerate(plant.outputs)}
+        for i, lag in self._lags:
+            for name in _names(lag, "output"):
+                self._signals[i, name] = len(self._signals)
+        self._outputs: dict[tuple[int, str], int] = {}
+        for i in sampled:
+            for name in _names(system.slaves[i], "output"):
+                self._outputs[i, name] = len(self._outputs)
+
+    def loop(self) -> tuple[LinearLoop, tuple[str, ...]]:
+        """The loop, and the names of the robot's inputs that its channels feed."""
+        channels = self._channels()
+        if not channels:
+            raise InputError("no torque of the robot comes from a sampled controller: there is no loop with margins")
+        blocks = self._blocks()
+        order = [i for i in self._system.exchange_steps if i in self._sampled]
+        calls = tuple(self._sampled.index(i) for i in order)
+        loop = LinearLoop(
+            self._continuous(list(channels.values())), tuple(blocks), calls, self._inputs(), tuple(channels.values())
+        )
+        return loop, tuple(channels)
+
+    def _blocks(self) -> list[LinearBlock]:
+        """The sampled slaves, linearised at the values that their inputs have at rest."""
+        values = dict(zip(((1, name) for name in self._plant.outputs), self._plant.rest[1].tolist(), strict=True))
+        positions = {f"{joint}.reference.position": f"{joint}.position" for joint in ("joint1", "joint2")}
+        for reference, measured in positions.items():
+            if (1, measured) in values:
+                values[0, reference] = values[1, measured]
+        found: dict[int, LinearBlock] = {}
+        # twice, as torques may come from slaves further on
+        for i in (*self._system.exchange_steps, *self._system.exchange_steps):
+            slave = self._system.slaves[i]
+            names = _names(slave, "input")
+            at_rest = np.array([self._value(values, i, name) for name in names])
+            if i in self._sampled:
+                found[i], outputs = linear_block(slave, at_rest)
+                values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
+            elif isinstance(slave, Lag):
+                values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))
+        return [found[i] for i in self._sampled]
+
+    def _value(self, values: Mapping[tuple[int, str], float], slave: int, name: str) -> float:
+        """The value of an input at rest."""
+        feeding = self._feeding.get((slave, name))
+        if feeding is None:
+            return next(each.start or 0.0 for each in self._system.slaves[slave].variables if each.name == name)
+        return values.get(self._source(feeding), 0.0)
+
+    def _source(self, connection: Connection) -> tuple[int, str]:
+        return connection.source, self._system.slaves[connection.source].variables[connection.output].name
+
+    def _inputs(self) -> tuple[RealArray, ...]:
+        """For each sampled slave its inputs from [signals, outputs]; references don't move."""
+        found = []
+        for i in self._sampled:
+            names = _names(self._system.slaves[i], "input")
+            matrix = np.zeros((len(names), len(self._signals) + len(self._outputs)))
+            for row, name in enumerate(names):
+                feeding = self._feeding.get((i, name))
+                source = None if feeding is None else self._source(feeding)
+                if source in self._signals:
+                    matrix[row, self._signals[source]] = 1.0
+                elif source in self._outputs:
+                    matrix[row, len(self._signals) + self._outputs[source]] = 1.0
+            found.append(matrix)
+        return tuple(found)
+
+    def _channels(self) -> dict[str, int]:
+        """Input of the robot → index of the sampled output that feeds it, through lags if there are some."""
+        found = {}
+        for name in self._plant.inputs:
+            feeding = self._feeding.get((1, name))
+            while feeding is not None and isinstance(self._system.slaves[feeding.source], Lag):
+                slave, output = self._source(feeding)
+                lag = self._system.slaves[slave]
+                feeding = self._feeding.get((slave, _names(lag, "input")[_names(lag, "output").index(output)]))
+            if feeding is not None and (source := self._source(feeding)) in self._outputs:
+                found[name] = self._outputs[source]
+        return found
+
+    def _continuous(self, channels: list[int]) -> Continuous:
+        """Robot and lags: states [x, outputs of lags]."""
+        plant, n = self._plant, len(self._plant.a)
+        lags = [(i, lag, k) for i, lag in self._lags for k in range(len(_names(lag, "output")))]
+        size, outputs, signals = n + len(lags), len(self._outputs), len(self._signals)
+        a, held, by_channel = np.zeros((size, size)), np.zeros((size, outputs)), np.zeros((size, len(channels)))
+        c, c_held, c_channel = (
+            np.zeros((signals, size)),
+            np.zeros((signals, outputs)),
+            np.zeros((signals, len(channels))),
+        )
+        a[:n, :n], c[: len(plant.outputs), :n] = plant.a, plant.c
+        places = {(i, _names(lag, "output")[k]): n + j for j, (i, lag, k) in enumerate(lags)}
+
+        def feed(source: tuple[int, str], by_rate: RealArray, by_signal: RealArray, rows: slice, out: slice) -> None:
+            """What an input adds to rates in rows and to signals in out."""
+            if source in places:
+                a[rows, places[source]] += by_rate
+                c[out, places[source]] += by_signal
+            elif source in self._outputs and self._outputs[source] in channels:
+                by_channel[rows, channels.index(self._outputs[source])] += by_rate
+                c_channel[out, channels.index(self._outputs[source])] += by_signal
+            elif source in self._outputs:
+                held[rows, self._outputs[source]] += by_rate
+                c_held[out, self._outputs[source]] += by_signal
+            elif source[0] == 1:
+                raise InputError(
+                    "an output of the robot feeds the robot or a lag directly: margins need a sampled slave between"
+                )
+
+        for k, name in enumerate(plant.inputs):
+            if (feeding := self._feeding.get((1, name))) is not None:
+                feed(self._source(feeding), plant.b[:, k], plant.d[:, k], slice(0, n), slice(0, len(plant.outputs)))
+        for j, (i, lag, k) in enumerate(lags):
+            rate, row = 1.0 / _times(lag)[k], n + j
+            a[row, row] -= rate
+            c[self._signals[i, _names(lag, "output")[k]], row] = 1.0
+            if (feeding := self._feeding.get((i, _names(lag, "input")[k]))) is not None:
+                feed(self._source(feeding), np.array([rate]), np.zeros(0), slice(row, row + 1), slice(0, 0))
+        return Continuous(a, c, (held, c_held), (by_channel, c_channel))
+
+
+def _names(slave: Slave, causality: str) -> list[str]:
+    return [each.name for each in slave.variables if each.causality == causality]
+
+
+def _times(lag: Lag) -> list[float]:
+    """Time constants [s] of a lag's channels."""
+    return [lag.latency[name] for name in _names(lag, "output")]

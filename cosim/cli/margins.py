@@ -1,0 +1,55 @@
+"""`flexfmu margins`: how far a loop is from instability."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+
+
+def margins(
+    scene: SceneArgument,
+    poses: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Poses, equally spaced along the path; 1 for its end.")
+    ] = 5,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files."
+        ),
+    ] = None,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Gain, phase, delay and disk margins of a sampled loop, about standstill along the path.
+
+    The loop is cut at each torque, then at both at once. Holds, delays, encoders, lags and several sample rates count exactly;
+    rounding and limits don't count. The exit status is 1 if the loop is unstable.
+    """
+    from flexfmu.cosim.choices.margins.margins_table import margins_data, margins_table
+    from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+    from flexfmu.cosim.engine.files import OutputFolder
+    from flexfmu.cosim.reports.text import to_json
+
+    robot = load_changed(scene, settings)
+    if out is not None:
+        OutputFolder(out).prepare()
+    with progress() as show:
+        result = scene_margins(robot, poses=poses, progress=lambda fraction: show("margins along the path", fraction))
+        files: list[Path] = []
+        if out is not None:
+            from flexfmu.cosim.choices.margins.pictures import write_margins
+
+            show("drawing", None)
+            files = write_margins(result, out)
+    if json:
+        print_text(to_json({**margins_data(result), "files": [str(path) for path in files]}))
+    else:
+        print_rich(*margins_table(result))
+        if files:
+            print_text(f"files: {', '.join(map(str, files))}\n")
+    return 0 if result.is_stable else FAILURE

@@ -1,0 +1,173 @@
+"""Margins of scenes: critical gains are those of simulations, and the command says what they are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+import flexfmu
+from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+from flexfmu.cosim.choices.margins.warning import stability_warning
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.control.blocks.equations import block
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.own_motion import own_loop
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
+from flexfmu.cosim.experiment.wiring import inline_block
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import Variable
+
+PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 60.0, "sample_time": 1e-3}
+SEVERAL_RATES: list[dict[str, Any]] = [
+    {"kind": "encoder", "counts_per_turn": 1e12, "window": 3, "sample_time": 2.5e-4},
+    {"kind": "delay", "time": 3e-4, "sample_time": 2.5e-4},
+    {"kind": "lag", "time_constant": 2e-4},
+]
+
+
+def robot(controller: dict[str, Any], *imperfections: dict[str, Any], gravity: float = -9.81) -> Scene:
+    """The paper's robot with few modes, driven by a loop."""
+    return load_scene("barnard2012-6kg").replace(
+        {
+            "cosimulation.drive": "torque",
+            "cosimulation.tolerance": 1e-8,
+            "effects.motor_inertia": 0.1,
+            "effects.gravity": [0.0, gravity],
+            "effects.proximal_bending": 1,
+            "effects.distal_axial": 1,
+            "trajectory.dwell": 0.0,
+            "controller": [controller],
+            "imperfection": list(imperfections),
+        }
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Standstill:
+    """Joints that stand still."""
+
+    angles: tuple[float, float]
+    coordinates: str = "joints"
+    duration: float = 0.6
+    breakpoints: tuple[float, ...] = (0.0, 0.6)
+
+    def evaluate(self, time: Any, order: int = 2, side: str = "right") -> Any:
+        """Joint angles [rad] and their derivatives."""
+        found = np.zeros((order + 1, np.size(time), 2))
+        found[0] = self.angles
+        return found
+
+
+def grows(scene: Scene, angles: tuple[float, float], factor: float) -> bool:
+    """Whether small motions about standstill grow with torques times a factor."""
+    ports = [
+        ("input", "joint1.torque.input"),
+        ("input", "joint2.torque.input"),
+        ("output", "joint1.torque"),
+        ("output", "joint2.torque"),
+    ]
+    variables = [Variable(name, "N.m", "Torque", way, 0.0 if way == "input" else None) for way, name in ports]  # type: ignore[arg-type]
+    gain = block(
+        "gain", "Gain", lambda x, u, p: (factor * u, x), sample_time=1e-3, inputs=variables[:2], outputs=variables[2:]
+    )
+    loop = own_loop(scene, Standstill(angles))
+    loop = replace(loop, inline_blocks=(inline_block(as_slave(gain, SlaveNames())), *loop.inline_blocks))
+    run = PreparedScene(loop.motion.scene, loop=loop).run()
+    change, time = np.abs(np.diff(run.recording["gain.joint1.torque"].values)), run.recording.time[1:]
+    early, late = (np.sqrt(np.mean(change[(time > a) & (time <= a + 0.2)] ** 2)) for a in (0.2, 0.4))
+    return bool(late > early)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "scene",
+    [
+        robot(PD, gravity=-1e-4),
+        robot({**PD, "kind": "pid", "proportional": 1e3, "integral": 4e3, "derivative": 8.0, "filter_time": 1e-3}, *SEVERAL_RATES, gravity=-1e-4),
+    ],
+    ids=["one rate", "several rates, delay and lag"],
+)  # fmt: skip
+def test_the_critical_gain_is_that_of_simulations(scene: Scene) -> None:
+    pose = scene_margins(scene, poses=1).poses[0]
+    assert pose.is_stable
+    predicted = pose.loops[-1].gain_margin
+    assert not grows(scene, pose.joints, 0.99 * predicted)
+    assert grows(scene, pose.joints, 1.01 * predicted)
+
+
+def test_quantisers_and_noise_leave_the_margins_as_they_are() -> None:
+    plain = scene_margins(robot(PD), poses=1).worst
+    rough = [
+        {"kind": "quantisation", "resolution": 1e-3, "sample_time": 1e-3},
+        {"kind": "noise", "standard_deviation": 1e-3, "sample_time": 1e-3},
+        {"kind": "saturation", "limit": 500.0, "sample_time": 1e-3},
+    ]
+    found = scene_margins(robot(PD, *rough), poses=1).worst
+    assert found.gain_margin == pytest.approx(plain.gain_margin, rel=1e-9)
+    assert found.delay_margin == pytest.approx(plain.delay_margin, rel=1e-9)
+
+
+def test_payload_errors_count() -> None:
+    exact, heavy = (
+        scene_margins(robot(PD, *each), poses=1).poses[0].poles
+        for each in ([], [{"kind": "payload-error", "relative": 0.5}])
+    )
+    assert abs(heavy[0].imag) < abs(exact[0].imag)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cosimulation.drive": "motion", "controller": [], "imperfection": []}, "has no loop: margins need"),
+        ({"controller": [{**PD, "sample_time": 0.001234567}, {"kind": "feedforward", "sample_time": 0.00098765}]}, "have a common period"),
+    ],
+)  # fmt: skip
+def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        scene_margins(robot(PD).replace(changes), poses=1)
+
+
+def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
+    scene = robot(PD).replace({"trajectory.duration": 0.1})
+    critical = scene_margins(scene, poses=1).worst.gain_margin
+    near = {**PD, "proportional": 0.95 * critical * 1e4, "derivative": 0.95 * critical * 60.0}
+    assert stability_warning(flexfmu.run(scene)) is None
+    warning = stability_warning(flexfmu.run(scene.replace({"controller": [near]})))
+    assert warning is not None
+    assert "with torques 5.3 % larger it is unstable" in warning
+
+
+def command(tmp_path: Path, *options: str) -> Result:
+    """`flexfmu margins` of the example."""
+    scene = Path(__file__).parents[4] / "examples" / "controller_scene.toml"
+    return CliRunner().invoke(app, ["margins", str(scene), "--poses", "1", *options])
+
+
+@pytest.mark.slow
+def test_the_command_prints_margins_and_draws_pictures(tmp_path: Path) -> None:
+    found = command(tmp_path, "--json", "--out", str(tmp_path / "m"))
+    assert found.exit_code == 0
+    data = json.loads(found.stdout)
+    assert data["stable"]
+    assert 1.5 < data["worst"]["gain_margin"] < 2.5
+    assert sorted(path.name for path in (tmp_path / "m").iterdir()) == [
+        "bode.png",
+        "margins.csv",
+        "nyquist.png",
+        "root-locus.png",
+    ]
+
+
+def test_an_unstable_loop_fails(tmp_path: Path) -> None:
+    found = command(tmp_path, "--set", "controller.pd.proportional=5e4")
+    assert found.exit_code == 1
+    assert "The loop is unstable at s = 1.00" in found.stdout
