@@ -24,7 +24,11 @@ def plan(
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="FILE.toml", help="Also write the planned scene here.", show_default=False
+            "-o",
+            "--output",
+            metavar="FILE.toml",
+            help="Also write the planned scene here. Default: only into --out.",
+            show_default=False,
         ),
     ] = None,
     out: Annotated[
@@ -40,7 +44,8 @@ def plan(
         ),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Total time, for all but time.", show_default=False)
+        float | None,
+        typer.Option(metavar="SECONDS", help="Total time, for all but time. Default: the scene's.", show_default=False),
     ] = None,
     residual: Annotated[
         float | None,
@@ -58,11 +63,19 @@ def plan(
     ] = None,
     stiffness_band: Annotated[
         float | None,
-        typer.Option(metavar="FRACTION", help="Relative change of Young's modulus to both sides.", show_default=False),
+        typer.Option(
+            metavar="FRACTION",
+            help="Relative change of Young's modulus to both sides. Default: the scene's, or 0.",
+            show_default=False,
+        ),
     ] = None,
     damping_band: Annotated[
         float | None,
-        typer.Option(metavar="FRACTION", help="Relative change of the damping to both sides.", show_default=False),
+        typer.Option(
+            metavar="FRACTION",
+            help="Relative change of the damping to both sides. Default: the scene's, or 0.",
+            show_default=False,
+        ),
     ] = None,
     limit: Annotated[
         list[str] | None,
@@ -103,7 +116,7 @@ def plan(
         list[Path] | None,
         typer.Option(
             metavar="FILE.csv",
-            help="A motion of your own, of joints or end effector, to be judged with the others; may be repeated.",
+            help="A motion of your own, of joints or end effector, to be judged with the others; may be repeated. Default: none.",
             show_default=False,
         ),
     ] = None,
