@@ -46,11 +46,18 @@ H_INFINITY = {"kind": "h-infinity", "bandwidth": 20.0, "torque_limit": 90.0, **T
 GRAVITY = {"kind": "gravity-feedforward", **TIME}
 FRICTION = {"kind": "friction-compensation", "viscous": 1.0, "coulomb": 2.0, **TIME}
 OBSERVER = {"kind": "disturbance-observer", "time_constant": 0.02, **TIME}
+SCHEDULE = {
+    "over": "joint1.position",
+    "at": [2.5, 3.0, 3.5],
+    "proportional": [0.8, 1.0, 1.2],
+    "derivative": [1.0, 1.0, 1.1],
+}
 
 LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "PD": ([PD], None, 1.0),
     "H-infinity of order 32": ([H_INFINITY], None, 8.0),
     "cascade of three loops": ([CASCADE], None, 1.5),
+    "PD with scheduled gains": ([{**PD, "schedule": SCHEDULE}], None, 1.0),
     "gravity feedforward": ([PD, GRAVITY], "PD", 1.0),
     "friction compensation": ([PD, FRICTION], "PD", 1.0),
     "sum of two feedforwards, with them": ([PD, GRAVITY, FRICTION], "PD", 2.0),

@@ -11,7 +11,7 @@ from flexfmu.cosim.engine.slave import Causality, Slave
 from flexfmu.cosim.experiment.fitting_signals import check_misspelt, check_units, no_source
 
 OPTIONAL = ".feedforward"
-"""Suffix of inputs that may stay unconnected; they keep their start values."""
+"""Suffix of inputs that may stay unconnected; they keep their start values, as does the payload that gains follow."""
 
 
 INPUT, SHAPED = ".input", "shaped."
@@ -200,7 +200,7 @@ class _Bus:
         elif name.endswith(OPTIONAL) and name.partition(".")[0] in self.slaves:
             # the term of a sum
             source = self.source(name)
-        elif name.endswith(OPTIONAL):
+        elif name.endswith(OPTIONAL) or name == "payload.mass":
             return
         else:
             raise WiringError(no_source(self.slaves, self.sources, target))

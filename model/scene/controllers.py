@@ -7,6 +7,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationInfo
 
 from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection, Sampling, from_scene_file
+from flexfmu.model.scene.schedules import (
+    PdScheduleSection,
+    PidScheduleSection,
+    PositionScheduleSection,
+    VelocityScheduleSection,
+)
 from flexfmu.model.scene.section import (
     NotNegative,
     NotNegativePerJoint,
@@ -31,6 +37,7 @@ class PdSection(SampledSection):
     proportional: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
     derivative: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
     torque_limit: TorqueLimit = None
+    schedule: PdScheduleSection | None = None
 
 
 class ClampingSection(Section):
@@ -75,6 +82,7 @@ class PidSection(SampledSection):
     derivative_weight: float = 1.0
     torque_limit: TorqueLimit = None
     anti_windup: AntiWindupSection = ClampingSection()
+    schedule: PidScheduleSection | None = None
 
 
 class LoopOfCascade(Section):
@@ -90,6 +98,7 @@ class PositionLoopSection(LoopOfCascade):
     proportional: Annotated[NotNegativePerJoint, quantity("1/s")]
     velocity_feedforward: Annotated[NotNegativePerJoint, quantity("1")] = (1.0, 1.0)
     velocity_limit: Annotated[PositivePerJoint | None, quantity("rad/s")] = None
+    schedule: PositionScheduleSection | None = None
 
 
 class VelocityLoopSection(LoopOfCascade):
@@ -98,6 +107,7 @@ class VelocityLoopSection(LoopOfCascade):
     proportional: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
     integral: Annotated[NotNegativePerJoint, quantity("N.m/rad")] = (0.0, 0.0)
     inertia: Annotated[NotNegativePerJoint, quantity("kg.m2")] = (0.0, 0.0)
+    schedule: VelocityScheduleSection | None = None
 
 
 class CurrentLoopSection(LoopOfCascade):

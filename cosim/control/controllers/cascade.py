@@ -27,6 +27,7 @@ import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping, from_section
+from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
     Limits,
@@ -276,26 +277,33 @@ def current_loop(
     )
 
 
+POSITION_GAINS = {"proportional": "position_gain", "velocity_feedforward": "velocity_feedforward"}
+VELOCITY_GAINS = {"proportional": "proportional_gain", "integral": "integral_gain", "inertia": "inertia"}
+"""Key of a schedule → gain."""
+
+
 @builds(CascadeSection)
 def _from_section(section: CascadeSection, context: LoopContext) -> tuple[SymbolicBlock, ...]:
     position, velocity, current = section.position, section.velocity, section.current
     limits = torque_limits(section.torque_limit)
+    outer = position_loop(
+        position.proportional,
+        velocity_feedforward=position.velocity_feedforward,
+        velocity_limit=position.velocity_limit,
+        **section.sampling(position),
+    )
+    inner = velocity_loop(
+        velocity.proportional,
+        velocity.integral,
+        inertia=velocity.inertia,
+        limits=limits,
+        anti_windup=from_section(section.anti_windup),
+        commands_current=current is not None,
+        **section.sampling(velocity),
+    )
     blocks = [
-        position_loop(
-            position.proportional,
-            velocity_feedforward=position.velocity_feedforward,
-            velocity_limit=position.velocity_limit,
-            **section.sampling(position),
-        ),
-        velocity_loop(
-            velocity.proportional,
-            velocity.integral,
-            inertia=velocity.inertia,
-            limits=limits,
-            anti_windup=from_section(section.anti_windup),
-            commands_current=current is not None,
-            **section.sampling(velocity),
-        ),
+        with_schedule(outer, position.schedule, POSITION_GAINS, context),
+        with_schedule(inner, velocity.schedule, VELOCITY_GAINS, context),
     ]
     if current is not None:
         torque = context.before("torque")

@@ -91,11 +91,12 @@ def per_joint(
         )
     result = tuple(float(value) for value in np.broadcast_to(array, (len(joints),)))
     # check each value
+    suffix = "" if unit == "1" else f" {unit}"
     for joint, value in zip(joints, result, strict=True):
         if not isfinite(value):
-            raise InputError(f"{name} of {joint} must be finite, got {value} {unit}")
+            raise InputError(f"{name} of {joint} must be finite, got {value}{suffix}")
         if minimum is not None and value < minimum:
-            raise InputError(f"{name} of {joint} must be at least {minimum} {unit}, got {value}")
+            raise InputError(f"{name} of {joint} must be at least {minimum}{suffix}, got {value}")
     return result
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
     Limits,
@@ -76,12 +77,17 @@ def pd(
     )
 
 
+GAINS = {"proportional": "proportional_gain", "derivative": "derivative_gain"}
+"""Key of a schedule → gain."""
+
+
 @builds(PdSection)
 def _from_section(section: PdSection, context: LoopContext) -> SymbolicBlock:
-    return pd(
+    controller = pd(
         section.proportional,
         section.derivative,
         limits=torque_limits(section.torque_limit),
         sample_time=section.sample_time,
         offset=section.offset,
     )
+    return with_schedule(controller, section.schedule, GAINS, context)

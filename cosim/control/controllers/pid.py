@@ -23,6 +23,7 @@ import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping, from_section
+from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
     Limits,
@@ -151,9 +152,17 @@ def pid(
     )
 
 
+GAINS = {
+    "proportional": "proportional_gain",
+    "integral": "integral_gain",
+    "derivative": "derivative_gain",
+}
+"""Key of a schedule → gain."""
+
+
 @builds(PidSection)
 def _from_section(section: PidSection, context: LoopContext) -> SymbolicBlock:
-    return pid(
+    controller = pid(
         section.proportional,
         section.integral,
         section.derivative,
@@ -165,3 +174,4 @@ def _from_section(section: PidSection, context: LoopContext) -> SymbolicBlock:
         sample_time=section.sample_time,
         offset=section.offset,
     )
+    return with_schedule(controller, section.schedule, GAINS, context)

@@ -50,8 +50,11 @@ def assert_rounding(found: Any, exact: Any, name: str = "") -> None:
 
 
 def test_no_kind_is_left_out() -> None:
-    """A new kind of block is tried in other importers, too; `lqg` finds the gains of a `state_feedback`."""
-    assert {name.partition(":")[0] for name in KINDS} | {"lqg"} == makers(control, controllers, imperfections)
+    """A new kind of block is tried in other importers, too; `lqg` finds the gains of a `state_feedback`, `with_schedule` reads a section for
+    `scheduled`."""
+    assert {name.partition(":")[0] for name in KINDS} | {"lqg", "with_schedule"} == makers(
+        control, controllers, imperfections
+    )
 
 
 @pytest.mark.parametrize("name", KINDS)

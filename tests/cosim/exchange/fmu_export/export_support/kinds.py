@@ -24,6 +24,7 @@ from flexfmu.cosim.control.controllers.feedforward_sum import feedforward_sum
 from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.control.controllers.function_controller import function_block
+from flexfmu.cosim.control.controllers.gain_schedule import scheduled
 from flexfmu.cosim.control.controllers.h_infinity import h_infinity
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
 from flexfmu.cosim.control.controllers.joints import symmetric
@@ -89,6 +90,8 @@ def of_python() -> SymbolicBlock:
 DRIVEN: Any = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}
 TIME: Any = {"sample_time": SAMPLE_TIME}
 
+TABLES = {"proportional_gain": [0.2, (1.0, 1.5), 2.0], "integral_gain": [0.0, 1.0, 1.2]}
+
 KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "pd": lambda: pd((900.0, 800.0), 12.0, limits=symmetric(40.0), **TIME),
     "pid": lambda: pid(900.0, 4e4, 12.0, filter_time=3e-3, limits=symmetric(40.0), **TIME),
@@ -101,6 +104,7 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "gravity_feedforward": lambda: gravity_feedforward(robot(), **TIME),
     "disturbance_observer": lambda: disturbance_observer((0.2, 0.3), 5e-3, limits=symmetric(60.0), **TIME),
     "feedforward_sum": lambda: feedforward_sum({f"joint{i}.feedforward": ("a", "b") for i in (1, 2)}, **TIME),
+    "scheduled": lambda: scheduled(pid(900.0, 4e4, 12.0, **TIME), "load", (-1.0, 0.0, 0.8), TABLES),
     "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
     "tabulated_feedforward": lambda: tabulated_feedforward(np.linspace(-1.0, 2.0, 160).reshape(80, 2), **TIME),

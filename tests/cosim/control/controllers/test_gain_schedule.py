@@ -1,0 +1,199 @@
+"""Gain scheduling: factors on gains against `numpy.interp`, in a loop, over the payload, and what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.cascade import velocity_loop
+from flexfmu.cosim.control.controllers.gain_schedule import scheduled
+from flexfmu.cosim.control.controllers.joints import symmetric
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
+
+Array = NDArray[np.float64]
+Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
+
+H = 1e-3
+ONE = ("axis",)
+AT = [-1.0, 0.5, 2.0]
+
+
+def test_gains_follow_the_signal(respond: Respond) -> None:
+    """Linear between the values, constant beyond, for each joint; gains without a table stay."""
+    rng = np.random.default_rng(0)
+    factors = {"proportional_gain": [1.0, (2.0, 0.5), 0.0]}
+    block = scheduled(pd([50.0, 70.0], [2.0, 3.0], sample_time=H), "load", AT, factors)
+    signals = {each.name: rng.normal(scale=2.0, size=200) for each in block.inputs}
+    found = respond(block, signals)
+    for joint, k_p, k_d, table in (("joint1", 50.0, 2.0, [1.0, 2.0, 0.0]), ("joint2", 70.0, 3.0, [1.0, 0.5, 0.0])):
+        factor = np.interp(signals["load"], AT, table)
+        expected = (
+            factor * k_p * (signals[f"{joint}.reference.position"] - signals[f"{joint}.position"])
+            + k_d * (signals[f"{joint}.reference.velocity"] - signals[f"{joint}.velocity"])
+            + signals[f"{joint}.feedforward"]
+        )
+        np.testing.assert_allclose(found[f"{joint}.torque"], expected, rtol=1e-13, atol=1e-12)
+    assert block.feedthrough["joint1.torque"][-1] == "load"
+
+
+def test_an_input_that_it_has_already(respond: Respond) -> None:
+    """Gains over the measured angle take the angle that the controller reads."""
+    block = scheduled(
+        pd(50.0, 0.0, sample_time=H, joints=ONE), "axis.position", AT, {"proportional_gain": [1.0, 2.0, 3.0]}
+    )
+    assert [each.name for each in block.inputs].count("axis.position") == 1
+    angles = np.linspace(-2.0, 3.0, 41)
+    expected = -50.0 * np.interp(angles, AT, [1.0, 2.0, 3.0]) * angles
+    np.testing.assert_allclose(
+        respond(block, {"axis.position": angles})["axis.torque"], expected, rtol=1e-13, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("controller", [
+    pid(40.0, 300.0, 2.0, sample_time=H, filter_time=2e-3, limits=symmetric(30.0), joints=ONE),
+    velocity_loop(9.0, 400.0, sample_time=H, limits=symmetric(5.0), joints=ONE),
+], ids=["pid", "velocity loop"])  # fmt: skip
+def test_states_and_clock_stay(respond: Respond, controller: SymbolicBlock) -> None:
+    """A constant signal makes a controller with constant gains, states, limits and anti-windup included."""
+    factors = {"integral_gain": [0.0, 2.0], "proportional_gain": [1.0, 3.0]}
+    rng = np.random.default_rng(1)
+    signals = {each.name: rng.normal(size=100) for each in controller.inputs}
+    found = respond(scheduled(controller, "load", [0.0, 1.0], factors), {**signals, "load": np.full(100, 0.25)})
+    changed = {"integral_gain": 0.5, "proportional_gain": 1.5}
+    gains = {f"axis.{key}": np.full(100, factor) for key, factor in changed.items()}
+    gains = {each.name: gains[each.name] * each.start for each in controller.parameters if each.name in gains}
+    expected = respond(controller, signals | gains)
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-12, atol=1e-12)
+
+
+def test_not_a_number_reaches_the_torque(respond: Respond) -> None:
+    """A signal that is not a number must not count as an end of the table."""
+    block = scheduled(pd(50.0, 0.0, sample_time=H, joints=ONE), "load", AT, {"proportional_gain": [1.0, 2.0, 3.0]})
+    torque = respond(block, {"load": [0.0, np.nan], "axis.position": [1.0, 1.0]})["axis.torque"]
+    assert torque[0] != 0.0
+    assert np.isnan(torque[1])
+
+
+@pytest.fixture(scope="module")
+def rigid() -> Scene:
+    """The paper's robot without flexible links, driven by torques."""
+    changes = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.motor_inertia": 0.1}
+    return load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "trajectory.dwell": 0.0, **changes})
+
+
+SCHEDULE: dict[str, Any] = {"over": "end_effector.position.x", "at": [-0.2, 0.0, 0.2], "proportional": [0.6, 1.0, 1.4]}
+PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": H, "schedule": SCHEDULE}
+
+
+def test_gains_over_the_pose_in_a_loop(rigid: Scene) -> None:
+    """The torque of each sample is that of the gains at the pose of the sample."""
+    recording = run_scene(rigid.replace({"controller": [PD]})).recording
+    at = np.searchsorted(recording.time, H * np.arange(400) + 1e-9) - 1
+    factor = np.interp(recording["end_effector.position.x"].values[at], SCHEDULE["at"], SCHEDULE["proportional"])
+    assert np.ptp(factor) > 0.5
+    for joint in ("joint1", "joint2"):
+        signals = ("reference.position", "position", "reference.velocity", "velocity", "torque")
+        q_r, q, v_r, v, torque = (recording[f"{joint}.{each}"].values[at] for each in signals)
+        expected = 1e4 * factor * (q_r - q) + 100.0 * (v_r - v)
+        np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-12 * abs(expected).max())
+
+
+class Load:
+    """Outputs the payload, which changes at 0.2 s."""
+
+    name = "load"
+    sample_time = H
+    variables = (SlaveVariable("payload.mass", "output", "kg"),)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.mass = 2.0
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.mass
+
+    def sample(self, time: float) -> None:
+        self.mass = 2.0 if time < 0.2 else 6.0
+
+    def step(self, time: float, step: float) -> None: ...
+
+
+def test_gains_over_the_payload(rigid: Scene) -> None:
+    """Where no slave outputs a payload the gains are those of the scene's; otherwise they follow it."""
+    table = {"over": "payload.mass", "at": [0.0, 8.0], "proportional": [1.0, 3.0]}
+    scene = rigid.replace({"controller": [{**PD, "schedule": table}]})
+    alone = run_scene(scene).recording
+    followed = run_loop(rigid, [Load(), *loop_of(scene).controllers]).recording
+    for recording, factors in ((alone, (2.5, 2.5)), (followed, (1.5, 2.5))):
+        for instant, factor in zip((0.1, 0.3), factors, strict=True):
+            at = np.searchsorted(recording.time, instant + 1e-9) - 1
+            signals = ("reference.position", "position", "reference.velocity", "velocity", "torque")
+            q_r, q, v_r, v, torque = (recording[f"joint1.{each}"].values[at] for each in signals)
+            assert torque == pytest.approx(1e4 * factor * (q_r - q) + 100.0 * (v_r - v), rel=1e-11)
+
+
+def test_loops_of_a_cascade_have_their_own(rigid: Scene) -> None:
+    """Both loops take the signal."""
+    position = {
+        "proportional": 60.0,
+        "schedule": {"over": "joint1.position", "at": [1.0, 3.0], "velocity_feedforward": [1.0, 0.9]},
+    }
+    velocity = {"proportional": 90.0, "schedule": {**SCHEDULE, "inertia": [1.0, 2.0, 3.0]}}
+    cascade = {"kind": "cascade", "position": position, "velocity": velocity, "sample_time": H}
+    outer, inner = loop_of(rigid.replace({"controller": [cascade]})).controllers
+    assert isinstance(outer, BlockSlave)
+    assert [each.name for each in outer.block.inputs].count("joint1.position") == 1
+    assert "end_effector.position.x" in {each.name for each in inner.variables}
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"at": [0.0]}, r"`at` must be two or more ascending values of end_effector.position.x, got \[0\.0\]"),
+    ({"at": [0.2, 0.0, -0.2]}, "ascending values"),
+    ({"proportional": [1.0, 2.0]}, "`proportional` must have one factor at each of `at`, 3, got 2"),
+    ({"proportional": [1.0, -2.0, 1.0]}, r"proportional.*must be at least 0\.0"),
+    ({"integral": [1.0, 1.0, 1.0]}, "integral"),
+    ({"proportional": None}, "the schedule has no table: give one factor at each of `at` for proportional, derivative"),
+])  # fmt: skip
+def test_scenes_are_refused(rigid: Scene, change: dict[str, Any], message: str) -> None:
+    """The key, its value and what would be right."""
+    table = {key: value for key, value in {**SCHEDULE, **change}.items() if value is not None}
+    with pytest.raises(SceneError, match=message):
+        rigid.replace({"controller": [{**PD, "schedule": table}]})
+
+
+@pytest.mark.parametrize(("at", "factors", "message"), [
+    ([0.0, np.nan], {"proportional_gain": [1.0, 1.0]}, "two or more ascending values of load"),
+    ([0.0, 1.0], {"gain": [1.0, 1.0]}, "pd has no gain 'gain' to schedule; it has proportional_gain, derivative_gain"),
+    ([0.0, 1.0], {"proportional_gain": [1.0]}, "needs a factor at each of 2 values, got 1"),
+    ([0.0, 1.0], {"proportional_gain": [1.0, -1.0]}, "the factor on proportional_gain of joint1 must be at least 0.0, got -1.0"),
+    ([0.0, 1.0], {"proportional_gain": [1.0, (1.0, np.inf)]}, "the factor on proportional_gain of joint2 must be finite"),
+])  # fmt: skip
+def test_refused(at: list[float], factors: Mapping[str, list[Any]], message: str) -> None:
+    """What is wrong, with its value."""
+    with pytest.raises(InputError, match=message):
+        scheduled(pd(1.0, 1.0, sample_time=H), "load", at, factors)
+
+
+def test_a_signal_that_there_isnt(rigid: Scene) -> None:
+    """A misspelt signal has no source."""
+    misspelt = {**SCHEDULE, "over": "end_efector.position.x"}
+    with pytest.raises(
+        InputError, match=r"end_efector.position.x.* has no source.*did you mean 'end_effector.position.x'"
+    ):
+        run_scene(rigid.replace({"controller": [{**PD, "schedule": misspelt}]}))
