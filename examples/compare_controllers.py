@@ -5,8 +5,14 @@ python compare_controllers.py
 
 import flexfmu
 
-# a robot with motors, driven by torques
-changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.duration": 0.3}
+# a robot with motors, driven by torques; one mode of each proximal link
+changes = {
+    "effects.proximal_bending": 1,
+    "effects.distal_axial": 0,
+    "cosimulation.drive": "torque",
+    "effects.motor_inertia": 0.1,
+    "trajectory.duration": 0.3,
+}
 robot = flexfmu.load_scene("barnard2012-6kg").replace(changes)
 pd = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 5e-4}
 feedforward = {"kind": "feedforward", "sample_time": 5e-4}

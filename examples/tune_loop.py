@@ -5,8 +5,14 @@ python tune_loop.py
 
 import flexfmu
 
-# a robot with motors, driven by torques
-changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "name": "loop"}
+# a robot with motors, driven by torques; one mode of each proximal link
+changes = {
+    "effects.proximal_bending": 1,
+    "effects.distal_axial": 0,
+    "cosimulation.drive": "torque",
+    "effects.motor_inertia": 0.1,
+    "name": "loop",
+}
 pd = {"kind": "pd", "proportional": 2e3, "derivative": 20.0, "sample_time": 1e-3}
 scene = flexfmu.load_scene("barnard2012-6kg").replace({**changes, "controller": [pd]})
 

@@ -40,8 +40,8 @@ def tune(
         list[str] | None,
         typer.Option(
             metavar="CONDITION",
-            help="FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms; "
-            "may be repeated, or several with commas. Default: none.",
+            help="FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms, "
+            "margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.",
             show_default=False,
         ),
     ] = None,

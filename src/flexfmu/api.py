@@ -491,7 +491,7 @@ def tune(
         scene: a scene, the path of a scene file, or the name of a shipped scene.
         over: key → (from, to), the interval of its values in the unit of the key; logarithmic where its ends are positive and differ
             by a factor of 4 or more.
-        minimise: name of a metric; of both joints the larger without a number at its end, ``rms_tracking_error``.
+        minimise: name of a metric; of both joints the larger without a number at its end, ``rms_tracking_error``. Or a margin of `flexfmu.margins`.
         subject_to: conditions ``FIGURE < LIMIT`` or ``FIGURE > LIMIT``, in SI units or with a unit: ``settling_time < 20ms``.
         payload_band: payloads for which all metrics hold, which controllers, shapers and motion don't know: a fraction to both
             sides, or the lightest and the heaviest payload [kg]; None for the scene's alone.

@@ -93,7 +93,7 @@ def _check_figures(study: Study) -> None:
     scene = study.scene
     for goal in study.goals:
         part = goal.parts[0]
-        if scene.cosimulation.drive == "motion" and part in LOOP_METRICS:
+        if scene.cosimulation.drive == "motion" and (part in LOOP_METRICS or goal.is_margin):
             raise InputError(
                 f'scene {scene.name} has no {goal.name}: it needs `cosimulation.drive = "torque"` and a controller'
             )

@@ -1,4 +1,4 @@
-"""What tuned values shall do: a figure to minimise, and conditions such as ``peak_torque_1 < 80 N.m``."""
+"""What tuned values shall do: a figure to minimise, and conditions such as ``peak_torque_1 < 80 N.m`` or ``gain_margin > 6 dB``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,16 @@ from difflib import get_close_matches
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
+from flexfmu.cosim.reports.comparison import LOOP_FIGURES
+
+MARGINS = ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak")
+"""Figures of the linear loop, the worst along the path; see `flexfmu.margins`."""
+
+SHORT = {"margin": "gain_margin"}
+"""Short name → figure."""
+
+DECIBEL = "dB"
+"""Unit of ratios: 20 times the decimal logarithm."""
 
 UNITS: Mapping[str, tuple[str, float]] = {
     "rad": ("rad", 1.0),
@@ -44,17 +54,22 @@ class Goal:
     """A figure of a loop.
 
     Attributes:
-        name: as it was asked for: of a metric, or of a metric without its joint.
-        parts: the metrics; the figure is the largest of them.
+        name: as it was asked for: of a metric, of a metric without its joint, or of a margin.
+        parts: the metrics, or the margin; the figure is the largest of them.
     """
 
     name: str
     parts: tuple[str, ...]
 
     @property
+    def is_margin(self) -> bool:
+        """Whether it is a figure of the linear loop, not of a run."""
+        return self.parts[0] in MARGINS
+
+    @property
     def unit(self) -> str:
         """SI unit."""
-        return ALL_METRICS[self.parts[0]].unit
+        return LOOP_FIGURES[self.parts[0]][1] if self.is_margin else ALL_METRICS[self.parts[0]].unit
 
     def of(self, figures: Mapping[str, float | None], *, largest: bool = True) -> float | None:
         """The figure, from those of a loop: the larger of both joints, or the smaller; None where one is missing."""
@@ -68,6 +83,9 @@ class Goal:
         """The value in the unit of tables."""
         if value is None:
             return "–"
+        if self.is_margin:
+            _, _, unit, convert = LOOP_FIGURES[self.parts[0]]
+            return f"{convert(value):.4g} {unit}".rstrip()
         info = ALL_METRICS[self.parts[0]]
         return f"{value * info.display_factor:.4g} {info.display_unit}".rstrip()
 
@@ -114,20 +132,21 @@ def split(texts: Iterable[str]) -> list[str]:
 
 
 def parse_goal(name: str) -> Goal:
-    """Return the figure of a name, ``rms_tracking_error`` for the larger one of both joints.
+    """Return the figure of a name, ``rms_tracking_error`` for the larger one of both joints, ``margin`` for the gain margin.
 
     Raises:
         InputError: there is no such figure.
     """
-    if name in ALL_METRICS:
-        return Goal(name, (name,))
+    whole = SHORT.get(name, name)
+    if whole in ALL_METRICS or whole in MARGINS:
+        return Goal(name, (whole,))
     parts = tuple(each for each in (f"{name}_1", f"{name}_2") if each in ALL_METRICS)
     if len(parts) == 2:
         return Goal(name, parts)
-    known = [*ALL_METRICS, *dict.fromkeys(each[:-2] for each in ALL_METRICS if each.endswith("_2"))]
+    known = [*ALL_METRICS, *dict.fromkeys(each[:-2] for each in ALL_METRICS if each.endswith("_2")), *MARGINS]
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
-    raise InputError(f"there is no metric {name!r}; {hint}")
+    raise InputError(f"there is no figure {name!r} of a run or a loop; {hint}")
 
 
 def parse_condition(text: str) -> Condition:
@@ -154,9 +173,13 @@ def _in_si(number: float, unit: str | None, goal: Goal, text: str) -> float:
     """
     if unit is None:
         return number
+    if unit == DECIBEL and goal.unit == "1" and goal.is_margin:
+        return float(10.0 ** (number / 20.0))
     base, factor = UNITS.get(unit, ("", 1.0))
     if base != goal.unit:
-        own = [each for each, (si, _) in UNITS.items() if si == goal.unit] or ["no unit"]
+        own = [each for each, (si, _) in UNITS.items() if si == goal.unit] or (
+            [DECIBEL] if goal.is_margin else ["no unit"]
+        )
         raise InputError(f"{text!r}: {goal.name} is in {', '.join(own)}, not in {unit}")
     return float(number * factor)
 

@@ -1,4 +1,4 @@
-"""A trial of values: the scene with them, its run and those with other payloads."""
+"""A trial of values: the scene with them, its run and those with other payloads, and its loop's margins."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from math import inf, isfinite, log10
 from typing import Any
 
-from flexfmu.cosim.choices.gains.goals import Condition, Goal
+from flexfmu.cosim.choices.gains.goals import MARGINS, Condition, Goal
 from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
+from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
@@ -23,6 +24,9 @@ from flexfmu.trajectories.errors import TrajectoryError
 
 DIGITS = 5
 """Significant digits of tried values: more than a run tells apart, and short enough for a scene file."""
+
+POSES = 2
+"""Number of poses at which margins are calculated, start and end of the path: each takes about a second."""
 
 WIDE = 4.0
 """Ratio of the ends of an interval from which its scale is logarithmic."""
@@ -68,7 +72,7 @@ class Trial:
 
     Attributes:
         values: of the keys; empty for the scene as it is.
-        figures: metrics in SI units, the worst over the band of payloads; empty for a failed run.
+        figures: metrics, the worst over the band of payloads, and margins in SI units; empty for a failed run.
         message: why it failed; empty otherwise.
     """
 
@@ -128,7 +132,7 @@ class Study:
 
     def _tried(self, values: tuple[float, ...]) -> Trial:
         scene = self.changed(values)
-        names = list(dict.fromkeys(part for goal in self.goals for part in goal.parts))
+        names = list(dict.fromkeys(part for goal in self.goals if not goal.is_margin for part in goal.parts))
         prepared = PreparedScene(scene)
         run = prepared.run()
         if reason := failure_of(run):
@@ -142,6 +146,9 @@ class Study:
             for name in names:
                 both = found[name], worst.worst[name]
                 found[name] = None if None in both else max(each for each in both if each is not None)
+        # margins take longer than runs
+        if any(goal.is_margin for goal in self.goals):
+            found |= loop_margins(scene, POSES)
         return Trial(values, found)
 
     def rank(self, trial: Trial) -> tuple[int, float]:
@@ -151,6 +158,20 @@ class Study:
             return 2, inf
         excess = max([0.0, *(one for each in self.conditions for one in each.excesses(trial.figures))])
         return (0, value) if excess <= 0.0 else (1, excess)
+
+
+def loop_margins(scene: Scene, poses: int) -> dict[str, float | None]:
+    """Return the worst margins of a scene's loop along its path.
+
+    Raises:
+        InputError: the loop is unstable about a pose, or can't be linearised.
+        TrajectoryError, EquilibriumError: as for `flexfmu.margins`.
+    """
+    found = scene_margins(scene, poses=poses)
+    for pose in found.poses:
+        if not pose.is_stable:
+            raise InputError(f"the loop is unstable about the pose at {100.0 * pose.s:.0f} % of the path")
+    return {name: float(getattr(found.worst, name)) for name in MARGINS}
 
 
 def _single(value: Any) -> float | None:

@@ -234,7 +234,9 @@ class _Search:
             worst = max(values, default=1.0)
             cost = log(worst) + FAILED if positive and values else worst + FAILED * max(abs(worst), 1.0)
             return np.array([cost, *[FAILED for each in conditions for _ in each.goal.parts]])
-        excess = [min(STRICT * one, FAILED) for each in conditions for one in each.excesses(trial.figures)]
+        excess = [
+            min(max(STRICT * one, -FAILED), FAILED) for each in conditions for one in each.excesses(trial.figures)
+        ]
         return np.array([log(value) if positive else value, *excess])
 
     def starts(self) -> list[RealArray]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.choices.gains.trial import POSES, loop_margins
+from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
 from flexfmu.cosim.experiment.timing import processor_time
@@ -20,6 +22,7 @@ from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
 
 if TYPE_CHECKING:
     from flexfmu.cosim.choices.effects.choice import ShowProgress
@@ -155,13 +158,24 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
     loop: dict[str, float | None] = {"cpu_time": taken}
     if reason := failure_of(run):
         return ComparedRun(scene.name, run.recording, {}, run.plan.duration, loop=loop, failure=reason)
-    found = replace(_measured(run), loop=loop)
+    found = replace(_measured(run), loop=loop | _margins(scene))
     if band is None:
         return found
     names = [name for name in BAND_METRICS if name in found.metrics]
     text = f"simulating {scene.name} with other payloads"
     worst = robustness(prepared, band_masses(scene, band), names, lambda fraction: show(text, fraction))
     return replace(found, band=worst)
+
+
+def _margins(scene: Scene) -> dict[str, float | None]:
+    """The margins of a scene's loop; none without a loop, and where it can't be linearised or is unstable about a pose."""
+    if scene.cosimulation.drive != "torque" or not scene.controller:
+        return {}
+    try:
+        found = loop_margins(scene, POSES)
+    except (CosimError, TrajectoryError, EquilibriumError):
+        return {}
+    return {name: None if value is None or isinf(value) else value for name, value in found.items()}
 
 
 def _measured(run: Run) -> ComparedRun:

@@ -17,13 +17,16 @@ from flexfmu.cosim.studies.compare.comparison import Comparison
 from flexfmu.model.scene.errors import SceneError
 
 CHANGES = {
+    "effects.proximal_bending": 1,
+    "effects.distal_axial": 0,
+    "effects.motor_inertia": 0.1,
     "trajectory.duration": 0.2,
     "trajectory.dwell": 0.02,
     "cosimulation.step": 1e-3,
     "cosimulation.tolerance": 1e-4,
     "cosimulation.drive": "torque",
 }
-PD = {"kind": "pd", "proportional": 5e3, "derivative": 20.0, "sample_time": 1e-3}
+PD = {"kind": "pd", "proportional": 5e3, "derivative": 100.0, "sample_time": 1e-3}
 SCENE = flexfmu.load_scene("barnard2012-6kg").replace({**CHANGES, "name": "soft", "controller": [PD]})
 STIFF = SCENE.replace({"name": "stiff", "pd.kp": 1e4})
 WILD = SCENE.replace({"name": "wild", "pd.kd": 2e3})
@@ -50,6 +53,8 @@ def test_the_band_is_two_runs_of_the_robot_with_other_payloads(found: Comparison
             assert (value is None) == (None in values), name
             if value is not None:
                 assert value == pytest.approx(max(each for each in values if each is not None), rel=1e-9), name
+        expected = flexfmu.margins(scene, poses=2).worst
+        assert run.loop["gain_margin"] == pytest.approx(expected.gain_margin, rel=1e-12)
         assert run.loop["cpu_time"] is not None
         assert 0.0 < run.loop["cpu_time"] < 60.0
     assert found.runs[0].band != found.runs[1].band
@@ -64,6 +69,7 @@ def test_an_unstable_loop_has_a_message_and_the_others_their_figures(found: Comp
     assert (soft.failure, stiff.failure) == ("", "")
     page = found.page()
     assert "Worst with other payloads" in page
+    assert "Gain margin [dB]" in page
     assert "Processor time of the simulation" in page
     assert wild.failure[:40] in page
     frame = found.to_pandas()
@@ -83,7 +89,7 @@ def command(*arguments: object) -> Result:
 def test_the_command_names_and_varies_scenes(tmp_path: Path) -> None:
     """NAME=SCENE, --variant and --set; a variant that is unstable gives status 1 and a line."""
     settings = [f"--set={key}={value}" for key, value in CHANGES.items()]
-    text = "controller=[{kind='pd',proportional=5e3,derivative=20.0,sample_time=1e-3}]"
+    text = "controller=[{kind='pd',proportional=5e3,derivative=100.0,sample_time=1e-3}]"
     arguments = ["soft=barnard2012-6kg", *settings, "--set", text, "--variant", "wild:pd.kd=2e3,pd.kp=[5e3,5e3]"]
     result = command(*arguments, "--json")
     assert result.exit_code == 1, result.output
