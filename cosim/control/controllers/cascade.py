@@ -14,7 +14,7 @@ J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, s
 there is none before (trapezoids, section 6.3.2).
 
 Anti-windup: I is the only integral of the cascade. The velocity loop knows the limits of the current loop and stops I at them; the velocity
-command is limited where it arises, in a loop without an integral, so that no limit winds up a loop outside it.
+command is limited in a loop without an integral. So no limit winds up a loop outside it.
 """
 
 from __future__ import annotations
@@ -41,27 +41,22 @@ from flexfmu.cosim.control.controllers.joints import (
     torque_limits,
     torques,
 )
+from flexfmu.cosim.control.imperfections.channels import JOINT_UNITS
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.slave import check_sampling
 from flexfmu.model.scene.controllers import CascadeSection
-from flexfmu.model.symbolic import SymbolicBlock, Variable
+from flexfmu.model.symbolic import Causality, SymbolicBlock, Variable
 
 CLAMPING = Clamping()
 
 
-def velocity_command(joints: Sequence[str], causality: str) -> list[Variable]:
-    """Return ``joint1.command.velocity`` and so on, inputs or outputs."""
-    return _commands(joints, "velocity", "rad/s", causality)
-
-
-def torque_command(joints: Sequence[str], causality: str) -> list[Variable]:
-    """Return ``joint1.command.torque`` and so on, inputs or outputs."""
-    return _commands(joints, "torque", "N.m", causality)
-
-
-def _commands(joints: Sequence[str], kind: str, unit: str, causality: str) -> list[Variable]:
-    what, start = f"{kind.capitalize()} that the outer loop commands of", 0.0 if causality == "input" else None
-    return [Variable(f"{joint}.command.{kind}", unit, f"{what} {joint}", causality, start) for joint in joints]  # type: ignore[arg-type]
+def commands(joints: Sequence[str], kind: str, causality: Causality) -> list[Variable]:
+    """Return ``joint1.command.velocity`` or ``joint1.command.torque`` and so on, which an outer loop outputs for the one inside."""
+    start = 0.0 if causality == "input" else None
+    text = f"{kind.capitalize()} that the outer loop commands of"
+    return [
+        Variable(f"{each}.command.{kind}", JOINT_UNITS[kind], f"{text} {each}", causality, start) for each in joints
+    ]
 
 
 def position_loop(
@@ -108,7 +103,7 @@ def position_loop(
         sample_time=sample_time,
         offset=offset,
         inputs=[*references(joints, "position", "velocity"), *measurements(joints, "position")],
-        outputs=velocity_command(joints, "output"),
+        outputs=commands(joints, "velocity", "output"),
         parameters=[
             *gains(joints, "position_gain", proportional, "1/s", "Gain of the position loop"),
             *gains(joints, "velocity_feedforward", velocity_feedforward, "1", "Share of the reference velocity"),
@@ -196,12 +191,12 @@ def velocity_loop(
         sample_time=sample_time,
         offset=offset,
         inputs=[
-            *velocity_command(joints, "input"),
+            *commands(joints, "velocity", "input"),
             *measurements(joints, "velocity"),
             *references(joints, "acceleration"),
             *feedforwards(joints),
         ],
-        outputs=torque_command(joints, "output") if commands_current else torques(joints),
+        outputs=commands(joints, "torque", "output") if commands_current else torques(joints),
         parameters=[
             *gains(joints, "proportional_gain", proportional, "N.m.s/rad", "Proportional gain of the velocity loop"),
             *gains(joints, "integral_gain", integral, "N.m/rad", "Integral gain of the velocity loop"),
@@ -256,7 +251,7 @@ def current_loop(
         equations,
         sample_time=sample_time,
         offset=offset,
-        inputs=torque_command(joints, "input"),
+        inputs=commands(joints, "torque", "input"),
         outputs=torques(joints),
         parameters=[
             *times,

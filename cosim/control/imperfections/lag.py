@@ -31,7 +31,7 @@ from flexfmu.cosim.control.imperfections.variables import (
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.binding import Copy, Take
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import Call, Indices, RealArray
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray, check_sampling
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
 from flexfmu.model.scene.imperfections import LagSection
 from flexfmu.model.symbolic import SymbolicBlock
@@ -263,6 +263,7 @@ def lag(
         InputError: a channel has no initial value, a time constant is negative or not finite, or the sample time isn't
             positive.
     """
+    check_sampling(sample_time, offset, name)
     ports = inputs(channels)
     require_initial(channels, name)
     n, h = len(channels), sample_time

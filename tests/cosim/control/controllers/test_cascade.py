@@ -270,6 +270,38 @@ def test_velocity_lag(share: float) -> None:
     assert rate * 4000 * H - angle == pytest.approx((1.0 - share) * rate / k_v, rel=1e-9, abs=1e-11)
 
 
+def overshoot(anti_windup: AntiWindup) -> tuple[float, float]:
+    """Largest angle beyond a step of 6 rad that takes an axis to both of its limits, and the deviation after 0.8 s."""
+    clocks = {kind: (MS / divisor, 0 * MS) for kind, divisor in (("position", 1), ("velocity", 4), ("current", 16))}
+    position, velocity, current = slaves = [BlockSlave(each) for each in blocks_of(clocks, anti_windup)]
+    for slave in slaves:
+        slave.initialize(0.0, 1.0, None)
+    command, wanted, torque = np.zeros(1), np.zeros(1), np.zeros(1)
+    angle, rate, largest = 0.0, 0.0, 0.0
+    for k in range(16 * 800):
+        for slave, every, inputs, result in (
+            (position, 16, (6.0, 0.0, angle), command),
+            (velocity, 4, (command[0], rate, 0.0, 0.0), wanted),
+            (current, 1, (wanted[0],), torque),
+        ):
+            if k % every == 0:
+                slave.set(np.arange(len(inputs)), np.array(inputs))
+                slave.sample(k * float(MS) / 16)
+                slave.get(np.array([len(slave.variables) - 1]), result)
+        angle, rate = Axis.moved(angle, rate, torque[0], float(MS) / 16)
+        largest = max(largest, angle)
+    return largest - 6.0, abs(angle - 6.0)
+
+
+@pytest.mark.parametrize("anti_windup", [Clamping(), BackCalculation(0.01)])
+def test_no_loop_winds_up(anti_windup: AntiWindup) -> None:
+    """The axis arrives; with an integral that winds up it overshoots by far more, and doesn't."""
+    largest, left = overshoot(anti_windup)
+    wound_up = overshoot(Unprotected())
+    assert largest < 0.25 * wound_up[0]
+    assert left < 1e-2 < wound_up[1]
+
+
 LOOPS: dict[str, Any] = {
     "kind": "cascade",
     "sample_time": 1e-3,

@@ -154,6 +154,13 @@ def test_a_short_lag_behind_a_slow_controller(step: float) -> None:
     np.testing.assert_allclose(v.second[right][jumps][:40], slope, rtol=1e-9)
 
 
+@pytest.mark.parametrize("sample_time", [0.0, -1e-3, np.nan])
+def test_what_a_sampled_lag_refuses(sample_time: float) -> None:
+    """A sample time that isn't one, in a sentence."""
+    with pytest.raises(InputError, match="lag: the sample time must be positive"):
+        lag([TORQUE], 1e-3, sample_time=sample_time)
+
+
 def test_what_a_continuous_lag_refuses() -> None:
     """No time constant of zero, and none that asks for thousands of steps in one."""
     with pytest.raises(InputError, match=r"time constant of joint1\.torque must be positive, got 0\.0 s"):
