@@ -122,7 +122,7 @@ class RigidMotion:
 
     def __init__(self, motion: MotionPlan) -> None:
         self._motion = motion
-        self._time = np.empty(0)
+        self._time: RealArray | None = None
         self._columns: Mapping[str, Column] = {}
 
     @property
@@ -135,7 +135,7 @@ class RigidMotion:
 
         An instant that appears twice has the left limit, then the right one.
         """
-        if not np.array_equal(time, self._time):
+        if self._time is None or not np.array_equal(time, self._time):
             # a copy: a view would keep the recorder's memory, which then couldn't serve the next run
             self._time, self._columns = time.copy(), self._calculate(time)
         return self._columns

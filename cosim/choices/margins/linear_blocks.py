@@ -1,7 +1,7 @@
 """Linearises what samples in a loop: blocks by exact derivatives of their equations at the operating point.
 
 Rounding (quantisers, encoders) counts as identity. Limits that aren't reached have no influence. Only states that inputs reach
-count: those of random numbers have none.
+count: those of random numbers have none. Functions in C have finite differences.
 """
 
 from __future__ import annotations
@@ -65,16 +65,31 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
 def _jacobians(block: SymbolicBlock) -> casadi.Function:
     """(x, u, p) → A, B, C, D."""
     sizes = (len(block.states), len(block.inputs), len(block.parameters))
-    x, u, p = (casadi.SX.sym(name, size) for name, size in zip("xup", sizes, strict=True))
-    following, output = (_without_rounding(each, [x, u, p]) for each in (block.update, block.output))
+    scalar = [found for each in (block.update, block.output) if (found := _scalar(each)) is not None]
+    is_scalar = len(scalar) == 2
+    symbol: Any = casadi.SX if is_scalar else casadi.MX
+    x, u, p = (symbol.sym(name, size) for name, size in zip("xup", sizes, strict=True))
+    if is_scalar:
+        following, output = (_without_rounding(each, [x, u, p]) for each in scalar)
+    else:
+        following, output = (each.call([x, u, p])[0] for each in (block.update, block.output))
     pairs = ((following, x), (following, u), (output, x), (output, u))
     return casadi.Function("jacobians", [x, u, p], [casadi.densify(casadi.jacobian(y, z)) for y, z in pairs])
 
 
-def _without_rounding(function: casadi.Function, arguments: list[Any]) -> Any:
-    """The function's result for symbols, with the identity for each rounding."""
+def _scalar(function: casadi.Function) -> casadi.Function | None:
+    """The function of scalar operations; None if it calls others, as one in C or a table, which have derivatives of their own."""
     if function.class_name() != "SXFunction":
-        function = function.expand()
+        try:
+            function = function.expand()
+        except RuntimeError:
+            return None
+    kinds = {function.instruction_id(k) for k in range(function.n_instructions())}
+    return None if casadi.OP_CALL in kinds else function
+
+
+def _without_rounding(function: casadi.Function, arguments: list[Any]) -> Any:
+    """The result of a function of scalar operations for symbols, with the identity for each rounding."""
     work: list[Any] = [casadi.SX(0)] * function.sz_w()
     result = casadi.SX.zeros(function.numel_out(0))
     for k in range(function.n_instructions()):

@@ -224,7 +224,7 @@ def _loaded(
         if not libraries:
             _check_defined(function, c_files)
         raise InputError(f"{error}; the function must be\n    {SIGNATURE.format(function)}") from None
-    return casadi.external(CALL, str(path), {"enable_fd": True})
+    return casadi.external(CALL, str(path), {"enable_fd": True, "fd_method": "central"})
 
 
 @builds(CFunctionSection)

@@ -13,10 +13,13 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 import flexfmu
+from flexfmu.cosim.choices.margins.linear_blocks import linear_block
 from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 from flexfmu.cosim.choices.margins.warning import stability_warning
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.blocks.equations import block
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
@@ -171,3 +174,16 @@ def test_an_unstable_loop_fails(tmp_path: Path) -> None:
     found = command(tmp_path, "--set", "controller.pd.proportional=5e4")
     assert found.exit_code == 1
     assert "The loop is unstable at s = 1.00" in found.stdout
+
+
+def test_a_function_in_c_is_linearised(tmp_path: Path) -> None:
+    """By finite differences: those of PD control in C are its gains, and it counts no samples."""
+    names = [f"{kind}{joint}" for kind in ("r", "v_r", "q", "v") for joint in (1, 2)]
+    body = "for (int j = 0; j < 2; ++j) y[j] = p[0] * (u[j] - u[4 + j]) + p[1] * (u[2 + j] - u[6 + j]);"
+    (tmp_path / "own.c").write_text(f"{SIGNATURE.format('own')} {{ {body} }}\n")
+    gains = {"kp": 1e4, "kd": 60.0}
+    own = c_function(tmp_path / "own.c", inputs=names, outputs=["u1", "u2"], parameters=gains, sample_time=1e-3)
+    linear, _ = linear_block(BlockSlave(own), np.linspace(0.0, 1.0, 8))
+    expected = np.hstack([gain * np.eye(2) for gain in (1e4, 60.0, -1e4, -60.0)])
+    np.testing.assert_allclose(linear.d, expected, rtol=1e-7, atol=1e-4)
+    assert linear.a.shape == (0, 0)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 
+from flexfmu.cosim.choices.margins.warning import stability_warning
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
 from flexfmu.cosim.engine.binding import Evaluation
@@ -176,13 +177,18 @@ def test_a_shared_library_is_in_the_fmu(write: Write, robot: Scene, tmp_path: Pa
 
 
 @pytest.mark.skipif("sys.platform != 'linux'", reason="isolation needs Linux")
-def test_a_crash_ends_the_run_alone(write: Write, robot: Scene) -> None:
+def test_a_crash_ends_the_run_alone(write: Write, robot: Scene, tmp_path: Path) -> None:
     """The message names the slave, and what was recorded stays."""
     path = write("crash", "y[0] = t < 0.05 ? 0.0 : *(volatile double *)0; y[1] = 0.0;")
     run = run_scene(robot.replace({"controller": [section(path, parameters={}, name="wild")]}))
     assert not run.completed
     assert "wild" in run.message
+    assert stability_warning(run) is None
     assert run.recording.time[-1] > 0.04
+    # at the first instant, before anything is recorded
+    path = write("crash_at_once", "y[0] = *(volatile double *)0; y[1] = 0.0;")
+    run = run_scene(robot.replace({"controller": [section(path, parameters={}, name="wild")]}))
+    assert run.write(tmp_path / "results.csv").is_file()
 
 
 @pytest.mark.parametrize(
