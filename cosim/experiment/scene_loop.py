@@ -39,14 +39,17 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | No
     planned = motion or own or plan(scene)
     # the scene's own motion has its cycles, a given one is what runs
     with_cycles = motion is None and scene.trajectory.way_back != "none"
-    if not (scene.controller or shapers or scene.imperfection or with_cycles):
+    if not (scene.controller or shapers or scene.imperfection or scene.filter or with_cycles):
         return Loop(planned, planned.joints)
     names = SlaveNames()
     builder = _Builder(scene, planned, names)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
     course = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
     controllers = [slave for each in scene.controller for slave in builder.slaves(each, course.motion)]
-    imperfections = [builder.imperfection(each, controllers) for each in scene.imperfection]
+    # torques are filtered before they meet imperfections, measurements and references after that
+    before = [each for each in scene.filter if each.signal == "torque"]
+    after = [each for each in scene.filter if each.signal != "torque"]
+    imperfections = [builder.imperfection(each, controllers) for each in (*before, *scene.imperfection, *after)]
     return close_loop(course, controllers, imperfections, builder.connect, names)
 
 

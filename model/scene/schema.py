@@ -14,6 +14,7 @@ from flexfmu.model.scene.controllers import ControllerSection, LearningSection
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.effects import LOADS, Effects
 from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.filters import FilterTable
 from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.keys import set_value
 from flexfmu.model.scene.loop import FOLDER
@@ -49,6 +50,7 @@ class Scene(Section):
     controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_tuple)] = ()
     shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
     imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
+    filter: Annotated[tuple[FilterTable, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
     plan: PlanSection | None = None
 
@@ -57,7 +59,12 @@ class Scene(Section):
         sections = {
             key: self.model_dump(mode="json", include={key}, exclude_unset=True) for key in type(self).model_fields
         }
-        parts = {"controllers": self.controller, "shapers": self.shaper, "imperfections": self.imperfection}
+        parts = {
+            "controllers": self.controller,
+            "shapers": self.shaper,
+            "imperfections": self.imperfection,
+            "filters": self.filter,
+        }
         counts = "".join(f", {what}: {len(each)}" for what, each in parts.items() if each)
         lines = [f"Scene {self.name}, payload {self.payload.mass:g} kg{counts}"]
         for key in ("mechanism", "effects", "trajectory", "cosimulation"):
@@ -84,7 +91,7 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        tables = (("controller", self.controller), ("shaper", self.shaper), ("imperfection", self.imperfection))
+        tables = tuple((key, getattr(self, key)) for key in ("controller", "shaper", "imperfection", "filter"))
         owners: dict[str, str] = {}
         for key, sections in tables:
             for index, section in enumerate(sections):

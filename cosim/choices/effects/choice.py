@@ -228,7 +228,7 @@ def observe(
     Raises:
         ResultsError: the run failed.
     """
-    alone = {"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"}
+    alone = {"controller": [], "shaper": [], "imperfection": [], "filter": [], "cosimulation.drive": "motion"}
     bare = scene.replace({**alone, "trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0})
     path = (fmu_of or _built)(bare)
     prepared = PreparedScene(bare, fmu_path=path, tolerance=tolerance)

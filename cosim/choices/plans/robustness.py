@@ -257,6 +257,7 @@ def _in_a_loop(name: str, controllers: Sequence[Mapping[str, Any]], fixed: Candi
             "controller": [{"sample_time": SAMPLE_TIME, **each} for each in controllers],
             "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}],
             "shaper": [],
+            "filter": [],
         }
     )
     loop = own_loop(scene, fixed.trajectory)

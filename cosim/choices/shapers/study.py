@@ -152,7 +152,9 @@ def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -
             f"scene {scene.name} has no [[controller]] to study shapers with: add one, or take the perfect drive"
         )
     # sections to remove, and changes of drive and dwell
-    dropped = ("shaper",) if drive != "perfect" and scene.controller else ("controller", "shaper", "imperfection")
+    dropped = (
+        ("shaper",) if drive != "perfect" and scene.controller else ("controller", "shaper", "imperfection", "filter")
+    )
     changes: dict[str, object] = {section: () for section in dropped if getattr(scene, section)}
     if "controller" in dropped and scene.cosimulation.drive != "motion":
         changes["cosimulation.drive"] = "motion"

@@ -128,7 +128,9 @@ def _makers(
 def is_differential_equation(scene: Scene) -> bool:
     """Whether the scene is one smooth equation between breakpoints: motion-driven, elastic, nothing in the loop or sampled."""
     is_sampled = any(getattr(each, "apply", "sampled") == "sampled" for each in scene.shaper)
-    return scene.cosimulation.drive == "motion" and not (scene.controller or scene.imperfection or is_sampled)
+    return scene.cosimulation.drive == "motion" and not (
+        scene.controller or scene.imperfection or scene.filter or is_sampled
+    )
 
 
 ASKED = 1e-5, 1e-3

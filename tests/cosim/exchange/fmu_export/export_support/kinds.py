@@ -34,6 +34,7 @@ from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
+from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
@@ -117,6 +118,7 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "function_block": of_python,
     "control_block": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
     "shaper_block": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
+    "filter_block": lambda: filter_block(POSITIONS, [*notch(40.0), *low_pass(90.0, 3)], **TIME),
     "saturation": lambda: saturation(POSITIONS, -0.5, 0.7, **TIME),
     "rate_limit": lambda: rate_limit(POSITIONS, 100.0, 80.0, **TIME),
     "whole_delay": lambda: whole_delay(POSITIONS, 5, **TIME),

@@ -1,0 +1,157 @@
+"""Filters against scipy's designs and recursions, and in loops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+import flexfmu
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.filters import Section, biquad, filter_block, high_pass, lead_lag, low_pass, notch
+from flexfmu.cosim.control.imperfections.channels import Channel
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+
+H = 1e-3
+W = 2.0 * pi * 60.0
+
+
+def response(sections: list[Section], u: np.ndarray) -> np.ndarray:
+    """What the block makes of samples."""
+    slave = BlockSlave(filter_block([Channel("x")], sections, sample_time=H))
+    slave.initialize(0.0, 1.0, 1e-6)
+    index, found = np.array([0]), np.empty(1)
+    out = np.array([[each.name for each in slave.variables].index("x")])
+    values = []
+    for k, value in enumerate(u):
+        slave.set(index, np.array([value]))
+        slave.sample(k * H)
+        slave.get(out, found)
+        values.append(float(found[0]))
+    return np.array(values)
+
+
+def bilinear(numerator: list[float], denominator: list[float], w: float) -> tuple[np.ndarray, np.ndarray]:
+    """scipy's bilinear transformation with a sampling frequency that is exact at w."""
+    return signal.bilinear(numerator, denominator, fs=0.5 * w / np.tan(0.5 * w * H))
+
+
+DESIGNS: dict[str, tuple[list[Section], Callable[[], tuple[np.ndarray, np.ndarray]]]] = {
+    "notch": (notch(60.0, 0.4, 0.1), lambda: bilinear([1, 0.08 * W, W * W], [1, 0.8 * W, W * W], W)),
+    "low-pass 1": (low_pass(60.0, 1), lambda: signal.butter(1, 60.0, fs=1 / H)),
+    "low-pass 2": (low_pass(60.0, 2), lambda: signal.butter(2, 60.0, fs=1 / H)),
+    "low-pass 5": (low_pass(60.0, 5), lambda: signal.butter(5, 60.0, fs=1 / H)),
+    "high-pass 3": (high_pass(60.0, 3), lambda: signal.butter(3, 60.0, "highpass", fs=1 / H)),
+    "high-pass 4": (high_pass(60.0, 4), lambda: signal.butter(4, 60.0, "highpass", fs=1 / H)),
+    "lead-lag": (lead_lag(30.0, 120.0), lambda: bilinear([0.5 / (30 * pi), 1], [0.5 / (120 * pi), 1], W)),
+    "biquad": (biquad([2.0, 30.0], [1.0, 50.0, 900.0]), lambda: signal.bilinear([2.0, 30.0], [1.0, 50.0, 900.0], fs=1 / H)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_filters_are_those_of_scipy(name: str) -> None:
+    """A ramp that becomes a sine, from the steady state of the first sample on."""
+    sections, design = DESIGNS[name]
+    time = H * np.arange(400)
+    u = 1.0 + np.where(time < 0.1, 20.0 * time, 2.0 + np.sin(W * time))
+    b, a = design()
+    expected, _ = signal.lfilter(b, a, u, zi=signal.lfilter_zi(b, a) * u[0])
+    np.testing.assert_allclose(response(sections, u), expected, rtol=0.0, atol=1e-11)
+
+
+def test_a_notch_takes_its_frequency_out() -> None:
+    time = H * np.arange(2000)
+    found = response(notch(60.0), np.sin(W * time))
+    assert np.abs(found[1500:]).max() < 1e-10
+
+
+def test_chains_are_products() -> None:
+    u = np.random.default_rng(0).normal(size=300)
+    sections = [*low_pass(60.0, 3), *notch(40.0)]
+    np.testing.assert_allclose(response(sections, u), response(notch(40.0), response(low_pass(60.0, 3), u)), atol=1e-12)
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True), st.sampled_from(["frequency", "order", "damping", "depth"]))
+@settings(max_examples=60, deadline=None)
+def test_bad_values_are_told_with_their_key(value: float, key: str) -> None:
+    keys = {"kind": "low-pass" if key == "order" else "notch", "frequency": 50.0, "sample_time": H, key: value}
+    good = value >= 1.0 and (key != "order" or value in range(1, 9)) and value != float("inf")
+    if (key != "order" and 0.0 < value < float("inf")) or (key == "depth" and value == 0.0) or good:
+        load_scene("barnard2012-6kg").replace({"filter": [keys]})
+        return
+    with pytest.raises(SceneError, match=rf"`filter\[0\]\.{key}`"):
+        load_scene("barnard2012-6kg").replace({"filter": [keys]})
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"kind": "notch", "frequency": 50.0, "at": "mode 1"}, "either `frequency` in Hz, or `at`"),
+        ({"kind": "notch"}, "either `frequency` in Hz, or `at`"),
+        ({"kind": "notch", "at": "mode one"}, "name a frequency as"),
+        ({"kind": "biquad", "numerator": [1, 0, 0], "denominator": [1, 1]}, "must not exceed"),
+        ({"kind": "biquad", "numerator": [1], "denominator": [0, 0]}, "isn't 0"),
+    ],
+)
+def test_contradictions_are_told(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        load_scene("barnard2012-6kg").replace({"filter": [keys]})
+
+
+def scene(**filters: Any) -> Scene:
+    """The paper's robot with few modes and a PD controller, and a filter."""
+    return load_scene("barnard2012-6kg").replace(
+        {
+            "cosimulation.drive": "torque",
+            "effects.motor_inertia": 0.1,
+            "effects.proximal_bending": 1,
+            "effects.distal_axial": 1,
+            "trajectory.dwell": 0.1,
+            "controller": [{"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}],
+            "filter": [filters] if filters else [],
+        }
+    )
+
+
+def test_frequencies_by_name_are_those_of_the_robot() -> None:
+    modes = flexfmu.modes(scene(), poses=3)[-1].frequencies
+    by_name, by_number = (
+        flexfmu.run(scene(kind="notch", **keys)).metrics["peak_tracking_error_1"]
+        for keys in ({"at": "mode 2"}, {"frequency": modes[1]})
+    )
+    assert float(by_name) == pytest.approx(float(by_number), rel=1e-9)
+    with pytest.raises(InputError, match=r"has no `resonance 9`: resonances at the end in Hz"):
+        flexfmu.run(scene(kind="notch", at="resonance 9"))
+
+
+def test_a_frequency_beyond_half_the_sampling_frequency_is_told() -> None:
+    with pytest.raises(InputError, match=r"a filter at 700 Hz needs a sample time below 0\.0007143 s, got 0\.001 s"):
+        flexfmu.run(scene(kind="low-pass", frequency=700.0))
+
+
+def test_filters_stand_behind_encoders_and_before_lags() -> None:
+    """The torque is filtered, then late; the position is rounded, then filtered."""
+    robot = scene().replace(
+        {
+            "imperfection": [{"kind": "encoder", "counts_per_turn": 1e4}, {"kind": "lag", "time_constant": 1e-3}],
+            "filter": [
+                {"kind": "low-pass", "frequency": 300.0, "name": "smooth"},
+                {"kind": "low-pass", "frequency": 300.0, "signal": "velocity", "name": "speed"},
+            ],
+        }
+    )
+    run = flexfmu.run(robot)
+    ends = {delay.connection for delay in run.delays}
+    assert "pd.joint1.torque -> smooth.joint1.torque.input" in ends
+    assert "smooth.joint1.torque -> lag.joint1.torque.input" in ends
+    assert "encoder.joint1.velocity -> speed.joint1.velocity.input" in ends
+    assert "speed.joint1.velocity -> pd.joint1.velocity" in ends
