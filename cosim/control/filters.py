@@ -21,6 +21,9 @@ from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channe
 from flexfmu.cosim.control.imperfections.variables import inputs, outputs
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.linear import linear_plant
+from flexfmu.model.modes import natural_frequencies
+from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.filters import (
     MODE,
     BiquadSection,
@@ -200,10 +203,6 @@ def frequency_of(section: TunedSection, context: LoopContext) -> float:
 
 def _frequencies(kind: str, context: LoopContext, position: tuple[float, float]) -> list[float]:
     """Frequencies [Hz] of the robot at a place of its end effector, with its motors locked or free, in ascending order."""
-    from flexfmu.model.linear import linear_plant
-    from flexfmu.model.modes import natural_frequencies
-    from flexfmu.model.scene.assembly import motor_angles
-
     if kind == "mode":
         first, second = motor_angles(context.scene.mechanism, position)
         return [float(each) for each in natural_frequencies(context.scene, (float(first), float(second)))]
