@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -128,5 +129,5 @@ def described(error: BaseException | None) -> str:
     frames = traceback.extract_tb(error.__traceback__) if error else []
     own = [each for each in frames if "/casadi/" not in each.filename and "/numpy/" not in each.filename]
     where = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
-    lines = [line for line in str(error).splitlines() if line.strip()]
+    lines = [re.sub(r"^\S*\.cpp:\d+: ", "", line) for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {lines[0] if lines else ''}{where}"

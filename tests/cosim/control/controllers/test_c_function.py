@@ -78,6 +78,7 @@ def section(path: Path, **changes: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_it_is_the_built_in_pd(write: Write, robot: Scene, tmp_path: Path) -> None:
     """The same numbers as `pd` in the loop, as an exported FMU and as an SSP file, with the names of the scene."""
     path, built_in = write("own_pd", PD), {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": H}
