@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -197,3 +199,26 @@ def test_a_signal_that_there_isnt(rigid: Scene) -> None:
         InputError, match=r"end_efector.position.x.* has no source.*did you mean 'end_effector.position.x'"
     ):
         run_scene(rigid.replace({"controller": [{**PD, "schedule": misspelt}]}))
+
+
+ANY = st.one_of(st.floats(), st.floats(-5.0, 5.0), st.sampled_from([-1.0, 0.0, 1.0, 2.0]))
+
+
+@settings(max_examples=80, deadline=None, derandomize=True)
+@given(st.lists(ANY, min_size=1, max_size=4), st.floats(-6.0, 6.0), st.data())
+def test_any_table_is_interpolated_or_refused(at: list[float], signal: float, data: st.DataObject) -> None:
+    """`numpy.interp` for ascending values and factors that aren't negative, one sentence for all others."""
+    table = data.draw(st.lists(st.one_of(ANY, st.floats(0.0, 9.0)), min_size=len(at), max_size=len(at)))
+
+    def make() -> SymbolicBlock:
+        return scheduled(pd(1.0, 0.0, sample_time=H, joints=ONE), "load", at, {"proportional_gain": table})
+
+    ascending = len(at) > 1 and bool((np.diff(at) > 0.0).all())
+    if ascending and np.isfinite(at).all() and all(0.0 <= each < np.inf for each in table):
+        u, p = [1.0, 0.0, 0.0, 0.0, 0.0, signal], [1.0, 0.0]
+        found = float(make().output([], u, p))
+        assert found == pytest.approx(np.interp(signal, at, table), rel=1e-9, abs=1e-12 * max(table))
+        return
+    with pytest.raises(InputError) as refused:
+        make()
+    assert "\n" not in str(refused.value)
