@@ -18,16 +18,9 @@ GRAVITY = {"kind": "gravity-feedforward", "sample_time": 2e-3}
 FRICTION = {"kind": "friction-compensation", "viscous": 2.0, "sample_time": 5e-4, "offset": 1e-4}
 
 
-@pytest.fixture(scope="module")
-def rigid(robot: Scene) -> Scene:
-    """Without flexible links, in a short motion."""
-    changes = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "trajectory.dwell": 0.0}
-    return robot.replace(changes)
-
-
-def test_the_controller_adds_both(rigid: Scene) -> None:
+def test_the_controller_adds_both(robot: Scene) -> None:
     """The torque of each sample is that of the PD and both feedforwards as they are at its instants, at their own rates."""
-    run = run_scene(rigid.replace({"controller": [PD, GRAVITY, FRICTION]}))
+    run = run_scene(robot.replace({"controller": [PD, GRAVITY, FRICTION]}))
     assert run.completed, run.message
     recording = run.recording
     at = np.searchsorted(recording.time, 1e-3 * np.arange(400) + 1e-9) - 1
@@ -45,14 +38,14 @@ def test_the_controller_adds_both(rigid: Scene) -> None:
         )
 
 
-def test_the_sum_has_the_clock_of_who_takes_it(rigid: Scene) -> None:
+def test_the_sum_has_the_clock_of_who_takes_it(robot: Scene) -> None:
     """One slave more, whose terms are named after their slaves; no slave more for one feedforward alone."""
     slow = {**PD, "sample_time": 3e-3, "offset": 1e-3}
-    *_, total = loop_of(rigid.replace({"controller": [GRAVITY, slow, FRICTION]})).controllers
+    *_, total = loop_of(robot.replace({"controller": [GRAVITY, slow, FRICTION]})).controllers
     assert (total.name, total.sample_time, total.offset) == ("feedforward_sum", 3e-3, 1e-3)  # type: ignore[attr-defined]
     inputs = [each.name for each in total.variables if each.causality == "input"]
     assert inputs[:2] == ["gravity_feedforward.joint1.feedforward", "friction_compensation.joint1.feedforward"]
-    assert len(loop_of(rigid.replace({"controller": [GRAVITY, PD]})).controllers) == 2
+    assert len(loop_of(robot.replace({"controller": [GRAVITY, PD]})).controllers) == 2
 
 
 class Signals:
@@ -78,22 +71,22 @@ def connections(loop: Loop) -> dict[str, str]:
     return {target: source for source, target in wiring.connections}
 
 
-def test_explicit_connections_come_first(rigid: Scene) -> None:
+def test_explicit_connections_come_first(robot: Scene) -> None:
     """Who names one of both gets that one."""
     chosen = {f"joint{i}.feedforward": f"gravity_feedforward.joint{i}.feedforward" for i in (1, 2)}
-    loop = loop_of(rigid.replace({"controller": [GRAVITY, {**PD, "connect": chosen}, FRICTION]}))
+    loop = loop_of(robot.replace({"controller": [GRAVITY, {**PD, "connect": chosen}, FRICTION]}))
     assert len(loop.controllers) == 3
     assert connections(loop)["pd.joint1.feedforward"] == "gravity_feedforward.joint1.feedforward"
-    summed = connections(loop_of(rigid.replace({"controller": [GRAVITY, PD, FRICTION]})))
+    summed = connections(loop_of(robot.replace({"controller": [GRAVITY, PD, FRICTION]})))
     assert summed["pd.joint1.feedforward"] == "feedforward_sum.joint1.feedforward"
     assert summed["feedforward_sum.gravity_feedforward.joint1.feedforward"] == "gravity_feedforward.joint1.feedforward"
 
 
-def test_no_common_instants(rigid: Scene) -> None:
+def test_no_common_instants(robot: Scene) -> None:
     """Two controllers at different instants can't share a sum."""
     second = {**PD, "name": "second", "sample_time": 2e-3}
     with pytest.raises(
         WiringError,
         match=r"pd, second, which take the sum, aren't sampled at the same instants: give them one sample_time",
     ):
-        loop_of(rigid.replace({"controller": [GRAVITY, PD, FRICTION, second]}))
+        loop_of(robot.replace({"controller": [GRAVITY, PD, FRICTION, second]}))

@@ -92,19 +92,19 @@ def test_not_a_number_reaches_the_torque(respond: Respond) -> None:
 
 
 @pytest.fixture(scope="module")
-def rigid() -> Scene:
-    """The paper's robot without flexible links, driven by torques."""
-    changes = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.motor_inertia": 0.1}
-    return load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "trajectory.dwell": 0.0, **changes})
+def robot() -> Scene:
+    """The paper's robot, driven by torques."""
+    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
+    return load_scene("barnard2012-6kg").replace(changes)
 
 
 SCHEDULE: dict[str, Any] = {"over": "end_effector.position.x", "at": [-0.2, 0.0, 0.2], "proportional": [0.6, 1.0, 1.4]}
 PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": H, "schedule": SCHEDULE}
 
 
-def test_gains_over_the_pose_in_a_loop(rigid: Scene) -> None:
+def test_gains_over_the_pose_in_a_loop(robot: Scene) -> None:
     """The torque of each sample is that of the gains at the pose of the sample."""
-    recording = run_scene(rigid.replace({"controller": [PD]})).recording
+    recording = run_scene(robot.replace({"controller": [PD]})).recording
     at = np.searchsorted(recording.time, H * np.arange(400) + 1e-9) - 1
     factor = np.interp(recording["end_effector.position.x"].values[at], SCHEDULE["at"], SCHEDULE["proportional"])
     assert np.ptp(factor) > 0.5
@@ -136,12 +136,12 @@ class Load:
     def step(self, time: float, step: float) -> None: ...
 
 
-def test_gains_over_the_payload(rigid: Scene) -> None:
+def test_gains_over_the_payload(robot: Scene) -> None:
     """Where no slave outputs a payload the gains are those of the scene's; otherwise they follow it."""
     table = {"over": "payload.mass", "at": [0.0, 8.0], "proportional": [1.0, 3.0]}
-    scene = rigid.replace({"controller": [{**PD, "schedule": table}]})
+    scene = robot.replace({"controller": [{**PD, "schedule": table}]})
     alone = run_scene(scene).recording
-    followed = run_loop(rigid, [Load(), *loop_of(scene).controllers]).recording
+    followed = run_loop(robot, [Load(), *loop_of(scene).controllers]).recording
     for recording, factors in ((alone, (2.5, 2.5)), (followed, (1.5, 2.5))):
         for instant, factor in zip((0.1, 0.3), factors, strict=True):
             at = np.searchsorted(recording.time, instant + 1e-9) - 1
@@ -150,7 +150,7 @@ def test_gains_over_the_payload(rigid: Scene) -> None:
             assert torque == pytest.approx(1e4 * factor * (q_r - q) + 100.0 * (v_r - v), rel=1e-11)
 
 
-def test_loops_of_a_cascade_have_their_own(rigid: Scene) -> None:
+def test_loops_of_a_cascade_have_their_own(robot: Scene) -> None:
     """Both loops take the signal."""
     position = {
         "proportional": 60.0,
@@ -158,7 +158,7 @@ def test_loops_of_a_cascade_have_their_own(rigid: Scene) -> None:
     }
     velocity = {"proportional": 90.0, "schedule": {**SCHEDULE, "inertia": [1.0, 2.0, 3.0]}}
     cascade = {"kind": "cascade", "position": position, "velocity": velocity, "sample_time": H}
-    outer, inner = loop_of(rigid.replace({"controller": [cascade]})).controllers
+    outer, inner = loop_of(robot.replace({"controller": [cascade]})).controllers
     assert isinstance(outer, BlockSlave)
     assert [each.name for each in outer.block.inputs].count("joint1.position") == 1
     assert "end_effector.position.x" in {each.name for each in inner.variables}
@@ -172,11 +172,11 @@ def test_loops_of_a_cascade_have_their_own(rigid: Scene) -> None:
     ({"integral": [1.0, 1.0, 1.0]}, "integral"),
     ({"proportional": None}, "the schedule has no table: give one factor at each of `at` for proportional, derivative"),
 ])  # fmt: skip
-def test_scenes_are_refused(rigid: Scene, change: dict[str, Any], message: str) -> None:
+def test_scenes_are_refused(robot: Scene, change: dict[str, Any], message: str) -> None:
     """The key, its value and what would be right."""
     table = {key: value for key, value in {**SCHEDULE, **change}.items() if value is not None}
     with pytest.raises(SceneError, match=message):
-        rigid.replace({"controller": [{**PD, "schedule": table}]})
+        robot.replace({"controller": [{**PD, "schedule": table}]})
 
 
 @pytest.mark.parametrize(("at", "factors", "message"), [
@@ -192,13 +192,13 @@ def test_refused(at: list[float], factors: Mapping[str, list[Any]], message: str
         scheduled(pd(1.0, 1.0, sample_time=H), "load", at, factors)
 
 
-def test_a_signal_that_there_isnt(rigid: Scene) -> None:
+def test_a_signal_that_there_isnt(robot: Scene) -> None:
     """A misspelt signal has no source."""
     misspelt = {**SCHEDULE, "over": "end_efector.position.x"}
     with pytest.raises(
         InputError, match=r"end_efector.position.x.* has no source.*did you mean 'end_effector.position.x'"
     ):
-        run_scene(rigid.replace({"controller": [{**PD, "schedule": misspelt}]}))
+        run_scene(robot.replace({"controller": [{**PD, "schedule": misspelt}]}))
 
 
 ANY = st.one_of(st.floats(), st.floats(-5.0, 5.0), st.sampled_from([-1.0, 0.0, 1.0, 2.0]))
