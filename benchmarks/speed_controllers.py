@@ -55,7 +55,7 @@ SCHEDULE = {
 
 LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "PD": ([PD], None, 1.0),
-    "H-infinity of order 32": ([H_INFINITY], None, 8.0),
+    "H-infinity of order 32": ([H_INFINITY], None, 2.0),
     "cascade of three loops": ([CASCADE], None, 1.5),
     "PD with scheduled gains": ([{**PD, "schedule": SCHEDULE}], None, 1.0),
     "gravity feedforward": ([PD, GRAVITY], "PD", 1.0),

@@ -42,7 +42,7 @@ class Journal:
         if lines and (found := _read(lines[0])) != head:
             part = next((key for key in head if (found or {}).get(key) != head[key]), "file")
             raise InputError(
-                f"{folder} has another tuning, whose {part} differs: give another folder with --out, or --restart to discard it"
+                f"{folder} has another tuning (other {part}): give another folder with --out, or --restart to discard it"
             )
         whole = [found for line in lines[1:] if (found := _read(line)) is not None]
         for each in whole:

@@ -259,7 +259,7 @@ def _sobol(study: Study, count: int, seed: int) -> list[tuple[float, ...]]:
     """The first points of a scrambled Sobol sequence."""
     from scipy.stats.qmc import Sobol
 
-    sequence = Sobol(len(study.over), rng=np.random.default_rng(seed))
+    sequence = Sobol(len(study.over), seed=seed)
     shares = sequence.random_base2(max(count - 1, 0).bit_length())[:count]
     return [tuple(each.at(share) for each, share in zip(study.over, row, strict=True)) for row in shares.tolist()]
 

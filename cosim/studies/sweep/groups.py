@@ -28,7 +28,7 @@ PLANNED_WITH = (
 )
 """Parameters of the FMU that the planned motion depends on as well."""
 
-LOOP = ("controller", "shaper", "imperfection", "filter")
+LOOP = tuple(name for name, field in Scene.model_fields.items() if field.default == ())
 """Sections around the robot, which may depend on everything."""
 
 SHARES, LEAST_SHARE = 32, 64
