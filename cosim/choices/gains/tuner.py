@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flexfmu.cosim.choices.gains.goals import Condition
 from flexfmu.cosim.choices.gains.journal import Journal
 from flexfmu.cosim.choices.gains.trial import Study, Trial, Trials, pool
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
@@ -227,17 +228,16 @@ class _Search:
         A failed trial has what is worse than all others.
         """
         goal, conditions = self.study.minimise, self.study.conditions
-        values = [value for each in self.done if (value := goal.of(each.figures)) is not None and not each.message]
+        known = [each for each in self.done if not each.message and goal.of(each.figures) is not None]
+        values = [goal.of(each.figures) or 0.0 for each in known]
         positive = all(each > 0.0 for each in values)
         value = None if trial.message else goal.of(trial.figures)
         if value is None:
             worst = max(values, default=1.0)
-            cost = log(worst) + FAILED if positive and values else worst + FAILED * max(abs(worst), 1.0)
-            return np.array([cost, *[FAILED for each in conditions for _ in each.goal.parts]])
-        excess = [
-            min(max(STRICT * one, -FAILED), FAILED) for each in conditions for one in each.excesses(trial.figures)
-        ]
-        return np.array([log(value) if positive else value, *excess])
+            cost = log(worst) + FAILED if positive else worst + FAILED * max(abs(worst), 1.0)
+            beyond = max((one for each in known for one in _eased(conditions, each)), default=0.0)
+            return np.array([cost, *[max(beyond, 0.0) + FAILED for each in conditions for _ in each.goal.parts]])
+        return np.array([log(value) if positive else value, *_eased(conditions, trial)])
 
     def starts(self) -> list[RealArray]:
         """Shares (n,) of the best trials, from which descents begin."""
@@ -253,6 +253,12 @@ class _Search:
         kept = "" if self.study.rank(best)[0] == 0 else ", not within all limits"
         text = f"{len(self.done)} of {self.total} trials, {goal.name} {goal.shown(goal.of(best.figures))}{kept}"
         self._show(text, min(1.0, len(self.done) / self.total))
+
+
+def _eased(conditions: Sequence[Condition], trial: Trial) -> list[float]:
+    """By how much conditions are exceeded, for each joint: from a tenth of the limit on as the logarithm, at least -1."""
+    found = [STRICT * one for each in conditions for one in each.excesses(trial.figures)]
+    return [max(one, -1.0) if one <= 1.0 else 1.0 + log(min(one, 1e9)) for one in found]
 
 
 def _sobol(study: Study, count: int, seed: int) -> list[tuple[float, ...]]:
