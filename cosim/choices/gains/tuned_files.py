@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from io import StringIO
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def summary(result: TuneResult) -> dict[str, Any]:
         scene: name.
         keys: for each key low, high, given (None where the joints differ) and tuned.
         minimise: name, unit, given and tuned.
-        conditions: text, unit, limit, given and tuned of each.
+        conditions: text, unit, limit, given and tuned of each; None for an infinite margin too.
         within_limits, interrupted, trials: whether the best trial keeps all limits, whether Ctrl-C ended the tuning, and the number of
             its trials.
     """
@@ -39,16 +40,16 @@ def summary(result: TuneResult) -> dict[str, Any]:
         "minimise": {
             "name": study.minimise.name,
             "unit": study.minimise.unit,
-            "given": study.minimise.of(given.figures),
-            "tuned": study.minimise.of(best.figures),
+            "given": _finite(study.minimise.of(given.figures)),
+            "tuned": _finite(study.minimise.of(best.figures)),
         },
         "conditions": [
             {
                 "text": each.text,
                 "unit": each.goal.unit,
                 "limit": each.limit,
-                "given": each.goal.of(given.figures, largest=each.upper),
-                "tuned": each.goal.of(best.figures, largest=each.upper),
+                "given": _finite(each.goal.of(given.figures, largest=each.upper)),
+                "tuned": _finite(each.goal.of(best.figures, largest=each.upper)),
             }
             for each in study.conditions
         ],
@@ -57,6 +58,11 @@ def summary(result: TuneResult) -> dict[str, Any]:
         "interrupted": result.interrupted,
         "trials": len(result.trials),
     }
+
+
+def _finite(value: float | None) -> float | None:
+    """Return the value; None for one that JSON doesn't have."""
+    return value if value is not None and isfinite(value) else None
 
 
 def write_tuning(result: TuneResult, folder: Path) -> list[Path]:

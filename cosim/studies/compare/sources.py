@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import isinf
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -175,7 +175,7 @@ def _margins(scene: Scene) -> dict[str, float | None]:
         found = loop_margins(scene, POSES)
     except (CosimError, TrajectoryError, EquilibriumError):
         return {}
-    return {name: None if value is None or isinf(value) else value for name, value in found.items()}
+    return {name: value if value is not None and isfinite(value) else None for name, value in found.items()}
 
 
 def _measured(run: Run) -> ComparedRun:

@@ -17,6 +17,7 @@ from flexfmu.cosim.choices.gains.front import tune_scene
 from flexfmu.cosim.choices.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.choices.gains.journal import FILE, Journal
 from flexfmu.cosim.choices.gains.trial import Interval, Study, Trial
+from flexfmu.cosim.choices.gains.tuned_files import summary, write_tuned, write_tuning
 from flexfmu.cosim.choices.gains.tuner import tune_study
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -122,6 +123,25 @@ def test_an_interrupted_tuning_continues(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has another tuning \(other keys\)"):
         Journal(tmp_path, other)
     assert Journal(tmp_path, other, restart=True).trials == {}
+
+
+def test_infinite_margins_keep_limits_and_are_null_in_json(tmp_path: Path) -> None:
+    """A delay margin is infinite where no delay that is tried makes the loop unstable; the journal reads it back."""
+
+    class Robust(Known):
+        def tried(self, values: tuple[float, ...]) -> Trial:
+            trial = super().tried(values)
+            return trial if trial.message else replace(trial, figures={**trial.figures, "delay_margin": math.inf})
+
+    wish = Robust(SCENE, KEYS, study().minimise, (parse_condition("delay_margin>1ms"),))
+    result = tune_study(wish, trials=30, journal=Journal(tmp_path, wish))
+    assert result.is_feasible
+    assert summary(result)["conditions"][0]["tuned"] is None
+    assert len(write_tuning(result, tmp_path)) == 2
+    assert {*Journal(tmp_path, wish).trials} == {each.values for each in result.trials}
+    assert all(
+        each.figures["delay_margin"] == math.inf for each in Journal(tmp_path, wish).trials.values() if each.figures
+    )
 
 
 def test_all_trials_that_fail_are_an_error() -> None:
@@ -242,8 +262,6 @@ def command(*arguments: object) -> Result:
 @pytest.mark.slow
 def test_a_tuned_loop_is_the_scenes_own_run(tmp_path: Path) -> None:
     """Better than given within the limit; the file keeps comments, and its run has the figures that were found."""
-    from flexfmu.cosim.choices.gains.tuned_files import write_tuned
-
     made = tune_scene(SCENE, {"pd.kp[0]": (4e3, 5e3)}, trials=2, method="sample")
     source = write_tuned(made, tmp_path / "made.toml")
     source.write_text(source.read_text().replace("[[controller]]", "# the loop\n[[controller]]"))
