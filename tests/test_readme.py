@@ -89,11 +89,12 @@ def test_python_blocks_run(tmp_path: Path) -> None:
     assert (tmp_path / "results.csv").is_file()
 
 
-@pytest.mark.parametrize("name", ["README", *(path.stem for path in (ROOT / "docs").rglob("*.md"))])
+@pytest.mark.parametrize(
+    "name", ["README.md", *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md")))]
+)
 def test_commands_exist(name: str) -> None:
     """Every command that a text shows is one of the program's, with these options."""
-    (path,) = [ROOT / "README.md"] if name == "README" else (ROOT / "docs").rglob(f"{name}.md")
-    text = path.read_text(encoding="utf-8")
+    text = (ROOT / name).read_text(encoding="utf-8")
     commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
     typed = [line for block in blocks("console", text) for line in block.splitlines() if line.startswith("$ flexfmu")]
     typed += [f"$ {line}" for line in re.findall(r"`(flexfmu [a-z][^`]*)`", text)]
@@ -101,7 +102,8 @@ def test_commands_exist(name: str) -> None:
         _, command, *arguments = shlex.split(
             line.removeprefix("$ ").translate(str.maketrans("", "", "[]")), comments=True
         )
-        options = {option for parameter in commands[command].params for option in parameter.opts} | {"--help"}
+        parameters = commands[command].params
+        options = {option for each in parameters for option in (*each.opts, *each.secondary_opts)} | {"--help"}
         assert {re.sub("=.*", "", each) for each in arguments if re.match("-[-a-z]", each)} <= options, line
 
 
