@@ -28,6 +28,7 @@ from flexfmu.model.plant_functions import (
     start_parameters,
 )
 from flexfmu.model.scene.assembly import bases, elbows, motor_angles
+from flexfmu.model.scene.disturbances import PAYLOAD, disturbance_inputs
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import Bar, Drawing, Friction, Spot, SymbolicModel, Variable
@@ -120,11 +121,14 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
     five_bar = assemble(scene)
     start, m = start_parameters(five_bar, scene), five_bar.motion
     torque, force = casadi.SX.sym("tau", 2), casadi.SX.sym("f", 2)
+    disturbances = disturbance_inputs(scene.disturbance)
+    disturbed = casadi.SX.sym("d", len(disturbances))
+    acting = torque + disturbed[:2] if "joint1.disturbance" in disturbances else torque
     # the external force at the end effector reduces the required force there
     loaded = casadi.SX(five_bar.redundant_force)
     loaded[8:10] -= force
     five_bar = five_bar.with_forces(loaded)
-    outputs = _joint_outputs(five_bar, torque)
+    outputs = _joint_outputs(five_bar, acting)
     outputs += robot_outputs(five_bar)
     if scene.effects.reactions:
         outputs += reaction_outputs(five_bar.forces)
@@ -133,14 +137,16 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
             casadi.vertcat(m.q_a, m.q_e),
             casadi.vertcat(m.v_a, m.v_e),
             casadi.vertcat(m.a_a, m.a_e),
-            casadi.vertcat(torque, force),
+            casadi.vertcat(torque, force, disturbed),
         ),
-        residual=casadi.vertcat(five_bar.forces.motors - torque, five_bar.forces.elastic),
+        residual=casadi.vertcat(five_bar.forces.motors - acting, five_bar.forces.elastic),
         outputs=outputs,
-        initial_inputs=casadi.SX.zeros(4),
+        initial_inputs=casadi.SX.zeros(4 + len(disturbances)),
         initial_coordinates=casadi.vertcat(start_angles(five_bar, start, scene), casadi.SX.zeros(m.q_e.numel())),
         error_scale=_torque_driven_scale(five_bar),
     )
+    if PAYLOAD in disturbances:
+        equations = _with_payload_change(equations, five_bar.registry.find_derived("payload_mass"), disturbed[-1])
     position_of = five_bar.registry.position
     return make_plant(
         scene,
@@ -182,7 +188,19 @@ def _torque_inputs(scene: Scene) -> tuple[Variable, ...]:
         for i in range(2)
     ]
     text = "External force at the end effector, {}"
-    return (*torques, *(Variable(f"force.{axis}", "N", text.format(axis), "input", start=0.0) for axis in "xy"))
+    forces = [Variable(f"force.{axis}", "N", text.format(axis), "input", start=0.0) for axis in "xy"]
+    # inputs of disturbances, where the scene has some
+    units = {PAYLOAD: ("kg", "Mass picked up, negative for mass dropped; it has the velocity of the end effector")}
+    units |= {f"joint{i}.disturbance": ("N.m", f"Disturbance torque on motor {i}, counter-clockwise") for i in (1, 2)}
+    disturbances = [Variable(name, *units[name], "input", start=0.0) for name in disturbance_inputs(scene.disturbance)]
+    return (*torques, *forces, *disturbances)
+
+
+def _with_payload_change(equations: PlantEquations, mass: casadi.SX, change: casadi.SX) -> PlantEquations:
+    """The equations with a payload of mass + change [kg]; the error norm keeps the mass."""
+    residual = casadi.substitute(equations.residual, mass, mass + change)
+    outputs = [(each, casadi.substitute(casadi.SX(value), mass, mass + change)) for each, value in equations.outputs]
+    return replace(equations, residual=residual, outputs=outputs)
 
 
 def _torque_driven_scale(five_bar: FiveBar) -> casadi.SX:

@@ -25,6 +25,7 @@ class Loop:
         inline_blocks: slaves in series with signals.
         connect: ``slave.input`` → source, beyond equal names.
         parameters: parameters of the robot that differ from the scene's.
+        disturbances: slaves that output forces, torques and masses that disturb the robot.
     """
 
     motion: MotionPlan
@@ -33,6 +34,7 @@ class Loop:
     inline_blocks: tuple[InlineBlock, ...] = ()
     connect: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    disturbances: tuple[Slave, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ def make_loop(
     imperfections: Iterable[Any] = (),
     connect: Mapping[str, str] | None = None,
     repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
+    disturbances: Iterable[Any] = (),
 ) -> Loop:
     """Make a loop of blocks, slaves, python-control systems and FMU files, see `as_slave`.
 
@@ -67,13 +70,15 @@ def make_loop(
         imperfections: slaves in series with signals, in this order, or `PayloadError`.
         connect: ``slave.input`` → source, beyond equal names.
         repeat: as for `shape`.
+        disturbances: blocks of `flexfmu.cosim.control.disturbances`, or other slaves without inputs that the robot needs.
 
     Raises:
         InputError: something is of a kind that can't be a slave.
         TrajectoryError: a shaper can't act on this motion.
     """
     names = SlaveNames()
-    return close_loop(shape(motion, list(shapers), names, repeat), controllers, imperfections, connect or {}, names)
+    shaped = shape(motion, list(shapers), names, repeat)
+    return close_loop(shaped, controllers, imperfections, connect or {}, names, disturbances)
 
 
 def close_loop(
@@ -82,6 +87,7 @@ def close_loop(
     imperfections: Iterable[Any],
     connect: Mapping[str, str],
     names: SlaveNames,
+    disturbances: Iterable[Any] = (),
 ) -> Loop:
     """Make a loop from a motion to which the shapers have been applied; errors as for `make_loop`.
 
@@ -89,6 +95,7 @@ def close_loop(
         shaped: the motion with its shapers.
         controllers, imperfections, connect: as for `make_loop`.
         names: names assigned so far.
+        disturbances: as for `make_loop`.
     """
     acting = with_sum([as_slave(each, names) for each in controllers], connect, names)
     inline_blocks, parameters = list(shaped.inline_blocks), dict[str, float]()
@@ -99,7 +106,14 @@ def close_loop(
             parameters["payload.mass"] = with_payload_error(shaped.motion.scene, each.relative).payload.mass
         else:
             inline_blocks.append(inline_block(as_slave(each, names)))
-    return Loop(shaped.motion, shaped.driving, acting, tuple(inline_blocks), dict(connect), parameters)
+    disturbing = [as_slave(each, names) for each in disturbances]
+    if disturbing:
+        from flexfmu.cosim.control.disturbances import with_sums
+
+        disturbing = with_sums(disturbing, names.unused)
+    return Loop(
+        shaped.motion, shaped.driving, acting, tuple(inline_blocks), dict(connect), parameters, tuple(disturbing)
+    )
 
 
 def shape(

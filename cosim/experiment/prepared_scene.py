@@ -130,6 +130,7 @@ def run_loop(
     imperfections: Iterable[Any] = (),
     connect: Mapping[str, str] | None = None,
     motion: MotionPlan | None = None,
+    disturbances: Iterable[Any] = (),
     **options: Unpack[Options],
 ) -> Run:
     """Run a scene with these controllers, shapers and imperfections instead of its own sections.
@@ -149,6 +150,8 @@ def run_loop(
             `flexfmu.cosim.control.imperfections.payload_error.PayloadError`.
         connect: ``slave.input`` → ``slave.output`` or name of a signal, in addition to equal names.
         motion: motion, planned from the same scene, instead of the scene's own.
+        disturbances: blocks of `flexfmu.cosim.control.disturbances` instead of the scene's; the robot's inputs are those for
+            the disturbances of the scene.
         options: as for `run_scene`.
 
     Raises:
@@ -157,10 +160,11 @@ def run_loop(
         BuildError: the FMU can't be built.
     """
     if motion is not None:
-        return run_scene(scene, loop=make_loop(motion, controllers, shapers, imperfections, connect), **options)
+        given = make_loop(motion, controllers, shapers, imperfections, connect, disturbances=disturbances)
+        return run_scene(scene, loop=given, **options)
     from flexfmu.cosim.experiment.cycles import in_cycles
 
-    loop = make_loop(plan(scene), controllers, shapers, imperfections, connect, in_cycles)
+    loop = make_loop(plan(scene), controllers, shapers, imperfections, connect, in_cycles, disturbances)
     return run_scene(scene, loop=loop, **options)
 
 

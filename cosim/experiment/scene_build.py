@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
+from flexfmu.model.scene.disturbances import disturbance_inputs
 from flexfmu.model.scene.motion import TrajectorySection
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ _RUN_KEYS = {
     "step_control",
     "loop_solver",
 }
-_LOOP = dict.fromkeys(("controller", "shaper", "imperfection", "filter", "motor"), True)
+_LOOP = dict.fromkeys(("controller", "shaper", "imperfection", "filter", "disturbance", "motor"), True)
 _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
 """Keys of the scene without influence on the model; all other keys but the strength belong to the cache key."""
 _STRENGTH = "mechanism.material.yield_strength"
@@ -37,9 +38,12 @@ _NO_STRENGTH: Any = {"mechanism": {"material": {"yield_strength"}}}
 
 def scene_key(scene: Scene) -> str:
     """Text that determines the scene's model: the scene as JSON without the keys that have no influence."""
+    # the robot has inputs for disturbances, whatever their values
+    inputs = disturbance_inputs(scene.disturbance)
+    start = f" disturbed in {', '.join(inputs)}" if inputs else ""
     if isinstance(scene.trajectory, TrajectorySection):
-        return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE | _NO_STRENGTH)
-    start = f" from {scene.start}"
+        return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE | _NO_STRENGTH) + start
+    start += f" from {scene.start}"
     return (
         scene.model_dump_json(exclude={**_WITHOUT_INFLUENCE, **_NO_STRENGTH, "trajectory": _PATH_KEYS | _START_KEYS})
         + start
@@ -49,6 +53,9 @@ def scene_key(scene: Scene) -> str:
 def depends_on(key: str) -> bool:
     """Whether the model may depend on a dotted key of the scene, or on a part of what it names."""
     section, _, rest = key.partition(".")
+    if section.startswith("disturbance"):
+        # which disturbances there are determines the inputs of the robot, their values don't
+        return rest.rpartition(".")[2] in ("", "kind", "signal") or rest.isdigit()
     influenceless = _WITHOUT_INFLUENCE.get(section.partition("[")[0])
     return (
         key != _STRENGTH

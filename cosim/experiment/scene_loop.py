@@ -1,4 +1,4 @@
-"""Builds the loop of a scene from the sections for controllers, shapers and imperfections."""
+"""Builds the loop of a scene from the sections for controllers, shapers, imperfections and disturbances."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | No
     planned = motion or own or plan(scene)
     # the scene's own motion has its cycles, a given one is what runs
     with_cycles = motion is None and scene.trajectory.way_back != "none"
-    if not (scene.controller or shapers or scene.imperfection or scene.filter or with_cycles):
+    if not (scene.controller or shapers or scene.imperfection or scene.filter or scene.disturbance or with_cycles):
         return Loop(planned, planned.joints)
     names = SlaveNames()
     builder = _Builder(scene, planned, names)
@@ -50,7 +50,8 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | No
     before = [each for each in scene.filter if each.signal == "torque"]
     after = [each for each in scene.filter if each.signal != "torque"]
     imperfections = [builder.imperfection(each, controllers) for each in (*before, *scene.imperfection, *after)]
-    return close_loop(course, controllers, imperfections, builder.connect, names)
+    disturbances = [builder.disturbance(each) for each in scene.disturbance]
+    return close_loop(course, controllers, imperfections, builder.connect, names, disturbances)
 
 
 def _repeated(scene: Scene, with_cycles: bool, motion: MotionPlan) -> MotionPlan:
@@ -112,6 +113,12 @@ class _Builder:
             return error
         return self.slave(section, self._planned, sample_time)
 
+    def disturbance(self, section: Any) -> Slave:
+        """The disturbance of a section; its default sample time is the communication step."""
+        name = self._names.chosen(section.name, f"{section.kind}_disturbance")
+        slave: Slave = self._built(section, self._planned, name, self._scene.cosimulation.communication_step)
+        return slave
+
     def slave(self, section: Any, motion: MotionPlan, sample_time: float = 0.0) -> Slave:
         """The only slave of a section; arguments as for `slaves`."""
         (slave,) = self.slaves(section, motion, sample_time)
@@ -171,7 +178,7 @@ class _Builder:
 
         period = None if motion.repetition is None else motion.repetition.period
         context = LoopContext(
-            motion.scene,
+            motion.scene.model_copy(update={"disturbance": ()}),
             motion.along_path,
             self._planned.joints,
             motion.joints,

@@ -33,7 +33,7 @@ class SceneSystem:
     Attributes:
         references: slave that outputs the planned motion.
         plant: the robot.
-        others: controllers, shapers and imperfections.
+        others: controllers, shapers, imperfections and disturbances.
         wiring: connections between the slaves.
         changes: parameters of the robot that differ from those of the scene.
         unfed: values of the robot's inputs if they are not connected.
@@ -108,8 +108,8 @@ def scene_system(
     plant = FmuSlave(fmu_path, PLANT, settings, input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
     references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
-    others = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks))
-    wiring = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect)
+    others = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks), *loop.disturbances)
+    wiring = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect, loop.disturbances)
     parts = SceneSystem(references, plant, others, wiring, loop.parameters, unfed)
     return parts.with_parameters(parameters or {})
 

@@ -68,6 +68,7 @@ def wire(
     controllers: Sequence[Slave] = (),
     inline_blocks: Sequence[InlineBlock] = (),
     explicit: Mapping[str, str] | None = None,
+    disturbances: Sequence[Slave] = (),
 ) -> Wiring:
     """Connect variables with equal names.
 
@@ -81,13 +82,14 @@ def wire(
         controllers: slaves whose inputs all need a source, except those that end in ``.feedforward``.
         inline_blocks: slaves in series with signals, in this order.
         explicit: ``slave.input`` → its source, ``slave.output`` or the name of a signal.
+        disturbances: slaves that act on the robot; an input called ``slave.output`` is a term of a sum of theirs.
 
     Raises:
         WiringError: an input has no source, an inline block acts on an unknown signal, two controllers (or a controller and
             the plant) output the same signal, no output of a controller is connected to the plant, there is no controller
             and an inline block's outputs are unused, or an explicit connection has an unknown name.
     """
-    slaves = (references, plant, *controllers, *(inline.slave for inline in inline_blocks))
+    slaves = (references, plant, *controllers, *(inline.slave for inline in inline_blocks), *disturbances)
     bus = _Bus({slave.name: slave for slave in slaves}, dict(explicit or {}))
     # references and measurements, with their inline blocks
     waiting = list(inline_blocks)
@@ -102,6 +104,7 @@ def wire(
             )
     # controllers, then the inline blocks between them and the plant
     bus.connect_controllers(controllers)
+    bus.add_disturbances(disturbances, plant)
     bus.publish_to(plant)
     stuck = bus.pass_through(waiting)
     if stuck:
@@ -180,6 +183,27 @@ class _Bus:
                 self._feed(controller, name, owners)
         # make the outputs available
         self.sources |= {name: f"{owner}.{name}" for name, owner in owners.items()}
+
+    def add_disturbances(self, disturbances: Sequence[Slave], plant: Slave) -> None:
+        """Connect the terms of the sums of disturbances, and make all outputs available.
+
+        Raises:
+            WiringError: the robot has no such input, or a controller outputs the same signal.
+        """
+        for each in disturbances:
+            for name in _names(each, "input"):
+                target = f"{each.name}.{name}"
+                self.connections.append((self.source(self.explicit.pop(target, name)), target))
+            for name in _names(each, "output"):
+                if name not in _names(plant, "input"):
+                    raise WiringError(
+                        f"{each.name} outputs {name}, but the robot takes {', '.join(_names(plant, 'input'))}: a [[disturbance]] "
+                        "of the scene gives the robot its inputs for torques and masses"
+                    )
+                owner = self.sources.get(name, each.name).partition(".")[0]
+                if owner not in {disturbance.name for disturbance in disturbances}:
+                    raise WiringError(f"{owner} and {each.name} both output {name}: leave one out")
+            self.publish(each)
 
     def _feed(self, controller: Slave, name: str, owners: Mapping[str, str]) -> None:
         """Connect a controller's input.

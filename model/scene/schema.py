@@ -12,6 +12,7 @@ from flexfmu.model.scene.assembly import check_start_pose, check_working_mode, e
 from flexfmu.model.scene.choice import fill_in
 from flexfmu.model.scene.controllers import ControllerSection, LearningSection
 from flexfmu.model.scene.cosimulation import Cosimulation
+from flexfmu.model.scene.disturbances import DisturbanceKind, PayloadChangeSection
 from flexfmu.model.scene.effects import LOADS, Effects
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.filters import FilterTable
@@ -51,6 +52,7 @@ class Scene(Section):
     shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
     imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
     filter: Annotated[tuple[FilterTable, ...], BeforeValidator(as_tuple)] = ()
+    disturbance: Annotated[tuple[DisturbanceKind, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
     plan: PlanSection | None = None
 
@@ -91,13 +93,39 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        tables = tuple((key, getattr(self, key)) for key in ("controller", "shaper", "imperfection", "filter"))
+        tables = tuple(
+            (key, getattr(self, key)) for key in ("controller", "shaper", "imperfection", "filter", "disturbance")
+        )
         owners: dict[str, str] = {}
         for key, sections in tables:
             for index, section in enumerate(sections):
                 name, place = getattr(section, "name", None), f"`{key}[{index}].name`"
                 if name is not None and owners.setdefault(name, place) != place:
                     raise ValueError(f"{owners[name]} and {place} are both {name!r}: give each a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _disturbances_fit_the_robot(self) -> Self:
+        if not self.disturbance:
+            return self
+        if self.cosimulation.drive != "torque":
+            raise ValueError(
+                "disturbances act on a robot that torques drive, a motion-driven one follows its references whatever acts "
+                'on it: set `cosimulation.drive` = "torque", or leave `disturbance` out'
+            )
+        mass = self.payload.mass
+        for index, each in enumerate(self.disturbance):
+            if not isinstance(each, PayloadChangeSection):
+                continue
+            if not mass:
+                raise ValueError(
+                    f"`disturbance[{index}]` changes the payload: give `payload.mass` above 0 kg, that of the gripper for example"
+                )
+            if each.picked_up is None and (each.mass or 0.0) > mass:
+                raise ValueError(
+                    f"`disturbance[{index}].mass` = {each.mass:g} kg is dropped, but `payload.mass` is {mass:g} kg: reduce it, "
+                    "or give the instant at which it is `picked_up`"
+                )
         return self
 
     @model_validator(mode="after")

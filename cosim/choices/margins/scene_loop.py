@@ -64,6 +64,8 @@ class WiredLoop:
             raise InputError(
                 f'scene {scene.name} has no loop: margins need `cosimulation.drive = "torque"` and a [[controller]]'
             )
+        # disturbances come from outside of the loop
+        scene = scene.model_copy(update={"disturbance": ()})
         robot = robot or _robot(scene)
         references = TrajectorySlave(loop.driving, name=REFERENCES)
         wiring = wire(references, robot, loop.controllers, loop.inline_blocks, loop.connect)
