@@ -53,6 +53,19 @@ SCHEDULE = {
     "derivative": [1.0, 1.0, 1.1],
 }
 
+FORCE = {"signal": "force.x"}
+SINE = {"kind": "sine", "amplitude": 5.0, "frequency": 20.0, **FORCE, **TIME}
+BAND = {"kind": "noise", "standard_deviation": 5.0, "band": [5.0, 50.0], **FORCE, **TIME}
+STEP = {"kind": "step", "amplitude": 5.0, **FORCE}
+
+DISTURBED: Mapping[str, tuple[Sequence[dict[str, Any]], float]] = {
+    "sine disturbance": ([SINE], 0.5),
+    "band noise of 50 sines": ([BAND], 2.0),
+    "step disturbance, each 0.25 ms": ([STEP], 0.2),
+    "sum of sine and step, with them": ([SINE, STEP], 1.0),
+}
+"""What disturbs → disturbances beside the PD, and target of a sample [µs]."""
+
 LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "PD": ([PD], None, 1.0),
     "H-infinity of order 32": ([H_INFINITY], None, 2.0),
@@ -67,12 +80,12 @@ LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
 """What is sampled → controllers, the entry whose time is taken off (None: the plant alone), and target [µs]."""
 
 
-def looped(controllers: Sequence[dict[str, Any]], idle: Path) -> Timed:
-    """A run of a plant that does nothing under the controllers of a scene."""
-    loop = loop_of(DRIVEN.replace({"controller": list(controllers)}))
+def looped(controllers: Sequence[dict[str, Any]], idle: Path, disturbances: Sequence[dict[str, Any]] = ()) -> Timed:
+    """A run of a plant that does nothing under the controllers and disturbances of a scene."""
+    loop = loop_of(DRIVEN.replace({"controller": list(controllers), "disturbance": list(disturbances)}))
     references, plant = TrajectorySlave(loop.driving), FmuSlave(idle, "plant", output_order=0)
-    connections = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect).connections
-    system = connect([references, plant, *loop.controllers], connections)
+    wiring = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect, loop.disturbances)
+    system = connect([references, plant, *loop.controllers, *loop.disturbances], wiring.connections)
     record = Selection(["plant.joint1.position"], order=0)
     simulator = Simulator(system, SECONDS, TIME["sample_time"], record=record)
     if (result := simulator.run()).outcome is not Outcome.COMPLETED:
@@ -85,7 +98,11 @@ def controller_figures() -> Iterator[SpeedFigure]:
     with tempfile.TemporaryDirectory(prefix="flexfmu-controllers-") as name:
         idle = idle_fmu(build_scene(DRIVEN).path, Path(name))
         runs = [looped([], idle), *(looped(controllers, idle) for controllers, _, _ in LOOPS.values())]
-        times = dict(zip([None, *LOOPS], best_times(runs, ROUNDS), strict=True))
+        runs += [looped([PD], idle, disturbances) for disturbances, _ in DISTURBED.values()]
+        times = dict(zip([None, *LOOPS, *DISTURBED], best_times(runs, ROUNDS), strict=True))
     for what, (_, base, target) in LOOPS.items():
         cost = (times[what] - times[base]) * TIME["sample_time"] / SECONDS
+        yield SpeedFigure(f"{what}, a sample", 1e6 * cost, target, "µs")
+    for what, (_, target) in DISTURBED.items():
+        cost = (times[what] - times["PD"]) * TIME["sample_time"] / SECONDS
         yield SpeedFigure(f"{what}, a sample", 1e6 * cost, target, "µs")

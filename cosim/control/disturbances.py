@@ -374,12 +374,10 @@ def _column(section: CsvSection) -> tuple[RealArray, RealArray]:
     """Times [s] and scaled values of a section's file.
 
     Raises:
-        InputError: the file can't be read, or has no such column.
+        ResultsError: the file can't be read.
+        InputError: it has no such column.
     """
-    try:
-        times, columns = read_csv(Path(section.file))
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't read the disturbance {section.file}: {error}") from error
+    times, columns = read_csv(Path(section.file))
     wanted = section.column or section.signal
     if wanted not in columns:
         raise InputError(f"{section.file} has no column {wanted!r}: give `column`; columns: {', '.join(columns)}")

@@ -13,6 +13,7 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.controllers import ControllerSection
 from flexfmu.model.scene.cosimulation import AndersonSection, FixedPointSection, StepControl
+from flexfmu.model.scene.disturbances import DisturbanceKind
 from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
 from flexfmu.model.scene.schema import Scene
@@ -22,7 +23,7 @@ PAGE = (Path(__file__).parents[3] / "docs" / "control-loop.md").read_text(encodi
 BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
 KINDS = [
     kind
-    for section in (ControllerSection, ShaperSection, ImperfectionSection)
+    for section in (ControllerSection, ShaperSection, ImperfectionSection, DisturbanceKind)
     for kind in get_args(get_args(section)[0])
 ]
 

@@ -143,6 +143,13 @@ def test_imperfection_delay(tmp_path: Path) -> None:
     assert "unstable" in rows[-1]
 
 
+def test_disturbances(tmp_path: Path) -> None:
+    """A disturbed robot goes astray, more with a force than with noise; dropping the payload lifts it by a force of 58.9 N."""
+    rows = lines("disturbances.py", tmp_path)
+    quiet, push, noise, dropped = (value(row, "tracking error") for row in rows)
+    assert quiet < noise < push < dropped
+
+
 def test_imperfection_payload(tmp_path: Path) -> None:
     """The error is smallest where the controller is right about the payload, and grows to both sides."""
     errors = [float(row.split()[4]) for row in lines("imperfection_payload.py", tmp_path)]

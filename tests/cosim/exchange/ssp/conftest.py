@@ -100,7 +100,10 @@ OBSERVER = {"kind": "disturbance-observer", "time_constant": 0.05, "inertia": 0.
 
 @pytest.fixture(scope="session")
 def drive_scene(controlled_scene: Scene) -> Scene:
-    """The cascade of a drive at three rates, with an observer; each samples at other instants than those that feed it."""
+    """The cascade of a drive at three rates, with an observer; each samples at other instants than those that feed it.
+
+    A force, a torque and a payload disturb it.
+    """
     cascade = {
         "kind": "cascade",
         "position": {"proportional": 60.0, "velocity_limit": 15.0, "offset": 5e-5},
@@ -110,7 +113,13 @@ def drive_scene(controlled_scene: Scene) -> Scene:
         "sample_time": 1e-3,
     }
     short = {"trajectory.width": 0.1, "trajectory.duration": 0.2}
+    disturbances = [
+        {"kind": "pulse", "signal": "force.x", "amplitude": 20.0, "start": 0.05, "duration": 0.03},
+        {"kind": "sine", "signal": "joint1.disturbance", "amplitude": 2.0, "frequency": 20.0, "sample_time": 1e-3},
+        {"kind": "payload", "mass": 1.0, "picked_up": 0.1},
+    ]
     changes = {"name": "drive", "controller": [cascade, OBSERVER], "shaper": [], "imperfection": [], **short}
+    changes["disturbance"] = disturbances
     return controlled_scene.replace(changes)
 
 

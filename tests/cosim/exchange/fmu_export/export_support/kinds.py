@@ -35,6 +35,7 @@ from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
+from flexfmu.cosim.control.disturbances import band_noise, disturbance_sum, sine, steps, table
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
@@ -108,6 +109,11 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "scheduled": lambda: scheduled(pid(900.0, 4e4, 12.0, **TIME), "load", (-1.0, 0.0, 0.8), TABLES),
     "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
+    "steps": lambda: steps("payload.change", (0.01, 0.03, 0.05), (1.5, 0.5, 0.0)),
+    "sine": lambda: sine("force.x", 3.0, 40.0, phase=0.3, start=2e-3, duration=0.04, **TIME),
+    "band_noise": lambda: band_noise("joint1.disturbance", 2.0, (5.0, 60.0), 3, components=8, **TIME),
+    "table": lambda: table("force.y", np.array([0.0, 0.01, 0.05]), np.array([1.0, -2.0, 3.0]), start=4e-3, **TIME),
+    "disturbance_sum": lambda: disturbance_sum("force.x", ("a", "b"), **TIME),
     "tabulated_feedforward": lambda: tabulated_feedforward(np.linspace(-1.0, 2.0, 160).reshape(80, 2), **TIME),
     "iterative_learning": lambda: iterative_learning(100.0, 40, shift=2, forgetting=0.01, **TIME),
     "state_feedback": feedback,
