@@ -158,9 +158,13 @@ def test_payload_has_the_velocity_of_the_end_effector(pushed: tuple[Scene, Run])
     for phase, mass in (((time > 0.052) & (time < 0.1003 - 1e-9), 0.0), (carried, 4.0), (time > 0.15 + 1e-9, 0.0)):
         total = links[phase] + 0.5 * mass * speed[phase] ** 2
         np.testing.assert_allclose(total, total[0], rtol=1e-8)
-    assert abs(time - 0.1003).min() < 1e-12
+    # both sides of an instant: the energy of the links, thus of their velocities, is continuous
+    for at in (0.1003, 0.15):
+        sides = links[abs(time - at) < 1e-12]
+        assert sides.size >= 1
+        np.testing.assert_allclose(sides, sides[0], rtol=1e-12)
     # without the mass the energy of the links alone isn't constant
-    assert np.ptp(links[carried]) > 1e-3 * links[carried].max()
+    assert np.ptp(links[carried]) > 1e-4 * links[carried].max()
 
 
 @pytest.mark.slow
