@@ -34,8 +34,8 @@ from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
-from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.disturbances import band_noise, disturbance_sum, sine, steps, table
+from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
@@ -109,7 +109,7 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "scheduled": lambda: scheduled(pid(900.0, 4e4, 12.0, **TIME), "load", (-1.0, 0.0, 0.8), TABLES),
     "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
-    "steps": lambda: steps("payload.change", (4 * SAMPLE_TIME, 9 * SAMPLE_TIME, 10 * SAMPLE_TIME), (1.5, 0.5, 0.0)),
+    "steps": lambda: steps("payload.change", (SAMPLE_TIME, 9 * SAMPLE_TIME, 10 * SAMPLE_TIME), (1.5, 0.5, 0.0)),
     "sine": lambda: sine("force.x", 3.0, 40.0, phase=0.3, duration=0.04, **TIME),
     "band_noise": lambda: band_noise("joint1.disturbance", 2.0, (5.0, 60.0), 3, components=8, **TIME),
     "table": lambda: table("force.y", np.array([0.0, 0.01, 0.05]), np.array([1.0, -2.0, 3.0]), **TIME),
