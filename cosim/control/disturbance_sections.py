@@ -37,11 +37,12 @@ def _column(section: CsvSection) -> tuple[RealArray, RealArray]:
 
 @builds(PulseSection)
 def _pulse(section: PulseSection, context: LoopContext) -> SymbolicBlock:
-    return _step(section, context)
+    instants = [section.start, section.start + section.duration]
+    return steps(section.signal, instants, [section.amplitude, 0.0], context.name)
 
 
 @builds(StepSection)
-def _step(section: StepSection | PulseSection, context: LoopContext) -> SymbolicBlock:
+def _step(section: StepSection, context: LoopContext) -> SymbolicBlock:
     ends = [] if section.duration is None else [section.start + section.duration]
     return steps(section.signal, [section.start, *ends], [section.amplitude, 0.0][: 1 + len(ends)], context.name)
 
