@@ -1,6 +1,6 @@
 """H-infinity loop shaping for the torque-driven robot (D. McFarlane, K. Glover, IEEE Trans. Automatic Control 37, 1992, 759-769).
 
-The robot is linearised about its equilibrium at a pose and sampled with a zero-order hold. Weights shape it: each joint gets
+The robot is linearised about its equilibrium at a pose, without Coulomb friction, and sampled with a zero-order hold. Weights shape it: each joint gets
 W = k (1 + 1 / (T s)) with the gain k for which the joint's own loop crosses 1 at its bandwidth. The controller K then stabilises the
 shaped plant G W with the largest margin epsilon against perturbations of its normalised coprime factors; epsilon = 1 / gamma, where
 gamma is the H-infinity norm of [I; K] (I - G W K)^-1 [I, G W]. Formulas for a plant with feedthrough: S. Skogestad,
@@ -232,6 +232,9 @@ def h_infinity(
         )
     rate = 2.0 * pi * frequency
     times_i = INTEGRAL / rate if integral_time is None else _positive(integral_time, "integral_time", "s", name)
+    # at standstill smoothed Coulomb friction would be a strong damper, which the moving robot doesn't have
+    if scene.effects.joint_friction.coulomb:
+        scene = scene.replace({"effects.joint_friction.coulomb": 0.0})
     robot = from_control(
         linearize(scene, position, POSITIONS)[:, :2],
         method="zoh",
