@@ -61,10 +61,10 @@ STEP = {"kind": "step", "amplitude": 5.0, **FORCE}
 DISTURBED: Mapping[str, tuple[Sequence[dict[str, Any]], float]] = {
     "sine disturbance": ([SINE], 0.5),
     "band noise of 50 sines": ([BAND], 2.0),
-    "step disturbance, each 0.25 ms": ([STEP], 0.2),
+    "step disturbance, its transfer alone": ([STEP], 0.5),
     "sum of sine and step, with them": ([SINE, STEP], 1.0),
 }
-"""What disturbs → disturbances beside the PD, and target of a sample [µs]."""
+"""What disturbs → disturbances beside the PD, and target of a communication step [µs]; each includes one more input of the plant."""
 
 LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "PD": ([PD], None, 1.0),
