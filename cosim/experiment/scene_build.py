@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
 _TIME_KEYS = {"duration", "dwell", "way_back", "cycles", "pause"}
-_PATH_KEYS = {"kind", "lift", "height", "width", "blend", "profile", "degree", "noise", *_TIME_KEYS}
+_PATH_KEYS = {"kind", "lift", "height", "width", "blend", "profile", "degree", "noise", "references", *_TIME_KEYS}
 _START_KEYS = {"file", "coordinates"}
 """Keys of the motion that the model knows by the start point alone."""
 _RUN_KEYS = {
@@ -29,7 +29,7 @@ _RUN_KEYS = {
     "step_control",
     "loop_solver",
 }
-_LOOP = dict.fromkeys(("controller", "shaper", "imperfection", "filter", "disturbance", "motor"), True)
+_LOOP = dict.fromkeys(("controller", "shaper", "imperfection", "filter", "disturbance", "motor", "plan"), True)
 _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
 """Keys of the scene without influence on the model; all other keys but the strength belong to the cache key."""
 _STRENGTH = "mechanism.material.yield_strength"

@@ -72,6 +72,22 @@ class RateLimitSection(SignalSection):
     falling_rate: PositivePerJoint | None = None
 
 
+class DeadZoneSection(SignalSection):
+    """Dead zone: the signal is zero within ± `half_width`, and less by it beyond; in its unit."""
+
+    kind: Literal["dead-zone"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "torque"
+    half_width: NotNegativePerJoint
+
+
+class BacklashSection(SignalSection):
+    """Backlash: the signal stands still while its source goes through `gap`, in its unit."""
+
+    kind: Literal["backlash"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "position"
+    gap: NotNegativePerJoint
+
+
 class LinearSection(Section):
     """Linear interpolation between two samples."""
 
@@ -101,13 +117,21 @@ class DelaySection(SignalSection):
     """Delay of the signal by `time`.
 
     For fractions of a sample, `interpolation` is "linear", `{ kind = "lagrange", order = 3 }` or
-    `{ kind = "thiran", order = 2 }`.
+    `{ kind = "thiran", order = 2 }`. A `known` delay of a measurement delays the references of the same kind as well, as of
+    controllers that know its time stamps: they compare what belongs to the same instant.
     """
 
     kind: Literal["delay"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
     time: SecondsOrZero
     interpolation: InterpolationSection = LinearSection()
+    known: bool = False
+
+    @model_validator(mode="after")
+    def _known_are_measurements(self) -> Self:
+        if self.known and self.signal not in ("position", "velocity"):
+            raise ValueError(f'a `known` delay is one of `signal = "position"` or "velocity", got "{self.signal}"')
+        return self
 
 
 class QuantisationSection(SignalSection):
@@ -183,6 +207,8 @@ class PayloadErrorSection(Section):
 ImperfectionSection = Annotated[
     SaturationSection
     | RateLimitSection
+    | DeadZoneSection
+    | BacklashSection
     | DelaySection
     | QuantisationSection
     | EncoderSection

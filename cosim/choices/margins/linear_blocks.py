@@ -1,6 +1,6 @@
 """Linearises what samples in a loop: blocks by exact derivatives of their equations at the operating point.
 
-Rounding (quantisers, encoders) counts as identity. Limits that aren't reached have no influence. Only states that inputs reach
+Rounding (quantisers, encoders), dead zones and backlash count as identity. Limits that aren't reached have no influence. Only states that inputs reach
 count: those of random numbers have none. Functions in C have finite differences.
 """
 
@@ -17,6 +17,9 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.jets import RealArray
+
+LARGE = 1e9
+"""Change of an input, in its unit, for which dead zones and backlash don't matter."""
 
 SAMPLES = 20
 """Samples after which the states of a block count as those of the operating point: memories are filled."""
@@ -53,6 +56,14 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
     for _ in range(SAMPLES):
         states = np.asarray(block.update(states, inputs, parameters).full())[:, 0]
     a, b, c, d = (np.asarray(each.full()) for each in _jacobians(block)(states, inputs, parameters))
+    if len(inputs) and not (b.any() or d.any()):
+        # dead zones and backlash: the gain for large signals, which all pass
+        a, b, c, d = (
+            np.zeros((0, 0)),
+            np.zeros((0, len(inputs))),
+            np.zeros((len(block.outputs), 0)),
+            _gain(block, inputs),
+        )
     reached = _reached(a, b)
     outputs = np.asarray(block.output(states, inputs, parameters).full())[:, 0]
     linear = LinearBlock(a[np.ix_(reached, reached)], b[reached], c[:, reached], d, block.sample_time, block.offset)
@@ -60,6 +71,18 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
         if not np.isfinite(matrix).all():
             raise InputError(f"{slave.name} has no finite derivatives at its operating point")
     return linear, outputs
+
+
+def _gain(block: SymbolicBlock, inputs: RealArray) -> RealArray:
+    """Gain of a block's first sample for large changes of each input."""
+    states, parameters = block.states, [each.start or 0.0 for each in block.parameters]
+    found = []
+    for direction in np.eye(len(inputs)):
+        far, near = (
+            block.output(states, inputs + sign * LARGE * direction, parameters).full()[:, 0] for sign in (1, -1)
+        )
+        found.append((far - near) / (2.0 * LARGE))
+    return np.array(found).T
 
 
 def _jacobians(block: SymbolicBlock) -> casadi.Function:

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.controllers.joints import JOINTS
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
     cut,
     empty,
+    joint_channels,
     recall,
     remember,
     repeated,
@@ -152,4 +154,8 @@ def _from_section(section: scene.DelaySection, context: LoopContext) -> Symbolic
         case scene.LinearSection():
             interpolation = LINEAR
     channels = section_channels(section, context, REFERENCE_KINDS)
+    if section.known:
+        channels += joint_channels(
+            section.signal, context.before(section.signal), [f"{each}.reference" for each in JOINTS]
+        )
     return delay(channels, section.time, interpolation=interpolation, **sampling(section, context))

@@ -37,6 +37,7 @@ from flexfmu.cosim.control.controllers.state_feedback import state_feedback, sta
 from flexfmu.cosim.control.disturbances import band_noise, disturbance_sum, sine, steps, table
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import joint_channels
+from flexfmu.cosim.control.imperfections.dead_zone import backlash, dead_zone
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
 from flexfmu.cosim.control.imperfections.jitter import jitter
@@ -126,6 +127,8 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "shaper_block": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
     "filter_block": lambda: filter_block(POSITIONS, [*notch(40.0), *low_pass(90.0, 3)], **TIME),
     "saturation": lambda: saturation(POSITIONS, -0.5, 0.7, **TIME),
+    "dead_zone": lambda: dead_zone(POSITIONS, 0.2, **TIME),
+    "backlash": lambda: backlash(POSITIONS, 0.3, **TIME),
     "rate_limit": lambda: rate_limit(POSITIONS, 100.0, 80.0, **TIME),
     "whole_delay": lambda: whole_delay(POSITIONS, 5, **TIME),
     "whole_delay: long": lambda: whole_delay(POSITIONS, 150, **TIME),
