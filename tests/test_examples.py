@@ -67,6 +67,14 @@ def test_compare_measured(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_filter_notch(tmp_path: Path) -> None:
+    """The deeper the notch, the more delay the loop stands."""
+    delays = [float(line.split()[-2]) for line in run_example("filter_notch.py", tmp_path).splitlines()]
+    assert len(delays) == 3
+    assert 1.0 < delays[0] < delays[1] < delays[2] < 3.0
+
+
+@pytest.mark.slow
 def test_compare_controllers(tmp_path: Path) -> None:
     """Stiffer loops follow better, the rigid torques better still; with other payloads each is worse."""
     rows = [row.split(",") for row in run_example("compare_controllers.py", tmp_path).splitlines()[1:]]

@@ -49,7 +49,7 @@ def assert_same(shown: str, found: str) -> None:
 
 def test_there_are_six() -> None:
     """First run, robot, controller, shaper, accuracy, plan: each in 10 to 25 cells and with what it prints."""
-    assert len(TUTORIALS) == 6
+    assert len(TUTORIALS) == 7
     for path in TUTORIALS:
         book = notebook(path)
         nbformat.validate(book)  # type: ignore[no-untyped-call]
