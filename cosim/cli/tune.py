@@ -65,8 +65,12 @@ def tune(
     ] = None,
     method: Annotated[
         str,
-        typer.Option(metavar="NAME", help="trust-region, which improves the best of the first trials, or sample."),
-    ] = "trust-region",
+        typer.Option(
+            metavar="NAME",
+            help="What improves the best of the first trials: gradient, by differences of runs, or trust-region, by quadratic models. "
+            "sample makes first trials alone.",
+        ),
+    ] = "gradient",
     trials: Annotated[
         int | None,
         typer.Option(metavar="N", min=2, help="Number of trials. Default: some 50 for each key.", show_default=False),
@@ -96,7 +100,7 @@ def tune(
     settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Tune gains and other keys of a scene: what minimises a figure within limits, by runs without derivatives.
+    """Tune gains and other keys of a scene: what minimises a figure within limits.
 
     Writes tuned.toml, which every command takes, and all trials as tune.csv. Every trial is kept at once: after Ctrl-C the best
     so far is written, and the same command continues.

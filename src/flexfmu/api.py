@@ -472,7 +472,7 @@ def tune(
     subject_to: Sequence[str] = (),
     *,
     payload_band: float | tuple[float, float] | None = None,
-    method: str = "trust-region",
+    method: str = "gradient",
     trials: int | None = None,
     seed: int = 0,
     processes: int | None = None,
@@ -480,7 +480,7 @@ def tune(
     restart: bool = False,
     progress: Callable[[str, float | None], None] | None = None,
 ) -> TuneResult:
-    """Tune gains and other keys of a scene: what minimises a figure within limits, by runs without derivatives.
+    """Tune gains and other keys of a scene: what minimises a figure within limits.
 
         result = flexfmu.tune("loop.toml", {"pd.kp": (1e3, 1e5), "pd.kd": (10, 500)}, subject_to=["peak_torque < 80"])
         result.values, result.scene, result.to_pandas()
@@ -495,10 +495,11 @@ def tune(
         subject_to: conditions ``FIGURE < LIMIT`` or ``FIGURE > LIMIT``, in SI units or with a unit: ``settling_time < 20ms``.
         payload_band: payloads for which all metrics hold, which controllers, shapers and motion don't know: a fraction to both
             sides, or the lightest and the heaviest payload [kg]; None for the scene's alone.
-        method: ``trust-region``, which improves the best of the first trials, or ``sample``, which makes first trials alone.
+        method: what improves the best of the first trials: ``gradient``, by differences of runs, or ``trust-region``, by quadratic models;
+            ``sample`` makes first trials alone.
         trials: number of trials; None for some 50 for each key.
         seed: of the first trials.
-        processes: number of processes of the first trials; None for one on each processor.
+        processes: number of processes of first trials and differences; None for one on each processor.
         out: folder for ``tuned.toml``, ``tune.csv`` and ``tune.json``, where every trial is kept at once: the same call continues
             where it was interrupted. None for memory alone.
         restart: whether the trials of another tuning in the folder are discarded.

@@ -22,7 +22,7 @@ def tune_scene(
     subject_to: Sequence[str] = (),
     *,
     payload_band: PayloadBand | None = None,
-    method: str = "trust-region",
+    method: str = "gradient",
     trials: int | None = None,
     seed: int = 0,
     processes: int = 1,
