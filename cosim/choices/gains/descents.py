@@ -47,7 +47,14 @@ def descend_by_models(search: Search) -> None:
     from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
     parts, count = len(search.study.minimise.parts), len(search.study.over)
-    kept = NonlinearConstraint(lambda x: search.costs_at(x)[parts:], -np.inf, 0.0)
+
+    def figure(shares: RealArray) -> float:
+        return float(search.costs_at(shares)[:parts].max())
+
+    def excesses(shares: RealArray) -> RealArray:
+        return search.costs_at(shares)[parts:]
+
+    kept = NonlinearConstraint(excesses, -np.inf, 0.0)
     options: dict[str, Any] = {
         "method": "COBYQA",
         "bounds": Bounds(np.zeros(count), np.ones(count)),
@@ -55,7 +62,7 @@ def descend_by_models(search: Search) -> None:
         "options": {"initial_tr_radius": RADIUS, "final_tr_radius": LEAST_RADIUS},
     }
     for start in search.starts():
-        minimize(lambda x: float(search.costs_at(x)[:parts].max()), start, **options)
+        minimize(figure, start, **options)
 
 
 def descend_by_gradients(search: Search) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from flexfmu.cosim.choices.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.choices.gains.journal import Journal
 from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses
+from flexfmu.cosim.choices.gains.search import Show
 from flexfmu.cosim.choices.gains.trial import Interval, Study, check_keys
-from flexfmu.cosim.choices.gains.tuner import Show, TuneResult, tune_study
+from flexfmu.cosim.choices.gains.tuner import TuneResult, tune_study
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS
 from flexfmu.model.scene.schema import Scene
