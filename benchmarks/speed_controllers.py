@@ -1,4 +1,4 @@
-"""What a sample of each kind of controller costs beside a plant that does nothing. Used by `speed.py`; not a script of its own."""
+"""What a sample of each kind of controller, filter, imperfection and disturbance costs beside a plant that does nothing. Used by `speed.py`; not a script of its own."""
 
 from __future__ import annotations
 
@@ -80,12 +80,47 @@ LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
 """What is sampled → controllers, the entry whose time is taken off (None: the plant alone), and target [µs]."""
 
 
-def looped(controllers: Sequence[dict[str, Any]], idle: Path, disturbances: Sequence[dict[str, Any]] = ()) -> Timed:
-    """A run of a plant that does nothing under the controllers and disturbances of a scene."""
-    loop = loop_of(DRIVEN.replace({"controller": list(controllers), "disturbance": list(disturbances)}))
+INLINE: Mapping[str, tuple[Mapping[str, Sequence[dict[str, Any]]], float]] = {
+    "notch on both torques": ({"filter": [{"kind": "notch", "frequency": 60.0}]}, 1.0),
+    "low-pass of order 4 on both velocities": (
+        {"filter": [{"kind": "low-pass", "frequency": 300.0, "order": 4, "signal": "velocity"}]},
+        1.0,
+    ),
+    "lead-lag on both torques": ({"filter": [{"kind": "lead-lag", "zero": 30.0, "pole": 120.0}]}, 1.0),
+    "setpoint filter on six references": (
+        {"filter": [{"kind": "low-pass", "frequency": 60.0, "signal": "reference"}]},
+        1.0,
+    ),
+    "dead zone": ({"imperfection": [{"kind": "dead-zone", "half_width": 0.1}]}, 1.0),
+    "backlash": ({"imperfection": [{"kind": "backlash", "signal": "position", "gap": 1e-5}]}, 1.0),
+    "delay of 2.3 samples": ({"imperfection": [{"kind": "delay", "time": 5.75e-4}]}, 1.0),
+    "known delay of both positions and their references": (
+        {"imperfection": [{"kind": "delay", "signal": "position", "time": 5e-4, "known": True}]},
+        2.0,
+    ),
+    "encoder over 2 samples": ({"imperfection": [{"kind": "encoder", "counts_per_turn": 1e5, "window": 2}]}, 1.0),
+    "quantisation": ({"imperfection": [{"kind": "quantisation", "resolution": 0.01}]}, 1.0),
+    "saturation": ({"imperfection": [{"kind": "saturation", "limit": 80.0}]}, 1.0),
+    "rate limit": ({"imperfection": [{"kind": "rate-limit", "rate": 5e4}]}, 1.0),
+    "lag, sampled": ({"imperfection": [{"kind": "lag", "time_constant": 1e-3, **TIME}]}, 1.0),
+    "normal noise on both positions": (
+        {"imperfection": [{"kind": "noise", "signal": "position", "standard_deviation": 1e-5}]},
+        3.0,
+    ),
+    "jitter": ({"imperfection": [{"kind": "jitter", "signal": "velocity", "time": 1e-4}]}, 2.5),
+}
+"""What is in series with signals → tables of the scene beside the PD, and target [µs]; its transfers count."""
+
+
+def looped(controllers: Sequence[dict[str, Any]], idle: Path, tables: Mapping[str, Sequence[dict[str, Any]]]) -> Timed:
+    """A run of a plant that does nothing under the controllers of a scene and what other tables of it make."""
+    loop = loop_of(
+        DRIVEN.replace({"controller": list(controllers), **{key: list(each) for key, each in tables.items()}})
+    )
     references, plant = TrajectorySlave(loop.driving), FmuSlave(idle, "plant", output_order=0)
     wiring = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect, loop.disturbances)
-    system = connect([references, plant, *loop.controllers, *loop.disturbances], wiring.connections)
+    inline = [each.slave for each in loop.inline_blocks]
+    system = connect([references, plant, *loop.controllers, *inline, *loop.disturbances], wiring.connections)
     record = Selection(["plant.joint1.position"], order=0)
     simulator = Simulator(system, SECONDS, TIME["sample_time"], record=record)
     if (result := simulator.run()).outcome is not Outcome.COMPLETED:
@@ -95,14 +130,14 @@ def looped(controllers: Sequence[dict[str, Any]], idle: Path, disturbances: Sequ
 
 def controller_figures() -> Iterator[SpeedFigure]:
     """All lines: the run's time beyond that of the entry named, for each sample."""
+    beside_pd = {what: ({"disturbance": each}, target) for what, (each, target) in DISTURBED.items()} | dict(INLINE)
     with tempfile.TemporaryDirectory(prefix="flexfmu-controllers-") as name:
         idle = idle_fmu(build_scene(DRIVEN).path, Path(name))
-        runs = [looped([], idle), *(looped(controllers, idle) for controllers, _, _ in LOOPS.values())]
-        runs += [looped([PD], idle, disturbances) for disturbances, _ in DISTURBED.values()]
-        times = dict(zip([None, *LOOPS, *DISTURBED], best_times(runs, ROUNDS), strict=True))
-    for what, (_, base, target) in LOOPS.items():
+        runs = [looped([], idle, {}), *(looped(controllers, idle, {}) for controllers, _, _ in LOOPS.values())]
+        runs += [looped([PD], idle, tables) for tables, _ in beside_pd.values()]
+        times = dict(zip([None, *LOOPS, *beside_pd], best_times(runs, ROUNDS), strict=True))
+    targets = {what: (base, target) for what, (_, base, target) in LOOPS.items()}
+    targets |= {what: ("PD", target) for what, (_, target) in beside_pd.items()}
+    for what, (base, target) in targets.items():
         cost = (times[what] - times[base]) * TIME["sample_time"] / SECONDS
-        yield SpeedFigure(f"{what}, a sample", 1e6 * cost, target, "µs")
-    for what, (_, target) in DISTURBED.items():
-        cost = (times[what] - times["PD"]) * TIME["sample_time"] / SECONDS
         yield SpeedFigure(f"{what}, a sample", 1e6 * cost, target, "µs")
