@@ -1,4 +1,4 @@
-"""Motors that are not ideal: limited torque, limited rate of torque, a current loop that lags.
+"""Motors that are not ideal: limited torque, limited rate of torque, a dead zone, a current loop that lags.
 
 python imperfection_actuator.py
 """
@@ -15,6 +15,7 @@ imperfections = {
     "ideal": [],
     "saturation, 80 N.m": [{"kind": "saturation", "limit": 80.0}],
     "rate limit, 5 N.m/ms": [{"kind": "rate-limit", "rate": 5e3}],
+    "dead zone, 1 N.m": [{"kind": "dead-zone", "half_width": 1.0}],
     "lag, 0.2 ms": [{"kind": "lag", "time_constant": 0.2e-3}],
 }
 for label, sections in imperfections.items():

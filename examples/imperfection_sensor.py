@@ -1,4 +1,4 @@
-"""Angles that are not quite known: quantised, noisy, sampled with jitter, and from encoders that give the rate too.
+"""Angles that are not quite known: quantised, noisy, sampled with jitter, behind a play, and from encoders that give the rate too.
 
 The same seed gives the same numbers in every run, in Python and in exported FMUs.
 
@@ -18,6 +18,7 @@ imperfections = {
     "quantisation, 10 µrad": [{"kind": "quantisation", "resolution": 1e-5}],
     "noise, 10 µrad": [{"kind": "noise", "standard_deviation": 1e-5, "seed": 1}],
     "jitter of the rate, 0.1 ms": [{"kind": "jitter", "signal": "velocity", "time": 1e-4, "seed": 1}],
+    "backlash, 20 µrad": [{"kind": "backlash", "gap": 2e-5, "signal": "position"}],
     "encoder, 1e6 counts": [{"kind": "encoder", "counts_per_turn": 1e6}],
 }
 for label, sections in imperfections.items():

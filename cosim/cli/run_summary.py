@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,17 +36,27 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     # how the run went
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))
-    late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0 or delay["average"] > 0.0]
-    if late:
-        parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
+    if late := _late(summary["delays"]):
+        parts.append(Text("late signals:\n  " + "\n  ".join(late)))
     # what spoils the results
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
-    sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"], health["stability"]])]
+    sentences = [
+        *health["large_deflections"],
+        *health["counted_twice"],
+        *filter(None, [health["unstable_loop"], health["stability"]]),
+    ]
     sentences += [sentence for part in (*motors, *links) for sentence in part["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
     parts.append(Text(files_sentence(files, folder)))
     print_rich(*parts)
+
+
+def _late(delays: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Descriptions of the connections that are late, those of both joints as one, the latest first."""
+    late = [each for each in delays if each["seconds"] > 0.0 or each["average"] > 0.0]
+    late.sort(key=lambda each: -float(each["average"]))
+    return list(dict.fromkeys(re.sub(r"\bjoint[12]\.", "joint*.", each["description"]) for each in late))
 
 
 def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:

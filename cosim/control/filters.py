@@ -54,26 +54,46 @@ class Section:
     def discrete(self, sample_time: float) -> tuple[tuple[float, float, float], tuple[float, float]]:
         """Coefficients (b0, b1, b2) and (a1, a2) of (b0 + b1 / z + b2 / z²) / (1 + a1 / z + a2 / z²).
 
+        A section of lower order stays one: as a quotient of second order it would have a pole and a zero at z = -1, which
+        cancel but for rounding.
+
         Raises:
-            InputError: the frequency isn't below half the sampling frequency, or the section isn't finite.
+            InputError: the frequency isn't below half the sampling frequency, or the section isn't finite, or not proper.
         """
         w, h = self.prewarp, sample_time
+        order = next((2 - i for i, each in enumerate(self.denominator) if each), 0)
+        if any(self.numerator[: 2 - order]):
+            raise InputError(f"the filter {self} isn't proper: its numerator has the higher order")
         if w * h >= pi:
             raise InputError(
                 f"a filter at {w / (2 * pi):g} Hz needs a sample time below {pi / w:.4g} s, got {h:g} s: lower the frequency, "
                 f"or sample faster"
             )
         c = w / tan(0.5 * w * h) if w > 0.0 else 2.0 / h
-        top, bottom = (
-            (p[0] * c * c + p[1] * c + p[2], 2.0 * (p[2] - p[0] * c * c), p[0] * c * c - p[1] * c + p[2])
-            for p in (self.numerator, self.denominator)
-        )
+        top, bottom = (_in_z(each, c, order) for each in (self.numerator, self.denominator))
         found = [each / bottom[0] if bottom[0] else float("inf") for each in (*top, *bottom[1:])]
         if not all(map(isfinite, found)):
-            raise InputError(
-                f"the filter {list(self.numerator)} / {list(self.denominator)} has no discrete equivalent at {h:g} s"
-            )
+            raise InputError(f"the filter {self} has no discrete equivalent at {h:g} s")
         return (found[0], found[1], found[2]), (found[3], found[4])
+
+    def __str__(self) -> str:
+        """The quotient in s."""
+        exact = f", exact at {self.prewarp / (2.0 * pi):.6g} Hz" if self.prewarp else ""
+        return f"({_polynomial(self.numerator)})/({_polynomial(self.denominator)}){exact}"
+
+
+def _in_z(polynomial: tuple[float, float, float], c: float, order: int) -> tuple[float, float, float]:
+    """Coefficients in 1/z of a polynomial in s = c (z - 1)/(z + 1), times (z + 1) to its order."""
+    p2, p1, p0 = polynomial
+    if order == 2:
+        return p2 * c * c + p1 * c + p0, 2.0 * (p0 - p2 * c * c), p2 * c * c - p1 * c + p0
+    return (p1 * c + p0, p0 - p1 * c, 0.0) if order else (p0, 0.0, 0.0)
+
+
+def _polynomial(coefficients: tuple[float, float, float]) -> str:
+    """A polynomial in s as text."""
+    terms = [f"{each:.6g}{power}" for each, power in zip(coefficients, (" s2", " s", ""), strict=True) if each]
+    return " + ".join(terms) or "0"
 
 
 def notch(frequency: float, damping: float = 0.5, depth: float = 0.0) -> list[Section]:
@@ -152,7 +172,7 @@ def filter_block(
 
     return block(
         name,
-        "Filter",
+        f"Filter {' · '.join(map(str, sections))}; s in rad/s, bilinear",
         equations,
         sample_time=sample_time,
         offset=offset,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from math import hypot, sqrt
+from math import hypot, log, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +35,9 @@ ONSET, FULL = 0.01, 0.5
 
 ROUNDING = 1e-12
 """Relative difference within which two times are the same instant."""
+
+FAST = 1.1
+"""Growth per step from which the message gives it; of a slower one it gives the time to grow tenfold."""
 
 SATURATED = 0.05
 """Share of instants at the largest value from which a torque is considered limited."""
@@ -71,8 +74,15 @@ def divergence(run: Run) -> str | None:
     joint = 1 + int(abs(errors[worst]).argmax())
     return (
         f"joint{joint}.velocity is up to {error[worst]:.3g} rad/s off its reference, where the motion needs {peak:.3g} rad/s; the error "
-        f"grows {factor:.4g}-fold per {unit} of {step:g} s from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
+        f"{_course(factor, unit, step)} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
     )
+
+
+def _course(factor: float, unit: str, step: float) -> str:
+    """How an error goes that changes by a factor in each step [s]."""
+    if factor >= FAST:
+        return f"grows {factor:.4g}-fold per {unit} of {step:g} s"
+    return f"grows tenfold in {step * log(10.0) / log(factor):.3g} s" if factor > 1.0 + ROUNDING else "stays"
 
 
 Growth = tuple[float, float]

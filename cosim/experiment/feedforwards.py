@@ -1,4 +1,4 @@
-"""Feedforwards of several controllers: their sum, at the instants of the controller that takes it."""
+"""Feedforwards of several controllers: their sum, at the instants of the controller that takes it, and what counts twice in it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import HasOffset, Sampled, Slave
 from flexfmu.cosim.experiment.user_slaves import SlaveNames
 from flexfmu.cosim.experiment.wiring import OPTIONAL
+from flexfmu.model.scene.schema import Scene
+
+WHOLE = ("feedforward", "computed-torque")
+"""Kinds of controllers whose torques are those of the whole rigid robot."""
 
 
 def with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: SlaveNames) -> tuple[Slave, ...]:
@@ -53,3 +57,19 @@ def with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: Sl
 
     block = feedforward_sum(several, sample_time=clock[0], offset=clock[1], name=names.unused("feedforward_sum"))
     return (*controllers, BlockSlave(block))
+
+
+def counted_twice(scene: Scene) -> list[str]:
+    """Sentences about gravity and friction that several controllers of a scene compensate."""
+    kinds = [each.kind for each in scene.controller]
+    whole = [each for each in WHOLE if each in kinds]
+    parts = {"all torques of the motion": whole}
+    if any(scene.effects.gravity):
+        parts["gravity"] = [*whole[:1], *(each for each in kinds if each == "gravity-feedforward")]
+    if scene.effects.joint_friction.is_there:
+        parts["friction"] = [*whole[:1], *(each for each in kinds if each == "friction-compensation")]
+    return [
+        f"{what} counts twice: `{found[0]}` has it, and so does `{found[1]}`; leave one of them out"
+        for what, found in parts.items()
+        if len(found) > 1
+    ]

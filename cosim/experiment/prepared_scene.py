@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import ceil
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
@@ -278,7 +279,7 @@ class PreparedScene:
             health=Health(parts.plant.statistics, parts.plant.messages),
             timing=timing,
             slaves=self._facts,
-            delays=simulation.delays,
+            delays=self._delays(simulation.delays),
             parameters=parts.changes,
             companion=self._companion(parts.changes),
             rests=self._rests,
@@ -288,6 +289,11 @@ class PreparedScene:
         if failed and (unstable := divergence(run)) is not None:
             return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
         return run
+
+    def _delays(self, found: Sequence[SignalDelay]) -> tuple[SignalDelay, ...]:
+        """The delays of the loop: disturbances act when they say."""
+        sources = tuple(f"{each.name}." for each in self._loop.disturbances)
+        return tuple(each for each in found if not each.connection.startswith(sources))
 
     def replan(self, scene: Scene) -> bool:
         """Run the motion of another scene from now on; earlier runs keep theirs.

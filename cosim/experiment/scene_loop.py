@@ -105,9 +105,12 @@ class _Builder:
         return shaper
 
     def imperfection(self, section: Any, controllers: Sequence[Slave]) -> PayloadError | Slave:
-        """The imperfection of a section; its default sample time is that of the first sampled controller."""
-        own = (slave.sample_time for slave in controllers if isinstance(slave, Sampled))
-        sample_time = next(own, self._scene.cosimulation.communication_step)
+        """The imperfection or filter of a section; its default sample time is that of the first sampled controller.
+
+        Of a cascade it is that of the loop that exchanges the signal; encoders count as velocities.
+        """
+        sample_time = _rate(getattr(section, "signal", "velocity"), controllers)
+        sample_time = sample_time or self._scene.cosimulation.communication_step
         if isinstance(section, PayloadErrorSection):
             error: PayloadError = self._built(section, self._planned, "", sample_time)
             return error
@@ -198,3 +201,13 @@ class _Builder:
         if self._holding_torques is None:
             self._holding_torques = tuple(holding_torques(self._scene).values())
         return self._holding_torques
+
+
+def _rate(signal: str, controllers: Sequence[Slave]) -> float:
+    """Sample time [s] of the first sampled controller, or of the loop of a cascade that exchanges a signal; 0 for none."""
+    sampled = [each for each in controllers if isinstance(each, Sampled)]
+    # the other loops of a cascade take commands
+    loops = [each for k, each in enumerate(sampled) if k == 0 or any(".command." in v.name for v in each.variables)]
+    name = "joint1.reference.position" if signal == "reference" else f"joint1.{signal}"
+    exchanging = [each for each in loops if any(v.name == name for v in each.variables)]
+    return next((each.sample_time for each in [*exchanging, *sampled]), 0.0)

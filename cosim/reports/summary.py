@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.divergence import divergence
+from flexfmu.cosim.experiment.feedforwards import counted_twice
 from flexfmu.cosim.experiment.planning import deviation
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import Metrics
@@ -144,6 +145,7 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
         "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
         "large_deflections": exceeded(run),
         "unstable_loop": divergence(run) if run.completed else None,
+        "counted_twice": counted_twice(run.scene),
     }
 
 

@@ -27,8 +27,8 @@ class SignalSection(LoopSection):
     """An imperfection of a signal of both joints: torques, measured positions, measured velocities or references.
 
     Of the references, a delay acts on positions, velocities and accelerations, any other imperfection on positions
-    alone. The default sample time is that of the first controller with one, else the communication step; a lag needs
-    none.
+    alone. The default sample time is that of the first controller with one (of a cascade, of the loop that
+    exchanges the signal), else the communication step; a lag needs none.
     """
 
     signal: Literal["torque", "position", "velocity", "reference"]

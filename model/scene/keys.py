@@ -204,7 +204,8 @@ def _elements(holder: Sequence[Any]) -> str:
     names = [str(each.get("name") or each.get("kind")) for each in holder if isinstance(each, Mapping)]
     if not holder:
         return "no elements"
-    return f"{len(holder)} elements, [0] to [{len(holder) - 1}]" + (f", named {', '.join(names)}" if names else "")
+    count = "one element, [0]" if len(holder) == 1 else f"{len(holder)} elements, [0] to [{len(holder) - 1}]"
+    return count + (f", named {', '.join(names)}" if names else "")
 
 
 def _written(parts: Sequence[str | int]) -> str:

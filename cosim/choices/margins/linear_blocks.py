@@ -64,7 +64,8 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
             np.zeros((len(block.outputs), 0)),
             _gain(block, inputs),
         )
-    reached = _reached(a, b)
+    # what inputs don't reach, and what doesn't reach outputs, isn't part of a loop
+    reached = sorted({*_reached(a, b)} & {*_reached(a.T, c.T)})
     outputs = np.asarray(block.output(states, inputs, parameters).full())[:, 0]
     linear = LinearBlock(a[np.ix_(reached, reached)], b[reached], c[:, reached], d, block.sample_time, block.offset)
     for matrix in (linear.a, linear.b, linear.c, linear.d):

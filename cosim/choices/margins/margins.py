@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite, log, pi
+from math import inf, isfinite, log, nan, pi
 from typing import Any
 
 import numpy as np
@@ -51,8 +51,9 @@ class LoopMargins:
         phase_margin: [rad].
         delay_margin: [s]; infinite if it is longer than 40 samples.
         disk_margin: size of the disk of simultaneous changes of gain and phase, between 0 and 2.
-        sensitivity_peak: largest gain from disturbances to what remains of them.
-        bandwidth: lowest frequency at which less than 3 dB of a disturbance are suppressed [rad/s]; NaN if all are.
+        sensitivity_peak: largest gain from disturbances to what remains of them; NaN for an unstable loop.
+        bandwidth: lowest frequency at which less than 3 dB of a disturbance are suppressed [rad/s]; NaN if all are, and for an
+            unstable loop.
         crossover: highest frequency at which the loop's gain is 1 [rad/s]; NaN if there is none.
     """
 
@@ -110,6 +111,8 @@ def pose_margins(
     # memories of constant values and states that decay at once aren't poles
     some = values[np.abs(values) > 1e-12]
     poles = np.log(some) / float(loop.period)
+    # rounding of eigenvalues
+    poles[np.abs(poles.imag) < 1e-9 * np.abs(poles)] = poles[np.abs(poles.imag) < 1e-9 * np.abs(poles)].real
     groups = [(name, [i]) for i, name in enumerate(names)] + ([(ALL, [*range(len(names))])] if len(names) > 1 else [])
     opened = [loop.opened(channels) for _, channels in groups]
     rows = tuple(
@@ -124,19 +127,26 @@ def is_stable(loop: LinearLoop, factor: float = 1.0) -> bool:
     return _radius(loop, _factors(loop, range(len(loop.channels)), factor)) < 1.0
 
 
+def growth(loop: LinearLoop) -> complex:
+    """The pole of the closed loop [1/s] that grows fastest, or decays slowest, with its frequency [rad/s]."""
+    values = np.linalg.eigvals(loop.closed(_factors(loop, range(0), 1.0)))
+    largest = values[int(np.abs(values).argmax())]
+    return complex(np.log(largest) / float(loop.period))
+
+
 def critical_gain(loop: LinearLoop, beyond: float) -> float:
-    """The factor of all torques between 1, where the loop is stable, and another one, where it isn't, that makes it unstable."""
+    """The factor of all torques between 1 and another one at which a stable loop becomes unstable, or an unstable one stable."""
     everything = range(len(loop.channels))
     found = brentq(lambda x: _radius(loop, _factors(loop, everything, np.exp(x))) - 1.0, 0.0, log(beyond), rtol=EXACT)
     return float(np.exp(found))
 
 
 def _loop_margins(loop: LinearLoop, name: str, channels: Sequence[int], cut: LiftedLoop, stable: bool) -> LoopMargins:
-    """The margins of a group of channels; of an unstable loop only what its frequency response shows."""
+    """The margins of a group of channels; of an unstable loop only its crossover."""
     frequencies = _frequencies(loop)
     single = LoopMargins(name, 1.0, 1.0, 0.0, 0.0, 0.0, *_responses(cut, frequencies))
     if not stable:
-        return single
+        return replace(single, sensitivity_peak=nan, bandwidth=nan)
 
     def by(change: Callable[[float], Perturbation]) -> Callable[[float], float]:
         return lambda value: _radius(loop, change(value)) - 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import degrees, isfinite, pi
+from math import degrees, isfinite, log, pi
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,12 @@ def _verdict(result: MarginsResult) -> str:
     """What the margins say, in a sentence."""
     if not result.is_stable:
         where = ", ".join(f"{pose.s:.2f}" for pose in result.poses if not pose.is_stable)
-        return f"The loop is unstable at s = {where}: its eigenvalues over a period reach {max(p.radius for p in result.poses):.4g}."
+        growth = max(pose.poles[0].real for pose in result.poses)
+        radius = max(pose.radius for pose in result.poses)
+        return (
+            f"The loop is unstable at s = {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
+            f"(eigenvalues over a period reach {radius:.4g})."
+        )
     worst = result.worst
     return (
         f"The loop is stable: it stays so with torques up to {worst.gain_margin:.3g} times as large, down to "

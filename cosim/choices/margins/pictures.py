@@ -97,6 +97,7 @@ def _root_locus(result: MarginsResult) -> None:
         now = np.linalg.eigvals(loop.closed(Perturbation((1.0,) * count, (0.0,) * count)))
         (line,) = plt.plot(points.real, points.imag, ".", markersize=1.5, label=f"s = {pose.s:.2f}")
         plt.plot(now.real, now.imag, "x", color=line.get_color())
+    plt.gca().set_aspect("equal", adjustable="box")
     plt.xlim(-1.3, 1.3)
     plt.ylim(-1.3, 1.3)
     plt.legend(markerscale=6.0)

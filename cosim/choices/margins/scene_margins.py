@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,8 +54,8 @@ class MarginsResult:
         rows = [row for pose in self.poses for row in pose.loops]
         found: dict[str, Any] = {"channel": "worst"}
         for name in (field.name for field in fields(LoopMargins) if field.name != "channel"):
-            values = [getattr(row, name) for row in rows]
-            found[name] = float(np.nanmax(values) if name in BETTER_IF_LESS else np.nanmin(values))
+            values = [value for row in rows if not isnan(value := getattr(row, name))]
+            found[name] = (max if name in BETTER_IF_LESS else min)(values, default=nan)
         return LoopMargins(**found)
 
     def rows(self) -> list[dict[str, Any]]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from math import log, pi
+
+import numpy as np
+
 from flexfmu.cosim.choices.margins.linear_loop import LinearLoop
-from flexfmu.cosim.choices.margins.margins import critical_gain, is_stable
+from flexfmu.cosim.choices.margins.margins import critical_gain, growth, is_stable
 from flexfmu.cosim.choices.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
@@ -15,6 +19,10 @@ from flexfmu.trajectories.errors import TrajectoryError
 
 NEAR = 1.1
 """Factor of the torques, up or down, within which a loop must be stable to be far enough from instability."""
+
+
+FARTHEST, STEPS = 20.0, 25
+"""Largest change of an unstable loop's torques that is tried, and number of changes."""
 
 
 def stability_warning(run: Run) -> str | None:
@@ -38,9 +46,26 @@ def stability_warning(run: Run) -> str | None:
 def _sentence(loop: LinearLoop) -> str | None:
     where = "about the end of the motion"
     if not is_stable(loop):
-        return f"the loop is unstable {where}; `flexfmu margins` tells more"
+        return f"the loop is unstable {where}: {_grows(loop)}{_stable_with(loop)}; see `flexfmu margins`"
     for factor, way in ((NEAR, "larger"), (1.0 / NEAR, "smaller")):
         if not is_stable(loop, factor):
             percent = 100.0 * abs(critical_gain(loop, factor) - 1.0)
             return f"the loop is close to instability {where}: with torques {percent:.2g} % {way} it is unstable; see `flexfmu margins`"
     return None
+
+
+def _grows(loop: LinearLoop) -> str:
+    """How fast small motions grow."""
+    pole = growth(loop)
+    at = f" at {abs(pole.imag) / (2.0 * pi):.3g} Hz" if abs(pole.imag) > 1e-9 * abs(pole) else ""
+    return f"small motions grow tenfold in {1e3 * log(10.0) / pole.real:.3g} ms{at}"
+
+
+def _stable_with(loop: LinearLoop) -> str:
+    """Torques with which it is stable, the nearest ones up to a factor of 20."""
+    for factor in np.geomspace(1.0, FARTHEST, STEPS)[1:].tolist():
+        for tried, way in ((1.0 / factor, "smaller"), (factor, "larger")):
+            if is_stable(loop, tried):
+                percent = 100.0 * abs(critical_gain(loop, tried) - 1.0)
+                return f", with torques {percent:.3g} % {way} it is stable"
+    return ""

@@ -27,14 +27,14 @@ def inputs(channels: Sequence[Channel]) -> list[Variable]:
     if not channels:
         raise InputError("an imperfection needs at least one channel")
     return [
-        Variable(each.input, each.unit, f"Signal {each.name}, perfect", "input", each.initial or 0.0)
+        Variable(each.input, each.unit, f"Signal {each.name} as it comes", "input", each.initial or 0.0)
         for each in channels
     ]
 
 
 def outputs(channels: Sequence[Channel]) -> list[Variable]:
     """Return the outputs of a block, one for each channel."""
-    return [Variable(each.name, each.unit, f"Signal {each.name}, imperfect", "output") for each in channels]
+    return [Variable(each.name, each.unit, f"Signal {each.name} as it goes on", "output") for each in channels]
 
 
 def units(channels: Sequence[Channel]) -> list[str]:

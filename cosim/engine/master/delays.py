@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -25,6 +26,7 @@ class SignalDelay:
         connection: ``plant.y -> controller.u``.
         seconds: greatest age of the signal at the target [s]: zero; the largest communication step of the run if it is
             extrapolated; or, between two sampled slaves, the time since the source's last sample.
+        mean: the same on average over the samples of a sampled target [s].
         transport: how the target gets the signal.
         derivatives: number of derivatives that extrapolate the signal and compensate for its age.
         hold: sample time of a sampled source whose target is stepped [s]; half of it is delay on average.
@@ -37,6 +39,7 @@ class SignalDelay:
     derivatives: int
     hold: float = 0.0
     latency: float = 0.0
+    mean: float = 0.0
 
     @property
     def average(self) -> float:
@@ -45,7 +48,7 @@ class SignalDelay:
         Of an extrapolated signal half the age counts, or nothing if derivatives are passed.
         """
         extrapolated = self.transport is Transport.EXTRAPOLATED
-        age = self.seconds * ((0.0 if self.derivatives else 0.5) if extrapolated else 1.0)
+        age = self.seconds * (0.0 if self.derivatives else 0.5) if extrapolated else self.mean
         return self.latency + 0.5 * self.hold + age
 
     def __str__(self) -> str:
@@ -63,7 +66,8 @@ class SignalDelay:
         if self.seconds == 0.0:
             return f"no delay, {self.transport.value}"
         if self.transport is not Transport.EXTRAPOLATED:
-            return f"{self.seconds:.6g} s late, its source has sampled that long before its target"
+            more = f" on average, {self.seconds:.6g} s at most" if self.seconds > self.mean * (1.0 + ROUNDING) else ""
+            return f"{self.mean:.6g} s late{more}, its source has sampled that long before its target"
         if self.derivatives:
             known = f"{self.derivatives} derivative{'s' if self.derivatives > 1 else ''}"
             return f"up to {self.seconds:.6g} s old, {self.transport.value} with {known}"
@@ -89,25 +93,25 @@ def _delay(
 ) -> SignalDelay:
     """The delay of one connection."""
     source, target = system.slaves[connection.source], system.slaves[connection.target]
-    seconds, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0
+    seconds, mean, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0, 0.0
     # a sampled target may use an older sample; a stepped target sees it held
     if isinstance(source, Sampled) and isinstance(target, Sampled):
         sampled_later = in_one_call(source) and positions[connection.source] >= positions[connection.target]
-        seconds = _age(source, target, sampled_later)
+        seconds, mean = _ages(source, target, sampled_later)
     elif isinstance(source, Sampled):
         hold = source.sample_time
     # latency of the source itself
     latencies = source.latency if isinstance(source, HasLatency) else {}
     latency = latencies.get(source.variables[connection.output].name, 0.0)
-    return SignalDelay(system.describe(connection), seconds, coupling.transport, coupling.order, hold, latency)
+    return SignalDelay(system.describe(connection), seconds, coupling.transport, coupling.order, hold, latency, mean)
 
 
 COUNTED = 1000
 """Number of target instants compared; the pattern repeats within it, see `flexfmu.cosim.engine.master.grid`."""
 
 
-def _age(source: Slave, target: Slave, late: bool) -> float:
-    """Longest time between a sample of the target and the source's last sample before it [s].
+def _ages(source: Slave, target: Slave, late: bool) -> tuple[float, float]:
+    """Longest and mean time between a sample of the target and the source's last sample before it [s].
 
     Args:
         source, target: slaves that sample.
@@ -118,4 +122,7 @@ def _age(source: Slave, target: Slave, late: bool) -> float:
     period = source.sample_time
     since = np.mod(offset(target) - offset(source) + target.sample_time * np.arange(COUNTED), period) / period
     together = (since < ROUNDING) | (since > 1.0 - ROUNDING)
-    return period * float(np.where(together, 1.0 if late else 0.0, since).max())
+    ages = period * np.where(together, 1.0 if late else 0.0, since)
+    # the mean of whole patterns
+    pattern = Fraction(period / target.sample_time).limit_denominator(COUNTED).numerator
+    return float(ages.max()), float(ages[:pattern].mean())

@@ -181,18 +181,20 @@ def test_a_sampled_slave_that_feeds_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "target", "age"),
+    ("source", "target", "age", "mean"),
     [
-        ((0.2, 0.0), (0.2, 0.1), 0.1),
-        ((0.2, 0.1), (0.2, 0.0), 0.1),
-        ((0.1, 0.0), (0.2, 0.0), 0.0),
-        ((0.3, 0.0), (0.2, 0.0), 0.2),
+        ((0.2, 0.0), (0.2, 0.1), 0.1, 0.1),
+        ((0.2, 0.1), (0.2, 0.0), 0.1, 0.1),
+        ((0.1, 0.0), (0.2, 0.0), 0.0, 0.0),
+        ((0.3, 0.0), (0.2, 0.0), 0.2, 0.1),
+        ((0.4, 0.0), (0.1, 0.0), 0.3, 0.15),
     ],
 )
-def test_the_age_of_a_sample(source: tuple[float, float], target: tuple[float, float], age: float) -> None:
+def test_the_age_of_a_sample(source: tuple[float, float], target: tuple[float, float], age: float, mean: float) -> None:
     """A slave that samples between the samples of another reads what has been held since: the list of delays says how
-    long, at most."""
+    long, at most and on average."""
     slaves = [InTwoPhases("a", *source), InTwoPhases("b", *target)]
     (delay,) = simulate(connect(slaves, [("a.y", "b.u")]), 1.2, 0.1).delays
     assert delay.seconds == pytest.approx(age, abs=1e-12)
-    assert delay.average == delay.seconds
+    assert delay.average == pytest.approx(mean, abs=1e-12)
+    assert ("on average" in str(delay)) == (mean < age)

@@ -7,6 +7,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.feedforwards import counted_twice
 from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -90,3 +91,14 @@ def test_no_common_instants(robot: Scene) -> None:
         match=r"pd, second, which take the sum, aren't sampled at the same instants: give them one sample_time",
     ):
         loop_of(robot.replace({"controller": [GRAVITY, PD, FRICTION, second]}))
+
+
+def test_what_counts_twice_is_told(robot: Scene) -> None:
+    """The rigid torques have gravity and friction in them; without either in the scene nothing counts twice."""
+    whole = {"kind": "feedforward", "sample_time": 1e-3}
+    both = robot.replace({"controller": [PD, whole, GRAVITY, FRICTION], "effects.joint_friction.viscous": 1.0})
+    gravity, friction = counted_twice(both)
+    assert gravity.startswith("gravity counts twice: `feedforward` has it, and so does `gravity-feedforward`")
+    assert friction.startswith("friction counts twice")
+    assert counted_twice(both.replace({"effects.gravity": [0.0, 0.0], "effects.joint_friction.viscous": 0.0})) == []
+    assert counted_twice(robot.replace({"controller": [PD, GRAVITY, FRICTION]})) == []

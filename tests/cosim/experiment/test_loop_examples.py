@@ -122,9 +122,9 @@ def test_shaper_controlled(tmp_path: Path) -> None:
 
 def test_imperfection_actuator(tmp_path: Path) -> None:
     """A motor that can't do what it is told follows worse than an ideal one."""
-    ideal, saturated, limited, lagging = lines("imperfection_actuator.py", tmp_path)
+    ideal, saturated, limited, dead, lagging = lines("imperfection_actuator.py", tmp_path)
     assert value(saturated, "peak torque") == 80.0
-    for row in (saturated, limited, lagging):
+    for row in (saturated, limited, dead, lagging):
         assert value(row, "tracking error") > value(ideal, "tracking error")
 
 
@@ -137,10 +137,47 @@ def test_imperfection_sensor(tmp_path: Path) -> None:
 
 def test_imperfection_delay(tmp_path: Path) -> None:
     """The later the torque, the larger the error, until the loop is unstable; the run says so and goes on."""
-    rows = lines("imperfection_delay.py", tmp_path)
+    *rows, unknown, known = lines("imperfection_delay.py", tmp_path)
+    assert value(known, "tracking error") < 0.3 * value(unknown, "tracking error")
     errors = [value(row, "tracking error") for row in rows if "tracking" in row]
     assert errors == sorted(errors)
     assert "unstable" in rows[-1]
+
+
+def test_controller_gain_schedule(tmp_path: Path) -> None:
+    """Constant gains have the same margin everywhere; scheduled ones a smaller one where gains are larger."""
+    margins = [value(row, "gain margin") for row in lines("controller_gain_schedule.py", tmp_path)]
+    assert max(margins[:3]) < 1.05 * min(margins[:3])
+    assert margins[3] < margins[4] < margins[5]
+
+
+def test_controller_friction(tmp_path: Path) -> None:
+    """Friction is a good part of a slow motion's error; half a compensation takes half of it."""
+    without, reference, measured, half = (
+        value(row, "tracking error") for row in lines("controller_friction.py", tmp_path)
+    )
+    assert max(reference, measured) < half < without
+    assert reference < 0.6 * without
+
+
+def test_controller_flexible(tmp_path: Path) -> None:
+    """Each better model of the robot leaves the PD less."""
+    none, rigid, flexible = (value(row, "tracking error") for row in lines("controller_flexible.py", tmp_path))
+    assert flexible < 0.2 * rigid < 0.04 * none
+
+
+def test_controller_h_infinity(tmp_path: Path) -> None:
+    """More bandwidth costs robustness."""
+    _, slow, fast = (value(row, "disk margin") for row in lines("controller_h_infinity.py", tmp_path))
+    assert fast < slow < 1.0
+
+
+def test_filter_kinds(tmp_path: Path) -> None:
+    """A low-pass of the velocity costs delay margin; a setpoint filter doesn't, and makes the robot late."""
+    none, low, _, setpoint, _ = lines("filter_kinds.py", tmp_path)
+    assert value(low, "delay margin") < 0.8 * value(none, "delay margin")
+    assert value(setpoint, "delay margin") == value(none, "delay margin")
+    assert value(setpoint, "tracking error") > 20.0 * value(none, "tracking error")
 
 
 def test_disturbances(tmp_path: Path) -> None:
@@ -180,7 +217,7 @@ def test_export_slaves(tmp_path: Path) -> None:
 def test_all_examples_of_loops_are_tested() -> None:
     """An example that nobody runs would rot."""
     tested = Path(__file__).read_text(encoding="utf-8")
-    prefixes = ("controller_", "shaper_", "imperfection_", "custom_", "export_")
+    prefixes = ("controller_", "shaper_", "imperfection_", "custom_", "export_", "filter_kinds")
     mine = [path.name for path in EXAMPLES.glob("*.py") if path.name.startswith(prefixes)]
     assert mine
     assert all(f'"{name}"' in tested for name in mine)

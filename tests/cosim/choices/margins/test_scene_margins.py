@@ -147,6 +147,11 @@ def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
     warning = stability_warning(flexfmu.run(scene.replace({"controller": [near]})))
     assert warning is not None
     assert "with torques 5.3 % larger it is unstable" in warning
+    beyond = {**PD, "proportional": 1.25 * critical * 1e4, "derivative": 1.25 * critical * 60.0}
+    warning = stability_warning(flexfmu.run(scene.replace({"controller": [beyond]})))
+    assert warning is not None
+    assert "small motions grow tenfold in" in warning
+    assert "with torques 20 % smaller it is stable" in warning
 
 
 def command(tmp_path: Path, *options: str) -> Result:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 import flexfmu
+from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.filters import Section, biquad, filter_block, high_pass, lead_lag, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel
@@ -155,3 +156,30 @@ def test_filters_stand_behind_encoders_and_before_lags() -> None:
     assert "smooth.joint1.torque -> lag.joint1.torque.input" in ends
     assert "encoder.joint1.velocity -> speed.joint1.velocity.input" in ends
     assert "speed.joint1.velocity -> pd.joint1.velocity" in ends
+
+
+@pytest.mark.parametrize(
+    "sections", [low_pass(60.0, 1), low_pass(60.0, 3), high_pass(60.0, 1), lead_lag(30.0, 120.0), biquad([1.0], [2.0])]
+)
+def test_sections_of_first_order_stay_of_first_order(sections: list[Section]) -> None:
+    """No pole at z = -1, which a zero would cancel but for rounding: all poles are inside the unit circle."""
+    for each in sections:
+        _, a = each.discrete(H)
+        assert abs(np.roots([1.0, *a])).max() < 0.99
+
+
+def test_filters_of_odd_order_keep_margins_finite() -> None:
+    """A filter far above the crossover changes the margins little; its poles aren't those of the loop's instability."""
+    plain = scene_margins(scene(), poses=1).worst.gain_margin
+    for filters in (
+        {"kind": "low-pass", "frequency": 450.0, "order": 1},
+        {"kind": "lead-lag", "zero": 400.0, "pole": 410.0},
+    ):
+        found = scene_margins(scene(**filters), poses=1).worst.gain_margin
+        assert 0.5 * plain < found < 1.1 * plain
+
+
+@pytest.mark.parametrize(("numerator", "denominator"), [([1.0, 0.0, 1.0], [1.0, 1.0]), ([1.0, 0.0], [2.0])])
+def test_an_improper_filter_is_refused(numerator: list[float], denominator: list[float]) -> None:
+    with pytest.raises(InputError, match="isn't proper"):
+        filter_block([Channel("x")], biquad(numerator, denominator), sample_time=H)

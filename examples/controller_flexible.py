@@ -1,0 +1,17 @@
+"""Torques of the rigid robot and of the flexible one as feedforward: what a PD controller is left with.
+
+python controller_flexible.py
+"""
+
+from flexfmu import load_scene, run
+
+robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+pd = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+
+for what, feedforward in {
+    "none": [],
+    "rigid": [{"kind": "feedforward", "sample_time": 1e-3}],
+    "flexible": [{"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3}],
+}.items():
+    metrics = run(robot.replace({"controller": [pd, *feedforward]})).metrics
+    print(f"feedforward: {what:9}   RMS tracking error {1e6 * metrics.rms_tracking_error_1:8.1f} µrad")

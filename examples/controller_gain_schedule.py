@@ -1,0 +1,22 @@
+"""Gains that follow the pose: a PD whose proportional gain is scheduled over the angle of joint 1, against constant gains.
+
+python controller_gain_schedule.py
+"""
+
+from flexfmu import load_scene, margins
+
+robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+pd = {"kind": "pd", "proportional": 8e3, "derivative": 80.0, "sample_time": 1e-3}
+# factors of the gains at three angles of joint 1 [rad], linear between them
+schedule = {
+    "over": "joint1.position",
+    "at": [2.0, 2.6, 3.2],
+    "proportional": [0.6, 1.0, 1.6],
+    "derivative": [0.8, 1.0, 1.2],
+}
+
+for what, controller in {"constant gains": pd, "scheduled gains": {**pd, "schedule": schedule}}.items():
+    rows = margins(robot.replace({"controller": [controller]}), poses=3).rows()
+    for s in (0.0, 0.5, 1.0):
+        least = min(row["gain_margin"] for row in rows if row["s"] == s)
+        print(f"{what:16}   s = {s:.1f}   gain margin {least:5.2f}")
