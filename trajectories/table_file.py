@@ -1,4 +1,4 @@
-"""Motions from CSV files.
+"""Motions and single signals from CSV files.
 
 One header line names the columns, in SI units; a unit in brackets may follow a name, as in ``x [m]``. Other columns are ignored,
 lines that begin with # too. Columns are separated by commas, semicolons or tabs.
@@ -23,6 +23,9 @@ from flexfmu.trajectories.table import COLUMNS, UNITS, MotionTable
 _KINDS = ("position", "velocity", "acceleration")
 MEASURED = re.compile(r"joint[12]\.\w+")
 """Signals of results that are measured, not references."""
+
+_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]")
+"""A column's name and its unit in brackets."""
 
 ALIASES: Mapping[str, str] = {
     "t": "time",
@@ -123,6 +126,64 @@ def _read(file: Path, coordinates: Coordinates | None, changed: int, size: int) 
     return table
 
 
+def read_signal(path: str | Path, column: str, unit: str) -> tuple[RealArray, RealArray]:
+    """Read one signal over time from a CSV file; see the top of this module.
+
+    Args:
+        path: the file, with a column ``time`` or ``t``.
+        column: name of the signal's column.
+        unit: its unit, which the header may state; empty for any.
+
+    Returns:
+        Times (N,) [s], ascending, and values (N,).
+
+    Raises:
+        TrajectoryError: the file can't be read, a column is missing or in another unit, times don't ascend, or a value isn't
+            finite; the message names file, line, column and value.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise TrajectoryError(f"can't read {file}: {reason}") from None
+    rows = _rows(text)
+    line, header = next(rows, (1, []))
+    places = [
+        _place(header, names, unit, f"{file}, line {line}") for names, unit in ((("time", "t"), "s"), ((column,), unit))
+    ]
+    found, before = list[list[float]](), -math.inf
+    for line, row in rows:
+        if len(row) != len(header):
+            raise TrajectoryError(
+                f"{file}, line {line}: {len(row)} values for {len(header)} columns; give one for each"
+            )
+        found.append([_number(row[place], f"{file}, line {line}, column {header[place]}") for place in places])
+        if found[-1][0] <= before:
+            raise TrajectoryError(f"{file}, line {line}: {found[-1][0]} s comes after {before} s; times have to ascend")
+        before = found[-1][0]
+    if not found:
+        raise TrajectoryError(f"{file} has no rows below its header")
+    times, values = np.array(found).T
+    return times, values
+
+
+def _place(header: Sequence[str], names: Sequence[str], unit: str, where: str) -> int:
+    """Where a column with one of these names is.
+
+    Raises:
+        TrajectoryError: there is none, or it is in another unit.
+    """
+    for place, each in enumerate(header):
+        found = _HEADER.fullmatch(each)
+        name, stated = (found["name"], _plain(found["unit"])) if found else (each, unit)
+        if each in names or name in names:
+            if unit and each not in names and stated != unit:
+                raise TrajectoryError(f"{where}: column {name} is in {stated}; convert it to {unit}")
+            return place
+    raise TrajectoryError(f"{where}: there is no column {names[0]} [{unit}]; columns: {', '.join(header)}")
+
+
 def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
     """Number and cells of each line that is neither empty nor a comment."""
     lines = text.splitlines()
@@ -139,17 +200,22 @@ def _column(header: str, where: str) -> str:
     Raises:
         TrajectoryError: a known column has another unit.
     """
-    found = re.fullmatch(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]", header)
+    found = _HEADER.fullmatch(header)
     name, unit = (found["name"], found["unit"].strip()) if found else (header, None)
     name = ALIASES.get(name, name)
     expected = _UNITS.get(name)
     if expected is None:
         return header
-    if unit is not None and unit.replace("^", "").replace("²", "2").replace("³", "3") != expected:
+    if unit is not None and _plain(unit) != expected:
         raise TrajectoryError(
             f"{where}: column {name} is in {unit}; convert it to {expected}, all columns are in SI units"
         )
     return name
+
+
+def _plain(unit: str) -> str:
+    """A unit with powers as plain digits."""
+    return unit.strip().replace("^", "").replace("²", "2").replace("³", "3")
 
 
 def _chosen(names: Sequence[str], wanted: Coordinates | None, where: str) -> Coordinates:

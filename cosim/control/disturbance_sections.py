@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.formats.csv_table import read_csv
-from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.scene.disturbances import (
     PAYLOAD,
     BandNoiseSection,
@@ -19,20 +15,8 @@ from flexfmu.model.scene.disturbances import (
     StepSection,
 )
 from flexfmu.model.symbolic import SymbolicBlock
-
-
-def _column(section: CsvSection) -> tuple[RealArray, RealArray]:
-    """Times [s] and scaled values of a section's file.
-
-    Raises:
-        ResultsError: the file can't be read.
-        InputError: it has no such column.
-    """
-    times, columns = read_csv(Path(section.file))
-    wanted = section.column or section.signal
-    if wanted not in columns:
-        raise InputError(f"{section.file} has no column {wanted!r}: give `column`; columns: {', '.join(columns)}")
-    return times, section.scale * columns[wanted].values
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.table_file import read_signal
 
 
 @builds(PulseSection)
@@ -78,11 +62,16 @@ def _noise(section: BandNoiseSection, context: LoopContext) -> SymbolicBlock:
 
 @builds(CsvSection)
 def _csv(section: CsvSection, context: LoopContext) -> SymbolicBlock:
-    times, values = _column(section)
+    # scaled values may be in any unit
+    unit = ("N" if section.signal.startswith("force.") else "N.m") if section.scale == 1.0 else ""
+    try:
+        times, values = read_signal(section.file, section.column or section.signal, unit)
+    except TrajectoryError as error:
+        raise InputError(f"[[disturbance]] csv: {error}") from None
     return table(
         section.signal,
         times,
-        values,
+        section.scale * values,
         sample_time=section.sample_time or context.sample_time,
         start=section.start,
         duration=section.duration,

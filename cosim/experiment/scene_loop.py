@@ -50,7 +50,7 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | No
     before = [each for each in scene.filter if each.signal == "torque"]
     after = [each for each in scene.filter if each.signal != "torque"]
     imperfections = [builder.imperfection(each, controllers) for each in (*before, *scene.imperfection, *after)]
-    disturbances = [builder.disturbance(each) for each in scene.disturbance]
+    disturbances = [builder.disturbance(each, course.motion.stop_time) for each in scene.disturbance]
     return close_loop(course, controllers, imperfections, builder.connect, names, disturbances)
 
 
@@ -116,9 +116,18 @@ class _Builder:
             return error
         return self.slave(section, self._planned, sample_time)
 
-    def disturbance(self, section: Any) -> Slave:
-        """The disturbance of a section; its default sample time is the communication step."""
+    def disturbance(self, section: Any, stop_time: float) -> Slave:
+        """The disturbance of a section; its default sample time is the communication step.
+
+        Raises:
+            InputError: it begins when the run ends [s], or later.
+        """
         name = self._names.chosen(section.name, f"{section.kind}_disturbance")
+        if section.begin >= stop_time:
+            raise InputError(
+                f"{name} begins at {section.begin:g} s, but the run ends at {stop_time:g} s: let it begin earlier, or give the "
+                f"motion a longer `trajectory.dwell`"
+            )
         slave: Slave = self._built(section, self._planned, name, self._scene.cosimulation.communication_step)
         return slave
 

@@ -26,6 +26,11 @@ class DisturbanceSection(Section):
     start: SecondsOrZero = 0.0
     duration: Annotated[Positive | None, quantity("s")] = None
 
+    @property
+    def begin(self) -> float:
+        """First instant [s]."""
+        return self.start
+
 
 class StepSection(DisturbanceSection):
     """A step by `amplitude` at `start`; a pulse with a `duration`. Both instants are exact."""
@@ -102,6 +107,11 @@ class PayloadChangeSection(Section):
     mass: Annotated[Positive | None, quantity("kg")] = None
     picked_up: Annotated[NotNegative | None, quantity("s")] = None
     dropped: Annotated[NotNegative | None, quantity("s")] = None
+
+    @property
+    def begin(self) -> float:
+        """First instant [s]."""
+        return self.picked_up if self.picked_up is not None else self.dropped or 0.0
 
     @model_validator(mode="after")
     def _instants_fit(self) -> Self:

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
+from flexfmu.model.scene.keys import GAINS
+
 
 def listed(names: Any) -> str:
     """The names in backquotes, separated by commas."""
@@ -27,7 +29,7 @@ def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
         return f"`{key}` is missing: add it{remedy}"
     if kind == "extra_forbidden":
         known = list(model.model_fields) if model is not None else []
-        close = difflib.get_close_matches(keys[-1], known, n=1)
+        close = [GAINS[keys[-1]]] if GAINS.get(keys[-1]) in known else difflib.get_close_matches(keys[-1], known, n=1)
         remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
         return f"`{key}` is not a known key: {remedy}"
     # message of one of the project's validators

@@ -15,6 +15,7 @@ from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.rigid_inertia import load_mass_matrix
 from flexfmu.model.scene.errors import SceneError
@@ -250,14 +251,52 @@ def test_a_motion_driven_robot_takes_no_disturbance() -> None:
 
 
 def test_csv_needs_its_column(tmp_path: Path) -> None:
-    """A missing file and a missing column are told by name."""
+    """A missing file, a missing column, another unit and a wrong value are told by name, line and column."""
     file = tmp_path / "force.csv"
     scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque"})
-    for text, message in (("", "can't read"), ("time,f\n0,1\n1,2\n", "column 'force.x'")):
+    for text, message in (
+        ("", "can't read"),
+        ("time,f\n0,1\n1,2\n", r"line 1: there is no column force\.x \[N\]"),
+        ("time,force.x [kN]\n0,1\n", r"column force\.x is in kN; convert it to N"),
+        ("time [ms],force.x\n0,1\n", r"column time is in ms; convert it to s"),
+        ("time;force.x\n0;1\n0.1;nan\n", r"line 3, column force\.x: 'nan' is not a finite number"),
+        ("time,force.x\n0.2,1\n0.1,1\n", r"line 3: 0\.1 s comes after 0\.2 s"),
+    ):
         if text:
             file.write_text(text)
         with pytest.raises(CosimError, match=message):
             run_scene(scene.replace({"disturbance": [{"kind": "csv", "signal": "force.x", "file": str(file)}]}))
+
+
+def test_a_csv_file_may_have_units_and_semicolons(tmp_path: Path) -> None:
+    """As those of motions and logs; with a scale any unit is allowed."""
+    file = tmp_path / "force.csv"
+    section = {"kind": "csv", "signal": "force.x", "file": str(file), "sample_time": 1e-3}
+    found = []
+    for text, scale in (
+        ("time,force.x\n0.001,2\n0.003,4\n", 1.0),
+        ("# a log\nt [s];other;force.x [N]\n0.001;7;2\n0.003;7;4\n", 1.0),
+        ("time\tforce.x [kN]\n0.001\t0.002\n0.003\t0.004\n", 1000.0),
+    ):
+        file.write_text(text)
+        scene = load_scene("barnard2012-6kg").replace(
+            {"cosimulation.drive": "torque", "disturbance": [{**section, "scale": scale}]}
+        )
+        (slave,) = loop_of(scene).disturbances
+        assert isinstance(slave, BlockSlave)
+        found.append(samples(slave.block, 6)[1])
+    np.testing.assert_allclose(found, [[0.0, 2.0, 3.0, 4.0, 0.0, 0.0]] * 3, **TIGHT)
+
+
+def test_a_disturbance_that_never_acts_is_refused() -> None:
+    """It would be a value that nobody takes."""
+    scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque"})
+    for section in (
+        {"kind": "step", "signal": "force.x", "amplitude": 1.0, "start": 5.0},
+        {"kind": "payload", "mass": 1.0, "picked_up": 5.0},
+    ):
+        with pytest.raises(InputError, match=r"_disturbance begins at 5 s, but the run ends at 0\.\d+ s"):
+            loop_of(scene.replace({"disturbance": [section]}))
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

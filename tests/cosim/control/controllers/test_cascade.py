@@ -346,14 +346,20 @@ def test_loops_of_a_scene(robot: Any) -> None:
 def test_filters_have_the_clock_of_the_loop_that_exchanges_their_signal(robot: Any) -> None:
     """Positions and references that of the position loop, velocities and encoders that of the velocity loop, torques the current loop's."""
     tables = [
-        {"kind": "low-pass", "frequency": 100.0, "signal": each}
+        {"kind": "low-pass", "frequency": 100.0, "signal": each, "name": f"of_{each}"}
         for each in ("position", "reference", "velocity", "torque")
     ]
     scene = robot.replace(
         {"controller": [LOOPS], "filter": tables, "imperfection": [{"kind": "encoder", "counts_per_turn": 1e5}]}
     )
     found = {each.slave.name: each.slave.sample_time for each in loop_of(scene).inline_blocks}  # type: ignore[attr-defined]
-    expected = {"position": 1e-3, "reference": 1e-3, "velocity": 2.5e-4, "torque": 6.25e-5, "encoder": 2.5e-4}
+    expected = {
+        "of_position": 1e-3,
+        "of_reference": 1e-3,
+        "of_velocity": 2.5e-4,
+        "of_torque": 6.25e-5,
+        "encoder": 2.5e-4,
+    }
     assert found == expected
 
 
