@@ -115,7 +115,7 @@ def compare(
         _print(found, out)
     failed = [run for run in found.runs if run.failure]
     for run in failed:
-        show_note(f"{run.name} failed: {run.failure}")
+        show_note(f"{run.name}{'' if run.metrics else ' failed'}: {run.failure}")
     return FAILURE if failed else 0
 
 
@@ -127,7 +127,7 @@ def _print(found: Comparison, out: Path | None) -> None:
     from flexfmu.cosim.studies.compare.comparison import POORLY, delay_text
 
     parts: list[RenderableType] = [table for table in [_metrics_table(found)] if table is not None]
-    parts += [_as_rich(table) for table in loop_tables([run for run in found.runs if not run.failure])]
+    parts += [_as_rich(table) for table in loop_tables([run for run in found.runs if run.metrics or not run.failure])]
     measured = found.measured
     if measured is not None:
         parts += [_difference_table(name, measured) for name in measured.differences]

@@ -129,7 +129,7 @@ def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
         yield _band_table(runs)
     if any(run.failure for run in runs):
         rows = [[run.name, run.failure] for run in runs if run.failure]
-        yield Table("Failed", ["Run", "Why"], rows)
+        yield Table("Unstable or failed", ["Run", "Why"], rows)
 
 
 def _figures_table(names: Sequence[str], runs: Sequence[ComparedRun]) -> Table:

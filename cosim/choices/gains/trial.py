@@ -160,17 +160,22 @@ class Study:
         return (0, value) if excess <= 0.0 else (1, excess)
 
 
+class UnstableLoopError(InputError):
+    """The loop of a scene is unstable about a pose of its path."""
+
+
 def loop_margins(scene: Scene, poses: int) -> dict[str, float | None]:
     """Return the worst margins of a scene's loop along its path.
 
     Raises:
-        InputError: the loop is unstable about a pose, or can't be linearised.
+        UnstableLoopError: the loop is unstable about a pose.
+        InputError: it can't be linearised.
         TrajectoryError, EquilibriumError: as for `flexfmu.margins`.
     """
     found = scene_margins(scene, poses=poses)
     for pose in found.poses:
         if not pose.is_stable:
-            raise InputError(f"the loop is unstable about the pose at {100.0 * pose.s:.0f} % of the path")
+            raise UnstableLoopError(f"the loop is unstable about the pose at {100.0 * pose.s:.0f} % of the path")
     return {name: float(getattr(found.worst, name)) for name in MARGINS}
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
-from flexfmu.cosim.choices.gains.trial import POSES, loop_margins
+from flexfmu.cosim.choices.gains.trial import POSES, UnstableLoopError, loop_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
@@ -77,7 +77,7 @@ def compared_runs(
             number += 1
             name = f"{run.name} ({number})"
         found.append(replace(run, name=name))
-    failed = [run for run in found if run.failure]
+    failed = [run for run in found if run.failure and not run.metrics]
     if len(failed) == len(found):
         raise ResultsError(f"{failed[0].name} can't be compared, since its run failed: {failed[0].failure}")
     return found
@@ -158,7 +158,8 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
     loop: dict[str, float | None] = {"cpu_time": taken}
     if reason := failure_of(run):
         return ComparedRun(scene.name, run.recording, {}, run.plan.duration, loop=loop, failure=reason)
-    found = replace(_measured(run), loop=loop | _margins(scene))
+    margins, reason = _margins(scene)
+    found = replace(_measured(run), loop=loop | margins, failure=reason)
     if band is None:
         return found
     names = [name for name in BAND_METRICS if name in found.metrics]
@@ -167,15 +168,17 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
     return replace(found, band=worst)
 
 
-def _margins(scene: Scene) -> dict[str, float | None]:
-    """The margins of a scene's loop; none without a loop, and where it can't be linearised or is unstable about a pose."""
+def _margins(scene: Scene) -> tuple[dict[str, float | None], str]:
+    """The margins of a scene's loop, and a message if it is unstable about a pose; none without a loop, and where it can't be linearised."""
     if scene.cosimulation.drive != "torque" or not scene.controller:
-        return {}
+        return {}, ""
     try:
         found = loop_margins(scene, POSES)
+    except UnstableLoopError as error:
+        return {}, str(error)
     except (CosimError, TrajectoryError, EquilibriumError):
-        return {}
-    return {name: value if value is not None and isfinite(value) else None for name, value in found.items()}
+        return {}, ""
+    return {name: value if value is not None and isfinite(value) else None for name, value in found.items()}, ""
 
 
 def _measured(run: Run) -> ComparedRun:

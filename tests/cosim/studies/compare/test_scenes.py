@@ -80,6 +80,16 @@ def test_an_unstable_loop_has_a_message_and_the_others_their_figures(found: Comp
         flexfmu.compare(WILD)
 
 
+@pytest.mark.slow
+def test_an_unstable_loop_that_reaches_its_end_has_metrics_and_a_message(found: Comparison) -> None:
+    """Its oscillation is still small, its margins say that it grows."""
+    beyond = 1.01 * (found.runs[0].loop["gain_margin"] or 0.0)
+    nearly = SCENE.replace({"name": "nearly", "pd.kp": 5e3 * beyond, "pd.kd": 100.0 * beyond})
+    (run,) = flexfmu.compare(nearly).runs
+    assert run.metrics
+    assert run.failure.startswith("the loop is unstable about the pose at")
+
+
 def command(*arguments: object) -> Result:
     """Run `flexfmu compare`."""
     return CliRunner().invoke(app, ["compare", *map(str, arguments)])
