@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flexfmu.cosim.choices.margins.identified import identified_block
 from flexfmu.cosim.choices.margins.linear_blocks import LinearBlock, linear_block
 from flexfmu.cosim.choices.margins.linear_loop import Continuous, LinearLoop
+from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.lag import Lag
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.dependencies import Connection
@@ -87,14 +89,19 @@ class WiredLoop:
         taken = {each.output for each in self.system.connections if slaves[each.source].name == PLANT}
         return [slaves[1].variables[i].name for i in sorted(taken)]
 
-    def at(self, position: tuple[float, float]) -> tuple[LinearLoop, tuple[str, ...]]:
+    def at(self, position: tuple[float, float], identify: bool = True) -> tuple[LinearLoop, tuple[str, ...]]:
         """The linear loop about the equilibrium at a place of the end effector [m], and the names of its channels.
+
+        Args:
+            position: the place.
+            identify: whether Python functions and FMUs are called to find their linear blocks.
 
         Raises:
             InputError: a slave can't be linearised, or the loop isn't closed.
             ValueError, EquilibriumError: see `linear_plant`.
         """
-        return _Linearised(self.system, kept_plant(self._scene, position, self.measured), self.sampled).loop()
+        plant = kept_plant(self._scene, position, self.measured)
+        return _Linearised(self.system, plant, self.sampled, identify).loop()
 
 
 def _robot(scene: Scene) -> Robot:
@@ -130,10 +137,10 @@ def _of_the_robot(scene: Scene, parameters: Mapping[str, float]) -> Scene:
 
 
 class _Linearised:
-    """Puts the linear loop together; arguments: the system, the robot's matrices, indices of the sampled slaves."""
+    """Puts the linear loop together; arguments: the system, the robot's matrices, indices of the sampled slaves, and as for `at`."""
 
-    def __init__(self, system: System, plant: LinearPlant, sampled: list[int]) -> None:
-        self._system, self._plant, self._sampled = system, plant, sampled
+    def __init__(self, system: System, plant: LinearPlant, sampled: list[int], identify: bool) -> None:
+        self._system, self._plant, self._sampled, self._identify = system, plant, sampled, identify
         self._feeding: dict[tuple[int, str], Connection] = {
             (each.target, system.slaves[each.target].variables[each.input].name): each for each in system.connections
         }
@@ -178,7 +185,8 @@ class _Linearised:
             names = _names(slave, "input")
             at_rest = np.array([self._value(values, i, name) for name in names])
             if i in self._sampled:
-                found[i], outputs = linear_block(slave, at_rest)
+                linearise = linear_block if isinstance(slave, BlockSlave) or not self._identify else identified_block
+                found[i], outputs = linearise(slave, at_rest)
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
             elif isinstance(slave, Lag):
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))

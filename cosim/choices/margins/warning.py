@@ -37,7 +37,7 @@ def stability_warning(run: Run) -> str | None:
         if not run.completed and any(getattr(each, "has_foreign_code", False) for each in loop.controllers):
             return None
         x, y = run.plan.once.task.evaluate([run.plan.once.duration], 0, "left")[0, 0].tolist()
-        linear, _ = WiredLoop(scene, loop, FmuSlave(run.fmu_path, PLANT, {}, None)).at((x, y))
+        linear, _ = WiredLoop(scene, loop, FmuSlave(run.fmu_path, PLANT, {}, None)).at((x, y), identify=False)
         return _sentence(linear)
     except (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueError):
         return None
