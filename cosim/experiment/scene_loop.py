@@ -13,7 +13,7 @@ from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
-from flexfmu.model.scene.controllers import LearningSection
+from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection, SampledSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
 from flexfmu.model.scene.schema import Scene
@@ -23,13 +23,21 @@ if TYPE_CHECKING:
     from flexfmu.cosim.control.shapers import Shaper
 
 
-def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | None = None) -> Loop:
+COMPENSATING = ("computed-torque", "disturbance-observer", "feedforward", "friction-compensation")
+"""Kinds of controllers with a model of the joints' friction; designs from a linear model aren't among them."""
+
+
+def loop_of(
+    scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | None = None, *, about_rest: bool = False
+) -> Loop:
     """Build the loop of a scene.
 
     Args:
         scene: the scene.
         motion: motion instead of the scene's own with its shapers and cycles.
         own: motion in place of that along the scene's path, to which shapers and cycles apply.
+        about_rest: whether the loop is for small motions about standstill: controllers compensate no Coulomb friction, and none
+            learns from cycle to cycle.
 
     Raises:
         InputError: a slave can't be made or connected.
@@ -42,10 +50,11 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | No
     if not (scene.controller or shapers or scene.imperfection or scene.filter or scene.disturbance or with_cycles):
         return Loop(planned, planned.joints)
     names = SlaveNames()
-    builder = _Builder(scene, planned, names)
+    builder = _Builder(scene, planned, names, about_rest)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
     course = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
-    controllers = [slave for each in scene.controller for slave in builder.slaves(each, course.motion)]
+    sections = [each for each in scene.controller if not (about_rest and isinstance(each, LearningSection))]
+    controllers = [slave for each in sections for slave in builder.slaves(each, course.motion)]
     # torques are filtered before they meet imperfections, measurements and references after that
     before = [each for each in scene.filter if each.signal == "torque"]
     after = [each for each in scene.filter if each.signal != "torque"]
@@ -87,13 +96,14 @@ class _Builder:
         scene: the scene.
         planned: its planned motion, before shapers.
         names: assigns unique names.
+        about_rest: see `loop_of`.
 
     Attributes:
         connect: ``slave.input`` → source, from the sections built so far.
     """
 
-    def __init__(self, scene: Scene, planned: MotionPlan, names: SlaveNames) -> None:
-        self._scene, self._planned, self._names = scene, planned, names
+    def __init__(self, scene: Scene, planned: MotionPlan, names: SlaveNames, about_rest: bool) -> None:
+        self._scene, self._planned, self._names, self._about_rest = scene, planned, names, about_rest
         self._holding_torques: Sequence[float] | None = None
         self.connect: dict[str, str] = {}
 
@@ -189,8 +199,11 @@ class _Builder:
         from flexfmu.cosim.control.sections import LoopContext, build
 
         period = None if motion.repetition is None else motion.repetition.period
+        assumed = motion.scene.model_copy(update={"disturbance": ()})
+        if self._about_rest and isinstance(section, SampledSection) and section.kind in COMPENSATING:
+            assumed, section = _without_coulomb(assumed, section)
         context = LoopContext(
-            motion.scene.model_copy(update={"disturbance": ()}),
+            assumed,
             motion.along_path,
             self._planned.joints,
             motion.joints,
@@ -210,6 +223,15 @@ class _Builder:
         if self._holding_torques is None:
             self._holding_torques = tuple(holding_torques(self._scene).values())
         return self._holding_torques
+
+
+def _without_coulomb(scene: Scene, section: Any) -> tuple[Scene, Any]:
+    """A scene and a controller's section without Coulomb friction."""
+    if scene.effects.joint_friction.coulomb:
+        scene = scene.replace({"effects.joint_friction.coulomb": 0.0})
+    if isinstance(section, FrictionCompensationSection):
+        section = section.model_copy(update={"coulomb": (0.0, 0.0)})
+    return scene, section
 
 
 def _rate(signal: str, controllers: Sequence[Slave]) -> float:

@@ -1,16 +1,17 @@
 """Linearises what samples in a loop: blocks by exact derivatives of their equations at the operating point.
 
-Rounding (quantisers, encoders), dead zones and backlash count as identity. Limits that aren't reached have no influence. Only states that inputs reach
-count: those of random numbers have none. Functions in C have finite differences.
+Rounding (quantisers, encoders), dead zones and backlash count as identity. Limits that aren't reached have no influence. Random coefficients count with
+their mean. Only states count that inputs reach and that reach outputs. Functions in C have finite differences.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.errors import InputError
@@ -20,6 +21,9 @@ from flexfmu.trajectories.jets import RealArray
 
 LARGE = 1e9
 """Change of an input, in its unit, for which dead zones and backlash don't matter."""
+
+AVERAGED = 5000
+"""Samples over which random coefficients, as of jitter, are averaged."""
 
 SAMPLES = 20
 """Samples after which the states of a block count as those of the operating point: memories are filled."""
@@ -35,6 +39,11 @@ class LinearBlock:
     d: RealArray
     sample_time: float
     offset: float
+
+    def within(self, inputs: NDArray[np.bool_], outputs: NDArray[np.bool_]) -> LinearBlock:
+        """The block without the states that none of these inputs (m,) reaches, or that reach none of these outputs (k,)."""
+        kept = sorted({*_reached(self.a, self.b[:, inputs])} & {*_reached(self.a.T, self.c[outputs].T)})
+        return replace(self, a=self.a[np.ix_(kept, kept)], b=self.b[kept], c=self.c[:, kept])
 
 
 def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArray]:
@@ -55,7 +64,7 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
     states, parameters = np.array(block.states), [each.start or 0.0 for each in block.parameters]
     for _ in range(SAMPLES):
         states = np.asarray(block.update(states, inputs, parameters).full())[:, 0]
-    a, b, c, d = (np.asarray(each.full()) for each in _jacobians(block)(states, inputs, parameters))
+    a, b, c, d = _derivatives(block, states, inputs, parameters)
     if len(inputs) and not (b.any() or d.any()):
         # dead zones and backlash: the gain for large signals, which all pass
         a, b, c, d = (
@@ -64,14 +73,34 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
             np.zeros((len(block.outputs), 0)),
             _gain(block, inputs),
         )
-    # what inputs don't reach, and what doesn't reach outputs, isn't part of a loop
-    reached = sorted({*_reached(a, b)} & {*_reached(a.T, c.T)})
     outputs = np.asarray(block.output(states, inputs, parameters).full())[:, 0]
-    linear = LinearBlock(a[np.ix_(reached, reached)], b[reached], c[:, reached], d, block.sample_time, block.offset)
+    linear = LinearBlock(a, b, c, d, block.sample_time, block.offset)
+    linear = linear.within(np.ones(len(inputs), bool), np.ones(len(outputs), bool))
     for matrix in (linear.a, linear.b, linear.c, linear.d):
         if not np.isfinite(matrix).all():
             raise InputError(f"{slave.name} has no finite derivatives at its operating point")
     return linear, outputs
+
+
+def _derivatives(
+    block: SymbolicBlock, states: RealArray, inputs: RealArray, parameters: list[float]
+) -> tuple[RealArray, RealArray, RealArray, RealArray]:
+    """A, B, C, D at a point; of a block with random numbers, which no input reaches, their mean over many samples."""
+    jacobians = _jacobians(block)
+    found = [np.asarray(each.full()) for each in jacobians(states, inputs, parameters)]
+    if not len(inputs) or len(_reached(*found[:2])) == len(states):
+        return found[0], found[1], found[2], found[3]
+    # states that go their own way, sample after sample
+    update = casadi.Function("update", [x := casadi.MX.sym("x", len(states))], [block.update(x, inputs, parameters)])
+    course = np.hstack([states[:, np.newaxis], np.asarray(update.mapaccum(AVERAGED)(states).full())])
+    several = jacobians.map(AVERAGED + 1)(
+        course, casadi.repmat(inputs, 1, AVERAGED + 1), casadi.repmat(parameters, 1, AVERAGED + 1)
+    )
+    a, b, c, d = (
+        np.asarray(many.full()).reshape(len(one), AVERAGED + 1, -1).mean(axis=1)
+        for many, one in zip(several, found, strict=True)
+    )
+    return a, b, c, d
 
 
 def _gain(block: SymbolicBlock, inputs: RealArray) -> RealArray:
@@ -93,12 +122,16 @@ def _jacobians(block: SymbolicBlock) -> casadi.Function:
     is_scalar = len(scalar) == 2
     symbol: Any = casadi.SX if is_scalar else casadi.MX
     x, u, p = (symbol.sym(name, size) for name, size in zip("xup", sizes, strict=True))
+    errors: list[tuple[Any, Any]] = []
     if is_scalar:
-        following, output = (_without_rounding(each, [x, u, p]) for each in scalar)
+        following, output = (_without_rounding(each, [x, u, p], errors) for each in scalar)
     else:
         following, output = (each.call([x, u, p])[0] for each in (block.update, block.output))
     pairs = ((following, x), (following, u), (output, x), (output, u))
-    return casadi.Function("jacobians", [x, u, p], [casadi.densify(casadi.jacobian(y, z)) for y, z in pairs])
+    found = [casadi.densify(casadi.jacobian(y, z)) for y, z in pairs]
+    if errors:
+        found = casadi.substitute(found, [each for each, _ in errors], [value for _, value in errors])
+    return casadi.Function("jacobians", [x, u, p], found)
 
 
 def _scalar(function: casadi.Function) -> casadi.Function | None:
@@ -112,24 +145,29 @@ def _scalar(function: casadi.Function) -> casadi.Function | None:
     return None if casadi.OP_CALL in kinds else function
 
 
-def _without_rounding(function: casadi.Function, arguments: list[Any]) -> Any:
-    """The result of a function of scalar operations for symbols, with the identity for each rounding."""
+def _without_rounding(function: casadi.Function, arguments: list[Any], errors: list[tuple[Any, Any]]) -> Any:
+    """The result of a function of scalar operations for symbols, whose roundings have the derivative of the identity.
+
+    Each rounding adds a symbol for its error, and the error's value, to ``errors``: derivatives see a constant.
+    """
     work: list[Any] = [casadi.SX(0)] * function.sz_w()
+    true = list(work)
     result = casadi.SX.zeros(function.numel_out(0))
     for k in range(function.n_instructions()):
         kind, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if kind == casadi.OP_INPUT:
-            work[given[0]] = arguments[taken[0]][taken[1]]
+            work[given[0]] = true[given[0]] = arguments[taken[0]][taken[1]]
         elif kind == casadi.OP_CONST:
-            work[given[0]] = casadi.SX(function.instruction_constant(k))
+            work[given[0]] = true[given[0]] = casadi.SX(function.instruction_constant(k))
         elif kind == casadi.OP_OUTPUT:
             result[given[1]] = work[taken[0]]
         elif kind in (casadi.OP_FLOOR, casadi.OP_CEIL):
-            work[given[0]] = work[taken[0]]
-        elif len(taken) == 1:
-            work[given[0]] = casadi.SX.unary(kind, work[taken[0]])
+            rounded = casadi.SX.unary(kind, true[taken[0]])
+            errors.append((casadi.SX.sym(f"rounding{len(errors)}"), rounded - true[taken[0]]))
+            work[given[0]], true[given[0]] = work[taken[0]] + errors[-1][0], rounded
         else:
-            work[given[0]] = casadi.SX.binary(kind, work[taken[0]], work[taken[1]])
+            make = casadi.SX.unary if len(taken) == 1 else casadi.SX.binary
+            work[given[0]], true[given[0]] = (make(kind, *(each[i] for i in taken)) for each in (work, true))
     return result
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.choices.margins.identified import identified_block
 from flexfmu.cosim.choices.margins.linear_blocks import LinearBlock, linear_block
@@ -190,7 +192,28 @@ class _Linearised:
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
             elif isinstance(slave, Lag):
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))
-        return [found[i] for i in self._sampled]
+        return [found[i].within(*self._in_the_loop(i)) for i in self._sampled]
+
+    def _in_the_loop(self, i: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which inputs of a slave come from the loop, and which outputs lead on in it: references and monitors aren't in it."""
+        slave, connections = self._system.slaves[i], self._system.connections
+        incoming = [
+            (feeding := self._feeding.get((i, name))) is not None and feeding.source in self._looped
+            for name in _names(slave, "input")
+        ]
+        leading = {
+            slave.variables[each.output].name
+            for each in connections
+            if each.source == i and each.target in self._looped
+        }
+        outgoing = [name in leading for name in _names(slave, "output")]
+        return np.array(incoming, bool), np.array(outgoing, bool)
+
+    @cached_property
+    def _looped(self) -> set[int]:
+        """Slaves that the robot reaches and that reach it."""
+        pairs = {(each.source, each.target) for each in self._system.connections}
+        return _reachable(pairs) & _reachable({(target, source) for source, target in pairs})
 
     def _value(self, values: Mapping[tuple[int, str], float], slave: int, name: str) -> float:
         """The value of an input at rest."""
@@ -271,6 +294,14 @@ class _Linearised:
             if (feeding := self._feeding.get((i, _names(lag, "input")[k]))) is not None:
                 feed(self._source(feeding), np.array([rate]), np.zeros(0), slice(row, row + 1), slice(0, 0))
         return Continuous(a, c, (held, c_held), (by_channel, c_channel))
+
+
+def _reachable(pairs: set[tuple[int, int]]) -> set[int]:
+    """What the robot reaches by pairs from one slave to another."""
+    found = {1}
+    while more := {target for source, target in pairs if source in found} - found:
+        found |= more
+    return found
 
 
 def _names(slave: Slave, causality: str) -> list[str]:

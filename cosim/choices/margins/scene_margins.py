@@ -99,7 +99,7 @@ def scene_margins(
     if poses < 1:
         raise InputError(f"the number of poses must be at least 1, got {poses}")
     scene = resolved(scene)
-    loop = loop_of(scene)
+    loop = loop_of(scene, about_rest=True)
     wired = WiredLoop(scene, loop)
     once = loop.motion.once
     found, loops = [], []

@@ -32,7 +32,7 @@ def stability_warning(run: Run) -> str | None:
     if scene.cosimulation.drive != "torque" or not scene.controller:
         return None
     try:
-        loop = loop_of(scene, run.plan)
+        loop = loop_of(scene, run.plan, about_rest=True)
         # a function in C that has crashed a run in its own process must not crash this one
         if not run.completed and any(getattr(each, "has_foreign_code", False) for each in loop.controllers):
             return None

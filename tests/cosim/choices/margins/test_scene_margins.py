@@ -192,3 +192,37 @@ def test_a_function_in_c_is_linearised(tmp_path: Path) -> None:
     expected = np.hstack([gain * np.eye(2) for gain in (1e4, 60.0, -1e4, -60.0)])
     np.testing.assert_allclose(linear.d, expected, rtol=1e-7, atol=1e-4)
     assert linear.a.shape == (0, 0)
+
+
+TRACKING: dict[str, Any] = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
+
+
+@pytest.mark.parametrize(
+    ("controllers", "other"),
+    [
+        # neither the robot nor its compensation has Coulomb friction at standstill
+        ([TRACKING], {"effects.joint_friction.coulomb": 2.0}),
+        ([PD, {"kind": "friction-compensation", "viscous": 0.0, "coulomb": 1.0, "motion": "measured", "sample_time": 1e-3}], {}),
+        # from cycle to cycle, not within the loop
+        ([PD, {"kind": "learning", "gain": 1e3, "cycles": 3, "sample_time": 1e-3}], {}),
+        # references aren't in the loop: an integrator among them is no instability
+        ([PD], {"filter": [{"kind": "biquad", "numerator": [1.0], "denominator": [1.0, 0.0], "signal": "reference"}]}),
+    ],
+    ids=["computed torque", "friction compensation", "learning", "references"],
+)  # fmt: skip
+def test_what_is_not_in_the_loop_leaves_the_margins_as_they_are(
+    controllers: list[dict[str, Any]], other: dict[str, Any]
+) -> None:
+    plain = scene_margins(robot(controllers[0]), poses=1).worst
+    found = scene_margins(robot(controllers[0]).replace({"controller": controllers, **other}), poses=1).worst
+    for name in ("gain_margin", "delay_margin", "sensitivity_peak"):
+        assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-6), name
+
+
+def test_jitter_counts_with_its_mean() -> None:
+    """Between 0 and a sample late: as a delay of half a sample, linearly interpolated, but for the mean of its numbers."""
+    jitter, delay = (
+        scene_margins(robot(PD, {"signal": "velocity", "sample_time": 1e-3, **each}), poses=1).worst.gain_margin
+        for each in ({"kind": "jitter", "time": 1e-3}, {"kind": "delay", "time": 5e-4})
+    )
+    assert jitter == pytest.approx(delay, rel=0.02)
