@@ -13,7 +13,7 @@ from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
-from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection, SampledSection
+from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
 from flexfmu.model.scene.schema import Scene
@@ -200,7 +200,7 @@ class _Builder:
 
         period = None if motion.repetition is None else motion.repetition.period
         assumed = motion.scene.model_copy(update={"disturbance": ()})
-        if self._about_rest and isinstance(section, SampledSection) and section.kind in COMPENSATING:
+        if self._about_rest and getattr(section, "kind", "") in COMPENSATING:
             assumed, section = _without_coulomb(assumed, section)
         context = LoopContext(
             assumed,

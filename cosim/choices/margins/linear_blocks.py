@@ -128,10 +128,10 @@ def _jacobians(block: SymbolicBlock) -> casadi.Function:
     else:
         following, output = (each.call([x, u, p])[0] for each in (block.update, block.output))
     pairs = ((following, x), (following, u), (output, x), (output, u))
-    found = [casadi.densify(casadi.jacobian(y, z)) for y, z in pairs]
+    derivatives = [casadi.densify(casadi.jacobian(y, z)) for y, z in pairs]
     if errors:
-        found = casadi.substitute(found, [each for each, _ in errors], [value for _, value in errors])
-    return casadi.Function("jacobians", [x, u, p], found)
+        derivatives = casadi.substitute(derivatives, *map(list, zip(*errors, strict=True)))
+    return casadi.Function("jacobians", [x, u, p], derivatives)
 
 
 def _scalar(function: casadi.Function) -> casadi.Function | None:
