@@ -9,15 +9,17 @@ import fmpy
 import numpy as np
 import pytest
 from export_support.blocks import SAMPLE_TIME, expected
-from export_support.instance import run
+from export_support.instance import run, run_with_rollback
 from export_support.kinds import KINDS, SEQUENCE, makers, motion, seen_late
 from numpy.lib.recfunctions import unstructured_to_structured
 
 from flexfmu.cosim import control
 from flexfmu.cosim.control import controllers, imperfections
+from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.imperfections.quantisation import encoder
 from flexfmu.cosim.control.shaper_block import shaper_block
+from flexfmu.cosim.engine.binding import Phase
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicBlock
@@ -59,12 +61,23 @@ def test_no_kind_is_left_out() -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_exported_block_is_its_functions(name: str, export: Callable[..., Any]) -> None:
-    """The same numbers to rounding where inputs are set before outputs are read, random numbers included; and one sample
-    later where fmpy reads first, never one of new states and old inputs."""
+    """The same numbers to rounding where inputs are set before outputs are read, random numbers included; to the last bit
+    after rollbacks; and one sample later where fmpy reads first, never one of new states and old inputs."""
     block = KINDS[name]()
     inputs = motion(block, COUNT)
-    assert_rounding(run(export(block)(), inputs, SAMPLE_TIME), expected(block, inputs), name)
+    make = export(block)
+    found = run(make(), inputs, SAMPLE_TIME)
+    assert_rounding(found, expected(block, inputs), name)
+    np.testing.assert_array_equal(run_with_rollback(make("again"), inputs, SAMPLE_TIME), found)
     assert_rounding(in_fmpy(block, inputs), seen_late(block, inputs), name)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_sampled_without_python(name: str) -> None:
+    """The master's loop in C evaluates every kind, in all phases of a sample."""
+    slave = BlockSlave(KINDS[name]())
+    phases: tuple[Phase, ...] = ("sample", "output", "update")
+    assert None not in [slave.sample_calls(phase) for phase in phases]
 
 
 @pytest.mark.slow

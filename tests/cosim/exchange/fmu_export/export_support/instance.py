@@ -135,3 +135,29 @@ def run(
         rows.append(instance.get_outputs())
         instance.step(sample_time, until=(k + 1) * sample_time)
     return np.array(rows)
+
+
+def run_with_rollback(
+    instance: Instance, inputs: NDArray[np.float64], sample_time: float, every: int = 40
+) -> NDArray[np.float64]:
+    """Outputs as of `run`; before every 40th sample the instance makes three others, in the middle of a step too, and is restored."""
+    instance.start()
+    rows = []
+    for k, u in enumerate(inputs):
+        if k % every == every // 2:
+            _make_and_undo(instance, inputs[::-1][k : k + 3], sample_time)
+        instance.set_inputs(u)
+        rows.append(instance.get_outputs())
+        instance.step(sample_time, until=(k + 1) * sample_time)
+    return np.array(rows)
+
+
+def _make_and_undo(instance: Instance, inputs: NDArray[np.float64], sample_time: float) -> None:
+    """Steps of one and a half samples, of which a restored state leaves no trace."""
+    state, time = instance.call("getFMUstate"), instance.time
+    for u in inputs:
+        instance.set_inputs(u)
+        instance.step(1.5 * sample_time)
+    instance.call("setFMUstate", state)
+    instance.call("freeFMUstate", state)
+    instance.time = time
