@@ -10,13 +10,17 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
+import control
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
 from ssp_support.packages import SSD, package
 
+from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.exchange.ssp.export import export_ssp
+from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -95,6 +99,32 @@ def controlled_scene() -> Scene:
     )
 
 
+DAMPING_IN_PYTHON = """
+import numpy as np
+import flexfmu
+
+ends = {
+    "inputs": ["joint1.velocity", "joint2.velocity"],
+    "outputs": ["joint1.feedforward", "joint2.feedforward"],
+}
+
+
+@flexfmu.controller(sample_time=1e-3, state=[0.0, 0.0], symbolic=True, **ends)
+def damping(measurement, state, *, gain=2.0):
+    state = 0.5 * state - 0.5 * gain * measurement
+    return np.tanh(state), state
+"""
+
+DAMPING_IN_C = """
+void damping(double t, const double *u, const double *p, const double *x, double *y, double *next_x) {
+  (void)t;
+  for (int j = 0; j < 2; ++j) {
+    next_x[j] = 0.8 * x[j] + p[0] * u[j];
+    y[j] = -x[j];
+  }
+}
+"""
+
 OBSERVER = {"kind": "disturbance-observer", "time_constant": 0.05, "inertia": 0.15, "sample_time": 1e-3, "offset": 5e-5}
 
 
@@ -142,6 +172,64 @@ def summed_scene(drive_scene: Scene) -> Scene:
 def summed_ssp(summed_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive with feedforwards that add up, as an SSP file."""
     return _exported(summed_scene, tmp_path_factory)
+
+
+LINEAR = control.ss([[0.9, 0.0], [0.0, 0.9]], 0.1 * np.eye(2), -np.eye(2), np.zeros((2, 2)), 1e-3)
+VELOCITIES, FEEDFORWARDS = ([f"joint{i}.{what}" for i in (1, 2)] for what in ("velocity", "feedforward"))
+ENDS: dict[str, Any] = {"inputs": VELOCITIES, "outputs": FEEDFORWARDS}
+
+
+@pytest.fixture(scope="session")
+def furnished_scene(drive_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A PD whose gains follow the pose, with feedforwards of the flexible robot, in Python, in C and as an FMU of a python-control
+    system; filters, dead zone, backlash, a known delay; a force, band noise, and a payload that is dropped."""
+    folder = tmp_path_factory.mktemp("furnished")
+    fmu = build_block_fmu(control_block(LINEAR, name="linear", **ENDS), folder / "linear.fmu").path
+    (folder / "damping.py").write_text(DAMPING_IN_PYTHON, encoding="utf-8")
+    (folder / "damping.c").write_text(DAMPING_IN_C, encoding="utf-8")
+    time = {"sample_time": 1e-3}
+    schedule = {"over": "joint1.position", "at": [2.5, 3.0, 3.5], "proportional": [0.8, 1.0, 1.2]}
+    in_c = {"kind": "c-function", "source": str(folder / "damping.c"), "parameters": {"gain": 0.1}, **ENDS, **time}
+    changes: dict[str, Any] = {
+        "name": "furnished",
+        "controller": [
+            {**PD, "schedule": schedule},
+            {"kind": "feedforward", "robot": "flexible", **time},
+            {"kind": "python", "source": "damping:damping", "folder": str(folder)},
+            {**in_c, "name": "c_damping", "function": "damping", "states": [0.0, 0.0]},
+            {"kind": "fmu", "name": "linear", "path": str(fmu)},
+        ],
+        "filter": [
+            {"kind": "notch", "frequency": 160.0},
+            {"kind": "lead-lag", "zero": 60.0, "pole": 120.0},
+            {"kind": "low-pass", "frequency": 300.0, "order": 3, "signal": "velocity"},
+            {"kind": "low-pass", "frequency": 60.0, "signal": "reference"},
+        ],
+        "imperfection": [
+            {"kind": "dead-zone", "half_width": 0.1},
+            {"kind": "backlash", "signal": "position", "gap": 1e-5},
+            {"kind": "delay", "signal": "position", "time": 1e-3, "known": True},
+        ],
+        "disturbance": [
+            {"kind": "step", "signal": "force.x", "amplitude": 5.0, "start": 0.0503},
+            {
+                "kind": "noise",
+                "signal": "joint1.disturbance",
+                "standard_deviation": 2.0,
+                "band": [5.0, 50.0],
+                "components": 8,
+                **time,
+            },
+            {"kind": "payload", "dropped": 0.12, "mass": 1.0},
+        ],
+    }
+    return drive_scene.replace(changes)
+
+
+@pytest.fixture(scope="session")
+def furnished_ssp(furnished_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All of these as an SSP file."""
+    return _exported(furnished_scene, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

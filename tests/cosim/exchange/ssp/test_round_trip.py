@@ -34,14 +34,15 @@ whatever goes in, by up to 1e6 in their fourth derivatives."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["motion", "controlled", "summed"])
+@pytest.mark.parametrize("name", ["motion", "controlled", "summed", "furnished"])
 def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureRequest) -> None:
-    """Same instants, same signals: derivatives are streamed, blocks are sampled at their own instants, the payload error
-    and the shaper are there."""
+    """Same instants, same signals: derivatives are streamed, blocks are sampled at their own instants, all slaves are there, and the
+    payload error too."""
     scene, path = (request.getfixturevalue(f"{name}_{kind}") for kind in ("scene", "ssp"))
     loaded, expected = load_ssp(path), run_scene(scene)
     touched = run_scene(scene.replace({"payload.mass": scene.payload.mass * (1.0 + TOUCH)})).recording
     assert loaded.ignored == ()
+    assert [each.name for each in loaded.system.slaves] == [each.name for each in expected.slaves]
     simulation = loaded.simulate()
     assert simulation.outcome is expected.outcome is Outcome.COMPLETED, simulation.message
     np.testing.assert_allclose(simulation.recording.time, expected.recording.time, rtol=0.0, atol=1e-12)
