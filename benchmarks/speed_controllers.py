@@ -46,6 +46,16 @@ H_INFINITY = {"kind": "h-infinity", "bandwidth": 20.0, "torque_limit": 90.0, **T
 GRAVITY = {"kind": "gravity-feedforward", **TIME}
 FRICTION = {"kind": "friction-compensation", "viscous": 1.0, "coulomb": 2.0, **TIME}
 OBSERVER = {"kind": "disturbance-observer", "time_constant": 0.02, **TIME}
+FEEDFORWARD = {"kind": "feedforward", **TIME}
+LINEAR = {
+    "kind": "state-space",
+    "A": [[0.9, 0.0], [0.0, 0.8]],
+    "B": [[0.1, 0.0], [0.0, 0.2]],
+    "C": [[-2.0, 0.0], [0.0, -2.0]],
+    "inputs": ["joint1.velocity", "joint2.velocity"],
+    "outputs": ["joint1.feedforward", "joint2.feedforward"],
+    **TIME,
+}
 SCHEDULE = {
     "over": "joint1.position",
     "at": [2.5, 3.0, 3.5],
@@ -57,12 +67,22 @@ FORCE = {"signal": "force.x"}
 SINE = {"kind": "sine", "amplitude": 5.0, "frequency": 20.0, **FORCE, **TIME}
 BAND = {"kind": "noise", "standard_deviation": 5.0, "band": [5.0, 50.0], **FORCE, **TIME}
 STEP = {"kind": "step", "amplitude": 5.0, **FORCE}
+CSV = {
+    "kind": "csv",
+    "file": str(Path(__file__).parents[1] / "examples" / "disturbance.csv"),
+    "column": "force",
+    **FORCE,
+    **TIME,
+}
+DROP = {"kind": "payload", "dropped": 0.2}
 
 DISTURBED: Mapping[str, tuple[Sequence[dict[str, Any]], float]] = {
     "sine disturbance": ([SINE], 0.5),
     "band noise of 50 sines": ([BAND], 2.0),
     "step disturbance, its transfer alone": ([STEP], 0.5),
     "sum of sine and step, with them": ([SINE, STEP], 1.0),
+    "disturbance from a CSV file": ([CSV], 1.0),
+    "payload that is dropped, its transfer alone": ([DROP], 0.5),
 }
 """What disturbs → disturbances beside the PD, and target of a communication step [µs]; each includes one more input of the plant."""
 
@@ -71,6 +91,10 @@ LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
     "H-infinity of order 32": ([H_INFINITY], None, 2.0),
     "cascade of three loops": ([CASCADE], None, 1.5),
     "PD with scheduled gains": ([{**PD, "schedule": SCHEDULE}], None, 1.0),
+    "PID": ([{**PD, "kind": "pid", "integral": 1e4}], None, 1.0),
+    "rigid feedforward": ([PD, FEEDFORWARD], "PD", 1.0),
+    "flexible feedforward": ([PD, {**FEEDFORWARD, "robot": "flexible"}], "PD", 1.0),
+    "linear system of order 2, python-control's too": ([PD, LINEAR], "PD", 1.0),
     "gravity feedforward": ([PD, GRAVITY], "PD", 1.0),
     "friction compensation": ([PD, FRICTION], "PD", 1.0),
     "sum of two feedforwards, with them": ([PD, GRAVITY, FRICTION], "PD", 2.0),
@@ -82,6 +106,11 @@ LOOPS: Mapping[str, tuple[Sequence[dict[str, Any]], str | None, float]] = {
 
 INLINE: Mapping[str, tuple[Mapping[str, Sequence[dict[str, Any]]], float]] = {
     "notch on both torques": ({"filter": [{"kind": "notch", "frequency": 60.0}]}, 1.0),
+    "biquad on both torques": (
+        {"filter": [{"kind": "biquad", "numerator": [1.0, 20.0, 9e4], "denominator": [1.0, 500.0, 9e4]}]},
+        1.0,
+    ),
+    "high-pass on both velocities": ({"filter": [{"kind": "high-pass", "frequency": 2.0, "signal": "velocity"}]}, 1.0),
     "low-pass of order 4 on both velocities": (
         {"filter": [{"kind": "low-pass", "frequency": 300.0, "order": 4, "signal": "velocity"}]},
         1.0,
@@ -132,7 +161,7 @@ def controller_figures() -> Iterator[SpeedFigure]:
     """All lines: the run's time beyond that of the entry named, for each sample."""
     beside_pd = {what: ({"disturbance": each}, target) for what, (each, target) in DISTURBED.items()} | dict(INLINE)
     with tempfile.TemporaryDirectory(prefix="flexfmu-controllers-") as name:
-        idle = idle_fmu(build_scene(DRIVEN).path, Path(name))
+        idle = idle_fmu(build_scene(DRIVEN.replace({"disturbance": [DROP]})).path, Path(name))
         runs = [looped([], idle, {}), *(looped(controllers, idle, {}) for controllers, _, _ in LOOPS.values())]
         runs += [looped([PD], idle, tables) for tables, _ in beside_pd.values()]
         times = dict(zip([None, *LOOPS, *beside_pd], best_times(runs, ROUNDS), strict=True))
