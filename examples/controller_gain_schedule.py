@@ -5,7 +5,9 @@ python controller_gain_schedule.py
 
 from flexfmu import load_scene, margins
 
-robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+# one shape of each proximal link
+few = {"effects.proximal_bending": 1, "effects.distal_axial": 0}
+robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, **few})
 pd = {"kind": "pd", "proportional": 8e3, "derivative": 80.0, "sample_time": 1e-3}
 # factors of the gains at three angles of joint 1 [rad], linear between them
 schedule = {

@@ -9,6 +9,8 @@ robot = load_scene("barnard2012-6kg").replace(
     {
         "cosimulation.drive": "torque",
         "effects.motor_inertia": 0.1,
+        "effects.proximal_bending": 1,  # one shape of each proximal link
+        "effects.distal_axial": 0,
         "controller": [
             {"kind": "pd", "proportional": 5e3, "derivative": 60.0, "sample_time": 5e-4},
             {"kind": "feedforward", "sample_time": 5e-4},

@@ -254,9 +254,10 @@ def test_controlled_robots_and_several_processes() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux" or not shutil.which("gcc"), reason="preloads GCC's sanitizers")
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    """Variants that fail and others, in the widest library."""
+    """Variants that fail and others, in the widest library; with few shapes, as the compiler takes a minute for all."""
     script = (
         "import numpy as np, test_lockstep as t\n"
+        "t.SCENE = t.SCENE.replace({'effects.proximal_bending': 1, 'effects.distal_axial': 0})\n"
         "variants = np.array([(mass, *t.BASE[1:]) for mass in (0.5, np.nan, 2.0, 6.0, 3.0)] + [(*t.BASE[:4], 0.3)])\n"
         "for lanes in t.LANES[-1:]:\n"
         "    solver = t.lockstep(lanes)\n"
