@@ -190,7 +190,7 @@ def _values(result: TuneResult) -> Table:
     from rich.table import Column
 
     from flexfmu.cosim.reports.terminal import titled_table
-    from flexfmu.model.scene.keys import location
+    from flexfmu.model.scene.keys import location, value_at
     from flexfmu.model.scene.messages import unit_of
     from flexfmu.model.scene.schema import Scene
 
@@ -199,8 +199,13 @@ def _values(result: TuneResult) -> Table:
     data = result.study.scene.model_dump()
     for each, own in zip(result.study.over, result.study.given(), strict=True):
         unit = unit_of(location(data, each.key), Scene)
-        tuned = result.values.get(each.key, own)
-        cells = ("–" if value is None else f"{value:.5g}" for value in (own, tuned, each.low, each.high))
+        # both joints may have values of their own
+        both = value_at(data, each.key, result.study.scene.name)
+        given = ", ".join(f"{one:.5g}" for one in both) if own is None and isinstance(both, tuple) else own
+        cells = (
+            "–" if value is None else value if isinstance(value, str) else f"{value:.5g}"
+            for value in (given, result.values.get(each.key, given), each.low, each.high)
+        )
         table.add_row(f"{each.key} [{unit}]" if unit else each.key, *cells)
     return table
 

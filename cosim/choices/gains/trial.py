@@ -26,7 +26,7 @@ DIGITS = 5
 """Significant digits of tried values: more than a run tells apart, and short enough for a scene file."""
 
 POSES = 2
-"""Number of poses at which margins are calculated, start and end of the path: each takes about a second."""
+"""Number of poses at which margins are calculated, start and end of the path: each takes longer than a run."""
 
 WIDE = 4.0
 """Ratio of the ends of an interval from which its scale is logarithmic."""
