@@ -42,9 +42,13 @@ _CALL_FILE = """/* Calls {function} as CasADi calls its functions: (x, u, p) -> 
 int {call}(const double **arg, double **res, long long *iw, double *w, int mem);
 
 int {call}(const double **arg, double **res, long long *iw, double *w, int mem) {{
-  double *next_x = res[1] ? res[1] : w + {outputs};
+  double *y = res[0] ? res[0] : w, *next_x = res[1] ? res[1] : w + {outputs};
+  int k;
   (void)iw, (void)mem;
-  {function}({offset!r} + arg[0][{states}] * {sample_time!r}, arg[1], arg[2], arg[0], res[0] ? res[0] : w, next_x);
+  /* what the function doesn't write is no number */
+  for (k = 0; k < {outputs}; ++k) y[k] = NAN;
+  for (k = 0; k < {states}; ++k) next_x[k] = NAN;
+  {function}({offset!r} + arg[0][{states}] * {sample_time!r}, arg[1], arg[2], arg[0], y, next_x);
   next_x[{states}] = arg[0][{states}] + 1.0;
   return 0;
 }}

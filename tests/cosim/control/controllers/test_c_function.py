@@ -192,6 +192,12 @@ def test_a_crash_ends_the_run_alone(write: Write, robot: Scene, tmp_path: Path) 
     assert run.write(tmp_path / "results.csv").is_file()
 
 
+def test_an_output_that_the_function_does_not_write_is_no_number(write: Write, robot: Scene) -> None:
+    """A forgotten torque isn't a torque of zero."""
+    run = run_scene(robot.replace({"controller": [section(write("half", "y[0] = 0.0;"), parameters={}, name="half")]}))
+    assert "half failed at 0 s: joint2.torque became nan" in run.message
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
