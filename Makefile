@@ -22,11 +22,11 @@ demo: $(VENV)/bin/python
 	$(BIN)/flexfmu run barnard2012-6kg --out results/barnard2012-6kg
 	@echo "Open results/paper/report.html and results/barnard2012-6kg/report.html in a browser."
 
-# the tests run against the installed wheel, never against the source tree
+# the tests run against the installed wheel, never against the source tree; three at a time on two cores, since some wait for other programs
 test: $(VENV)/.test
 	rm -rf build/wheel build/lib && $(BIN)/python -m build --quiet --wheel --outdir build/wheel .
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGUMENTS)
+	$(BIN)/python -m pytest -n 3 --dist worksteal $(PYTEST_ARGUMENTS)
 
 # types and the first tests side by side, on two cores
 check: $(VENV)/.lint $(VENV)/.test
