@@ -7,7 +7,6 @@ loads of that motion is then linear, M(t) q'' + C(t) q' + K(t) q = f(t).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -19,6 +18,7 @@ from flexfmu.model.scene.effects import Effects
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import MotionGrid
 from flexfmu.model.selection.response import LinearTimeVaryingSystem, Response
+from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.jets import Indices, RealArray
 
 MATRICES_EVERY = 8
@@ -55,8 +55,7 @@ class LinearizedMotion:
 
     def __init__(self, scene: Scene, grid: MotionGrid) -> None:
         self._model = numeric_model(scene)
-        self.names, self._joints = self._model.names, grid.joints.T
-        self._scene, self._grid = scene, grid
+        self.names, self._scene, self._grid = self._model.names, scene, grid
 
     @cached_property
     def linear(self) -> LinearTimeVaryingSystem:
@@ -66,8 +65,9 @@ class LinearizedMotion:
         every = [np.linspace(a, b - 1, (b - a) // MATRICES_EVERY + 2).round().astype(np.intp) for a, b in grid.spans]
         coarse = np.concatenate([np.unique(some) for some in every])
         count, n = coarse.size, self._model.n
-        found = _full(_matrices(self._scene).map(count)(grid.joints[coarse].T))
-        matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
+        matrices = [
+            matrix.reshape(count, n, n).transpose(0, 2, 1) for matrix in _matrices(self._scene)([grid.joints[coarse]])
+        ]
         # interpolate over the index: a jump is two instants at the same time
         between = _interpolated(coarse, np.stack(matrices, axis=1), np.arange(grid.time.size))
         mass, damping, stiffness = (np.ascontiguousarray(between[:, i]) for i in range(3))
@@ -145,20 +145,17 @@ class LinearizedMotion:
 
     def forces(self, motion: Response) -> RealArray:
         """Forces on all elastic coordinates that a motion needs (N, n)."""
-        function = self._model.elastic_forces.map(motion.position.shape[0])
-        arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
-        return _full([function(*arguments)])[0].T
+        function = _vectorised(self._scene, "elastic_forces")
+        return function([motion.position, motion.velocity, motion.acceleration, self._grid.joints])[0]
 
     def hardening(self, motion: Response) -> RealArray:
         """Elastic forces (N, n) of bending beyond linear theory, which all sets of effects neglect."""
-        function = self._model.hardening.map(motion.position.shape[0])
-        return _full([function(motion.position.T)])[0].T
+        return _vectorised(self._scene, "hardening")([motion.position])[0]
 
     def outputs(self, motion: Response) -> Outputs:
         """End-effector motion and motor torques of a motion."""
-        function = self._model.motion.map(motion.position.shape[0])
-        arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
-        return Outputs(*(result.T for result in _full(function(*arguments))))
+        function = _vectorised(self._scene, "motion")
+        return Outputs(*function([motion.position, motion.velocity, motion.acceleration, self._grid.joints]))
 
 
 def _interpolated(knots: Indices, values: RealArray, at: Indices) -> RealArray:
@@ -169,14 +166,15 @@ def _interpolated(knots: Indices, values: RealArray, at: Indices) -> RealArray:
     return np.asarray(slope * (at - knots[lower]).reshape(shape) + values[lower])
 
 
-def _full(results: Iterable[casadi.DM]) -> list[RealArray]:
-    """CasADi matrices as arrays."""
-    return [np.asarray(result.full()) for result in results]
+@lru_cache(maxsize=32)
+def _vectorised(scene: Scene, name: str) -> Vectorised:
+    """A function of the scene's model, for all instants at once."""
+    return Vectorised(getattr(numeric_model(scene), name))
 
 
 @lru_cache(maxsize=16)
-def _matrices(scene: Scene) -> casadi.Function:
-    """u → mass, damping and stiffness matrix of small motions about the undeformed robot, (n, n) each."""
+def _matrices(scene: Scene) -> Vectorised:
+    """u → mass, damping and stiffness matrix of small motions about the undeformed robot, n² values each, column by column."""
     model = numeric_model(scene)
     q, v, a = (casadi.SX.sym(name, model.n) for name in "qva")
     u = casadi.SX.sym("u", 6)
@@ -184,4 +182,4 @@ def _matrices(scene: Scene) -> casadi.Function:
     state, rest = casadi.vertcat(q, v, a), casadi.SX.zeros(3 * model.n)
     results = [casadi.substitute(casadi.jacobian(force, x), state, rest) for x in (a, v, q)]
     dense = [casadi.densify(result) for result in casadi.cse(results)]
-    return casadi.Function("matrices", [u], dense)
+    return Vectorised(casadi.Function("matrices", [u], dense))
