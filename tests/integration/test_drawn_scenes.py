@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import casadi
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
@@ -119,10 +120,14 @@ def end_state_by_radau(motion: MotionPlan, tolerance: float) -> np.ndarray:
     start = static_equilibrium(scene, joints).elastic if scene.cosimulation.initial == "static" else np.zeros(n)
     state = np.concatenate([start, np.zeros(n)])
 
+    # both in one function, as they share most of their operations
+    q, v, u = (casadi.SX.sym(name, size) for name, size in (("q", n), ("v", n), ("u", 6)))
+    both = [model.mass_matrix(q, u), model.elastic_forces(q, v, casadi.SX.zeros(n), u)]
+    function = casadi.Function("both", [q, v, u], [casadi.densify(casadi.horzcat(*both))], {"cse": True})
+
     def rate(t: float, x: np.ndarray, references: BPoly) -> np.ndarray:
-        u = references(t)
-        bias = model.elastic_forces(x[:n], x[n:], np.zeros(n), u).full().ravel()
-        return np.concatenate([x[n:], -np.linalg.solve(model.mass_matrix(x[:n], u).full(), bias)])
+        found = function(x[:n], x[n:], references(t)).full()
+        return np.concatenate([x[n:], -np.linalg.solve(found[:, :n], found[:, n])])
 
     for begin, end in zip(motion.joints.breakpoints[:-1], motion.joints.breakpoints[1:], strict=True):
         references = (joint_references(motion, begin, end),)
