@@ -20,10 +20,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median
 
 from effect_grid import GRID, Case, drawn, fmu_of
 from effect_search import FAMILIES, all_sets, set_size, smallest
@@ -63,6 +65,8 @@ class Row:
     effectivity: float | None
     search: Search | None
     tolerance: float
+    time: float
+    """Processor time of the choice [s], with the builds of FMUs that weren't in the cache."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +99,12 @@ def main() -> None:
         for tolerance, some, judged in criteria
     ]
     (options.out / "effect_choice.json").write_text(json.dumps(data, indent=2, default=asdict), encoding="utf-8")
-    for tolerance, _, judged in criteria:
+    for tolerance, some, judged in criteria:
         print(verdicts(judged, tolerance))
+        times = [row.time for row in some]
+        print(
+            f"- processor time of a choice, builds of FMUs included: median {median(times):.1f} s, at most {max(times):.1f} s"
+        )
     if options.check and not all(each.met for *_, judged in criteria for each in judged):
         raise SystemExit(1)
 
@@ -104,7 +112,9 @@ def main() -> None:
 def examine(case: Case, tolerance: float, search_margin: float | None = None, asked: Sequence[MeasureName] = ()) -> Row:
     """Choose the effects of a scene, run the set beside the richest one, or a richer one where metrics are `asked` for, and maybe search for a smaller one."""
     scene = case.scene().replace({"cosimulation.tolerance": integrator_tolerance(tolerance)})
-    chosen, estimator = choose_verified(scene, plan(scene).joints, tolerance, MEASURED, asked, fmu_of=fmu_of)
+    joints, before = plan(scene).joints, _processor_time()
+    chosen, estimator = choose_verified(scene, joints, tolerance, MEASURED, asked, fmu_of=fmu_of)
+    time = _processor_time() - before
     assert chosen.effects.choice is not None
     reference = observe(one_more(estimator.richest, FAMILIES if asked else ()), MEASURED, fmu_of, EXACT).metrics
     units = scales(reference, asked)
@@ -119,7 +129,14 @@ def examine(case: Case, tolerance: float, search_margin: float | None = None, as
         candidates = [*(each for each in all_sets(scene) if set_size(each) < size), chosen]
         best = smallest(candidates, estimator, error, tolerance, search_margin)
         search = Search(set_text(best.scene), set_size(best.scene), best.observed, best.runs) if best else None
-    return Row(case, set_text(chosen), size, estimated, observed, effectivity(estimated, observed), search, tolerance)
+    found = effectivity(estimated, observed)
+    return Row(case, set_text(chosen), size, estimated, observed, found, search, tolerance, time)
+
+
+def _processor_time() -> float:
+    """Processor time of this process and of its compilers [s]."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def judge(rows: Sequence[Row], tolerance: float, *, drawn: bool) -> Iterator[Criterion]:
