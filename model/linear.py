@@ -110,6 +110,11 @@ class LinearPlant:
     rest: tuple[RealArray, RealArray]
 
 
+def without_coulomb_friction(scene: Scene) -> Scene:
+    """The scene without Coulomb friction: at standstill its smoothed form would be a strong damper, which the moving robot doesn't have."""
+    return scene.replace({"effects.joint_friction.coulomb": 0.0}) if scene.effects.joint_friction.coulomb else scene
+
+
 def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
     """The torque-driven plant about its equilibrium at `position` [m], with some of its outputs.
 

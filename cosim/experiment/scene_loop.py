@@ -13,6 +13,7 @@ from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
+from flexfmu.model.linear import without_coulomb_friction
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
@@ -227,11 +228,9 @@ class _Builder:
 
 def _without_coulomb(scene: Scene, section: Any) -> tuple[Scene, Any]:
     """A scene and a controller's section without Coulomb friction."""
-    if scene.effects.joint_friction.coulomb:
-        scene = scene.replace({"effects.joint_friction.coulomb": 0.0})
     if isinstance(section, FrictionCompensationSection):
         section = section.model_copy(update={"coulomb": (0.0, 0.0)})
-    return scene, section
+    return without_coulomb_friction(scene), section
 
 
 def _rate(signal: str, controllers: Sequence[Slave]) -> float:

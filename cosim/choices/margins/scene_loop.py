@@ -24,7 +24,7 @@ from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 from flexfmu.cosim.experiment.wiring import wire
 from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store
-from flexfmu.model.linear import LinearPlant, linear_plant
+from flexfmu.model.linear import LinearPlant, linear_plant, without_coulomb_friction
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -131,11 +131,8 @@ def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[st
 
 
 def _of_the_robot(scene: Scene, parameters: Mapping[str, float]) -> Scene:
-    """The scene of the real robot: with its own payload, and without Coulomb friction, which at standstill damps only."""
-    changes: dict[str, object] = dict(parameters)
-    if scene.effects.joint_friction.coulomb:
-        changes["effects.joint_friction.coulomb"] = 0.0
-    return scene.replace(changes) if changes else scene
+    """The scene of the real robot for small motions: with its own payload, and without Coulomb friction."""
+    return without_coulomb_friction(scene.replace(dict(parameters)) if parameters else scene)
 
 
 class _Linearised:

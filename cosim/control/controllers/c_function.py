@@ -35,6 +35,15 @@ LIBRARIES = (".so",)
 CALL = "user_function"
 """Name of the function that CasADi calls, and of its file."""
 
+_NO_CODE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|^[ \t]*#(?:\\\n|[^\n])*", re.DOTALL | re.MULTILINE)
+"""Comments, texts and lines of the preprocessor."""
+
+_STATIC = re.compile(r"\bstatic\s+[^;={}()]*?\w+\s*(?:\[[^\]]*\]\s*)*(?=[;=,])")
+_GLOBAL = re.compile(
+    r"(?!(?:typedef|extern|static|enum)\b|(?:struct|union)\s+\w+\s*$)[A-Za-z_][\w\s*]*[\s*]\w+\s*(?:\[[^\]]*\]\s*)*(?=[=,]|$)"
+)
+"""Declarations of variables that outlive a call; the second one at the start of a statement outside functions."""
+
 _CALL_FILE = """/* Calls {function} as CasADi calls its functions: (x, u, p) -> (y, next_x); the last state counts the samples. */
 #include <math.h>
 
@@ -93,7 +102,7 @@ def c_function(
 
     Its signature is `SIGNATURE`: t is the instant of the sample [s], counted from the start; u, p and x have the inputs, parameters
     and states in their order; the function writes all of y and next_x. It must not keep values between calls: an importer may
-    repeat a sample. The file is C99.
+    repeat a sample; `static` and global variables that aren't `const` are refused. The file is C99.
 
     Args:
         source: the C file, or a list of C files and headers; on Linux a shared library (``.so``) too, which the FMU contains.
@@ -106,7 +115,7 @@ def c_function(
         name: name of the block.
 
     Raises:
-        InputError: a file can't be read or compiled, or has no such function; a name is repeated, a number isn't finite, or
+        InputError: a file can't be read or compiled, has no such function, or keeps values between calls; a name is repeated, a number isn't finite, or
             the sample time isn't positive.
         MissingCompilerError: there is no C compiler.
     """
@@ -164,7 +173,7 @@ def _user_files(paths: Sequence[Path], prototype: object) -> dict[str, str]:
     """The user's files, name → text; in C files the prototype stands in front.
 
     Raises:
-        InputError: a file can't be read.
+        InputError: a file can't be read, or has a variable that keeps its value between calls.
     """
     texts = {}
     for path in paths:
@@ -173,9 +182,26 @@ def _user_files(paths: Sequence[Path], prototype: object) -> dict[str, str]:
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "it isn't UTF-8 text"
             raise InputError(f"can't read the C file {path}: {reason}") from None
+        if kept := _kept(text):
+            raise InputError(
+                f"{path}: `{kept}` keeps its value between calls, so that samples can't be repeated: make it one of `states`, "
+                "or `const` if it never changes"
+            )
         front = f'#include "elementary.h"\n{prototype};\n#line 1 "{path.name}"\n' if path.suffix == ".c" else ""
         texts[path.name] = front + text
     return texts
+
+
+def _kept(code: str) -> str:
+    """The declaration of a variable in C that keeps its value between calls of a function; empty if there is none."""
+    code = _NO_CODE.sub(" ", code)
+    found = _STATIC.findall(code)
+    # what stands outside all braces
+    count = 1
+    while count:
+        code, count = re.subn(r"\{[^{}]*\}", ";", code)
+    found += [match[0] for statement in code.split(";") if (match := _GLOBAL.match(statement.strip()))]
+    return next((" ".join(each.split()) for each in found if not re.search(r"\bconst\b", each)), "")
 
 
 def _check_defined(function: str, files: Mapping[str, str]) -> None:

@@ -39,7 +39,7 @@ from flexfmu.cosim.control.controllers.lqg import POSITIONS, TORQUES
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray, check_sampling
-from flexfmu.model.linear import linearize, operating_point
+from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
 from flexfmu.model.scene.controllers import HInfinitySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -232,9 +232,7 @@ def h_infinity(
         )
     rate = 2.0 * pi * frequency
     times_i = INTEGRAL / rate if integral_time is None else _positive(integral_time, "integral_time", "s", name)
-    # at standstill smoothed Coulomb friction would be a strong damper, which the moving robot doesn't have
-    if scene.effects.joint_friction.coulomb:
-        scene = scene.replace({"effects.joint_friction.coulomb": 0.0})
+    scene = without_coulomb_friction(scene)
     robot = from_control(
         linearize(scene, position, POSITIONS)[:, :2],
         method="zoh",

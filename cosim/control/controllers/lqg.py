@@ -22,7 +22,7 @@ from flexfmu.cosim.control.controllers.state_feedback import (
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.model.linear import linearize, operating_point
+from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.controllers import StateFeedbackSection
 from flexfmu.model.scene.schema import Scene
@@ -65,7 +65,7 @@ def lqg(
 ) -> SymbolicBlock:
     """Build the block: state feedback with a full-order observer, from measured angles alone.
 
-    The robot is linearised about its equilibrium at a pose and discretised with a zero-order hold of the torques;
+    The robot is linearised about its equilibrium at a pose, without Coulomb friction, and discretised with a zero-order hold of the torques;
     `control.dlqr` and `control.dlqe` calculate the gains. Constant references are tracked without static error in the
     linearised robot.
 
@@ -81,6 +81,7 @@ def lqg(
         InputError: python-control is missing.
         EquilibriumError: there is no equilibrium at the pose.
     """
+    scene = without_coulomb_friction(scene)
     # the plant: the linearised robot with zero-order hold; the cost needs the rates too
     robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
     units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -190,6 +191,37 @@ def test_a_crash_ends_the_run_alone(write: Write, robot: Scene, tmp_path: Path) 
     path = write("crash_at_once", "y[0] = *(volatile double *)0; y[1] = 0.0;")
     run = run_scene(robot.replace({"controller": [section(path, parameters={}, name="wild")]}))
     assert run.write(tmp_path / "results.csv").is_file()
+
+
+@pytest.mark.parametrize(
+    ("front", "body", "named"),
+    [
+        ("", "static double sum; sum += u[0]; y[0] = y[1] = sum;", "static double sum"),
+        ("", "static double last[2] = {0.0, 0.0}, other; y[0] = last[0]; y[1] = last[1] = u[0];", "static double last[2]"),
+        ("double sum = 0.0;", "sum += u[0]; y[0] = y[1] = sum;", "double sum"),
+        ("struct s { double sum; };\nstatic struct s kept;", "y[0] = y[1] = kept.sum += u[0];", "static struct s kept"),
+        ("typedef struct { int n; } s;\n\ns kept, more;", "y[0] = y[1] = kept.n++;", "s kept"),
+        ("static int *place;", "y[0] = y[1] = place ? 1.0 : 0.0;", "static int *place"),
+        (
+            "/* static double sum; */ // static int n;\n#define KEPT static double\n"
+            "static const double table[2][2] = {{1.0, 2.0}, {3.0, 4.0}};\ntypedef double number;\nenum { A, B };\n"
+            "struct pair { double a, b; };\nextern const int outside;\nconst int size = 2;\n"
+            "static inline double half(double x) { number y = 0.5 * x; return y; }\nstatic double twice(double x);\n"
+            "static double twice(double x) { double y = 2.0 * x; return y; }",
+            'struct pair two = {half(1.0), 2.0}; static const char *text = "static int n;"; y[0] = two.a; y[1] = twice(table[1][A]) + text[0];',
+            "",
+        ),
+    ],
+)  # fmt: skip
+def test_variables_that_outlive_a_call_are_refused(write: Write, front: str, body: str, named: str) -> None:
+    """They would make a repeated sample another one; tables, helpers and types are no such variables."""
+    path = write("memory", body, front)
+    arguments: dict[str, Any] = {"inputs": INPUTS, "outputs": OUTPUTS, "sample_time": H}
+    if named:
+        with pytest.raises(InputError, match=re.escape(f"`{named}` keeps its value between calls")):
+            c_function(path, **arguments)
+    else:
+        c_function(path, **arguments)
 
 
 def test_an_output_that_the_function_does_not_write_is_no_number(write: Write, robot: Scene) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from math import pi, sqrt
 from typing import Any
 
@@ -22,8 +24,10 @@ from flexfmu.cosim.control.controllers.h_infinity import (
     shape_loop,
 )
 from flexfmu.cosim.control.controllers.joints import symmetric
+from flexfmu.cosim.control.controllers.lqg import lqg
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 H = 1e-3
@@ -149,15 +153,17 @@ def test_the_block_is_its_recursion_beside_an_exact_plant(limit: float | None) -
         assert np.abs(torques[-1]).max() < limit
 
 
-def test_coulomb_friction_is_no_damper() -> None:
+@pytest.mark.parametrize("design", [partial(h_infinity, bandwidth=12.0), lqg], ids=["H-infinity", "LQG"])
+def test_coulomb_friction_is_no_damper(design: Callable[..., SymbolicBlock]) -> None:
     """At standstill its smooth model is a damper of 100 N.m.s/rad here, for which the loop of the moving robot would be unstable."""
     driven: Any = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "effects.proximal_bending": 0}
     scene = load_scene("barnard2012-6kg").replace({**driven, "effects.distal_axial": 0})
     blocks = [
-        h_infinity(each, (0.0, 0.32), 12.0, sample_time=H)
+        design(each, (0.0, 0.32), sample_time=H)
         for each in (scene, scene.replace({"effects.joint_friction": {"coulomb": 1.0}}))
     ]
-    x, u = np.linspace(-1.0, 1.0, len(blocks[0].states)), np.array([3.2, 1.2, 3.1, 1.3, 0.0, 0.0])
+    x = np.linspace(-1.0, 1.0, len(blocks[0].states))
+    u = np.array([3.2, 1.2, 3.1, 1.3, 0.0, 0.0])[: len(blocks[0].inputs)]
     first, second = (np.asarray(each.update(x, u, [])) for each in blocks)
     np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-9)
 
