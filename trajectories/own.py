@@ -31,6 +31,9 @@ NODES = -np.cos(np.pi * np.arange(17) / 16)
 ACCURACY = 1e-12
 """Largest error of predicted samples relative to the motion's extent; that of the polynomials, through all samples, is below rounding."""
 
+ROUNDING = 16 * np.finfo(float).eps
+"""Rounding errors of predicted samples relative to the largest position, which are more than `ACCURACY` of small motions."""
+
 SHORTEST = 1e-4
 """Half of the shortest interval as a fraction of the duration; what needs a shorter one isn't smooth."""
 
@@ -87,11 +90,12 @@ def as_trajectory(motion: OwnMotion | Trajectory) -> Trajectory:
     def sampled(at: RealArray) -> RealArray:
         return np.array([_checked(place(time), time) for time in at.tolist()])
 
-    extent = float(np.ptp(sampled(np.linspace(0.0, duration, SAMPLES)), axis=0).max())
+    samples = sampled(np.linspace(0.0, duration, SAMPLES))
+    accuracy = max(ACCURACY * float(np.ptp(samples, axis=0).max()), ROUNDING * float(abs(samples).max()))
     found = [
         piece
         for begin, end in pairwise(points)
-        for piece in _pieces(sampled, begin, end, ACCURACY * extent, SHORTEST * duration)
+        for piece in _pieces(sampled, begin, end, accuracy, SHORTEST * duration)
     ]
     trajectory = PiecewisePolynomial(
         np.array([*(start for start, _ in found), duration]), np.stack([each for _, each in found], axis=1)
@@ -129,12 +133,17 @@ def _pieces(
     """Return start [s] and Taylor coefficients (degree + 1, 2) of each polynomial between two times."""
     half = 0.5 * (end - begin)
     values = sampled(begin + half * (1.0 + NODES))
+    # from the first one, so that a standstill has no velocity by rounding
+    first = values[0]
+    values = values - first
     # every other node predicts those between them
     error = abs(_predicted() @ values[::2] - values).max()
     if error <= accuracy:
         # Chebyshev coefficients first: rounding errors of the highest stay as small as these
         fitted, shift = _chebyshev(), _taylor()
-        return [(begin, (shift @ (fitted @ values)) * half ** -np.arange(DEGREE + 1.0)[:, np.newaxis])]
+        coefficients = (shift @ (fitted @ values)) * half ** -np.arange(DEGREE + 1.0)[:, np.newaxis]
+        coefficients[0] += first
+        return [(begin, coefficients)]
     middle = begin + half
     if half < shortest:
         raise TrajectoryError(
@@ -142,7 +151,7 @@ def _pieces(
             "derivative jumps there; position and velocity must not"
         )
     both = ((begin, middle), (middle, end))
-    return [piece for first, last in both for piece in _pieces(sampled, first, last, accuracy, shortest)]
+    return [piece for left, right in both for piece in _pieces(sampled, left, right, accuracy, shortest)]
 
 
 @cache
@@ -172,10 +181,12 @@ def _taylor() -> RealArray:
 def _check_velocity(motion: PiecewisePolynomial) -> None:
     """Raise TrajectoryError unless the motion begins and ends at rest, without a jump of the velocity between."""
     points = np.array(motion.breakpoints)
-    largest = abs(motion.evaluate(np.linspace(0.0, motion.duration, 1000), 1)[1]).max()
+    positions, velocities = abs(motion.evaluate(np.linspace(0.0, motion.duration, 1000), 1)).max(axis=(1, 2))
+    # of polynomials, the velocity is up to degree² / interval times the position, rounding errors included
+    rounding = ROUNDING * positions * DEGREE**2 / np.diff(points).min()
     jumps = abs(motion.evaluate(points, 1, "right")[1] - motion.evaluate(points, 1, "left")[1]).max(axis=1)
     worst = int(jumps.argmax())
-    if jumps[worst] > AT_REST * largest:
+    if jumps[worst] > max(AT_REST * velocities, rounding):
         raise TrajectoryError(
             f"the velocity of the own motion jumps by {jumps[worst]:.4g} per second at {points[worst]:.6g} s: it must begin and "
             "end at rest, and its velocity must be continuous"

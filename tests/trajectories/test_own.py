@@ -85,6 +85,28 @@ def test_it_stands_still_before_and_after() -> None:
     assert motion.evaluate(0.0, 2, "right")[2, 0, 1] == pytest.approx(-0.01 * (2.0 * pi / DURATION) ** 2, rel=1e-8)
 
 
+@pytest.mark.parametrize("extent", [0.0, 1e-9, 1e-6, 1e-3])
+def test_small_motions_and_standstills(extent: float) -> None:
+    """Positions to rounding, and accelerations as exact as rounded positions give them by Markov's inequality, n²(n² - 1)/3 / (half an
+    interval)²; a standstill has none."""
+
+    class Small(Cycloid):
+        def position(self, time: float) -> tuple[float, float]:
+            x, y = super().position(time)
+            return -0.1 + extent * x, 0.3 + extent * y
+
+    motion, large = as_trajectory(Small()), as_trajectory(Cycloid())
+    time = np.linspace(0.0, DURATION, 101)
+    found, exact = motion.evaluate(time, 2), extent * large.evaluate(time, 2)
+    exact[0] += -0.1, 0.3
+    np.testing.assert_allclose(found[0], exact[0], rtol=0, atol=1e-15)
+    if extent:
+        rounding = 2.0 * np.finfo(float).eps * 0.3 * 100.0 * 33.0 / (0.5 * np.diff(motion.breakpoints).min()) ** 2
+        np.testing.assert_allclose(found[2], exact[2], rtol=0, atol=rounding)
+    else:
+        np.testing.assert_array_equal(found[1:], 0.0)
+
+
 def test_breakpoints_have_two_limits() -> None:
     """The acceleration jumps where the class says, and only there."""
     motion = as_trajectory(BangBang())
