@@ -15,8 +15,10 @@ from flexfmu.cosim.choices.margins.linear_blocks import LinearBlock, linear_bloc
 from flexfmu.cosim.choices.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.lag import Lag
+from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.dependencies import Connection
+from flexfmu.cosim.engine.master.isolation import is_foreign
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, System, connect
 from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
@@ -184,8 +186,7 @@ class _Linearised:
             names = _names(slave, "input")
             at_rest = np.array([self._value(values, i, name) for name in names])
             if i in self._sampled:
-                linearise = linear_block if isinstance(slave, BlockSlave) or not self._identify else identified_block
-                found[i], outputs = linearise(slave, at_rest)
+                found[i], outputs = _linearised(slave, at_rest, self._identify)
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
             elif isinstance(slave, Lag):
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))
@@ -291,6 +292,18 @@ class _Linearised:
             if (feeding := self._feeding.get((i, _names(lag, "input")[k]))) is not None:
                 feed(self._source(feeding), np.array([rate]), np.zeros(0), slice(row, row + 1), slice(0, 0))
         return Continuous(a, c, (held, c_held), (by_channel, c_channel))
+
+
+def _linearised(slave: Slave, inputs: RealArray, identify: bool) -> tuple[LinearBlock, RealArray]:
+    """A sampled slave at constant inputs, and its outputs; a user's code is called in a child process, which it may crash."""
+    linearise = linear_block if isinstance(slave, BlockSlave) or not identify else identified_block
+    if not (AVAILABLE and is_foreign(slave)):
+        return linearise(slave, inputs)
+    try:
+        found: tuple[LinearBlock, RealArray] = in_child(lambda: linearise(slave, inputs), lambda: None, CALL_LIMIT)
+    except ChildLostError as error:
+        raise InputError(f"{slave.name} can't be linearised about standstill: {error}") from None
+    return found
 
 
 def _reachable(pairs: set[tuple[int, int]]) -> set[int]:

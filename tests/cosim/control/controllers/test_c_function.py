@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 
+import flexfmu
 from flexfmu.cosim.choices.margins.warning import stability_warning
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
@@ -180,17 +181,20 @@ def test_a_shared_library_is_in_the_fmu(write: Write, robot: Scene, tmp_path: Pa
 
 @pytest.mark.skipif("sys.platform != 'linux'", reason="isolation needs Linux")
 def test_a_crash_ends_the_run_alone(write: Write, robot: Scene, tmp_path: Path) -> None:
-    """The message names the slave, and what was recorded stays."""
+    """The message names the slave, and what was recorded stays; margins end with an error."""
     path = write("crash", "y[0] = t < 0.05 ? 0.0 : *(volatile double *)0; y[1] = 0.0;")
     run = run_scene(robot.replace({"controller": [section(path, parameters={}, name="wild")]}))
     assert not run.completed
     assert "wild" in run.message
-    assert stability_warning(run) is None
     assert run.recording.time[-1] > 0.04
     # at the first instant, before anything is recorded
     path = write("crash_at_once", "y[0] = *(volatile double *)0; y[1] = 0.0;")
-    run = run_scene(robot.replace({"controller": [section(path, parameters={}, name="wild")]}))
+    scene = robot.replace({"controller": [section(path, parameters={}, name="wild")]})
+    run = run_scene(scene)
     assert run.write(tmp_path / "results.csv").is_file()
+    assert stability_warning(run) is None
+    with pytest.raises(InputError, match="wild can't be linearised about standstill: it crashed with SIGSEGV"):
+        flexfmu.margins(scene)
 
 
 @pytest.mark.parametrize(
