@@ -97,10 +97,15 @@ def wire(
         bus.publish(source)
         waiting = bus.pass_through(waiting)
     for controller in controllers:
-        for name in set(_names(controller, "output")) & set(_names(plant, "output")):
+        if both := sorted(set(_names(controller, "output")) & set(_names(plant, "output"))):
+            torques = [name for name in both if name.endswith(".torque")]
             raise WiringError(
-                f"{controller.name} outputs {name}, but so does the robot, which is driven by its motion; for a robot that "
-                'takes torques set `cosimulation.drive` = "torque"'
+                f"{controller.name} outputs {(torques or both)[0]}, but so does the robot"
+                + (
+                    ', which is driven by its motion; for a robot that takes torques set `cosimulation.drive` = "torque"'
+                    if torques
+                    else ": a signal has one source, so give the controller's output another name"
+                )
             )
     # controllers, then the inline blocks between them and the plant
     bus.connect_controllers(controllers)

@@ -149,7 +149,7 @@ def test_units_say_what_fits() -> None:
         ([Names("c", ["q.refernce"], ["torque"])], [], {}, "did you mean 'q.reference'"),
         ([Names("c", ["q"], ["torque", "forces"])], [], {}, "c.forces is connected to nothing, and plant.force has no"),
         ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both output torque"),
-        ([Names("c", [], ["q"])], [], {}, "c outputs q, but so does the robot"),
+        ([Names("c", [], ["q"])], [], {}, "c outputs q, but so does the robot: a signal has one source"),
         ([Names("c", ["q"], ["y"])], [], {}, r"\(c\.y\) reaches the robot, which takes torque, force"),
         ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
         ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
