@@ -111,7 +111,8 @@ class LinearPlant:
 
 
 def without_coulomb_friction(scene: Scene) -> Scene:
-    """The scene without Coulomb friction: at standstill its smoothed form would be a strong damper, which the moving robot doesn't have."""
+    """Return the scene without Coulomb friction, for designs about standstill: there its smoothed form is a strong damper, which the
+    moving robot doesn't have."""
     return scene.replace({"effects.joint_friction.coulomb": 0.0}) if scene.effects.joint_friction.coulomb else scene
 
 

@@ -32,7 +32,7 @@ ACCURACY = 1e-12
 """Largest error of predicted samples relative to the motion's extent; that of the polynomials, through all samples, is below rounding."""
 
 ROUNDING = 16 * np.finfo(float).eps
-"""Rounding errors of predicted samples relative to the largest position, which are more than `ACCURACY` of small motions."""
+"""Rounding errors of predicted samples, relative to the largest position; in small motions they exceed `ACCURACY`."""
 
 SHORTEST = 1e-4
 """Half of the shortest interval as a fraction of the duration; what needs a shorter one isn't smooth."""
@@ -133,7 +133,7 @@ def _pieces(
     """Return start [s] and Taylor coefficients (degree + 1, 2) of each polynomial between two times."""
     half = 0.5 * (end - begin)
     values = sampled(begin + half * (1.0 + NODES))
-    # from the first one, so that a standstill has no velocity by rounding
+    # relative to the first one, so that rounding gives a standstill no velocity
     first = values[0]
     values = values - first
     # every other node predicts those between them
@@ -182,7 +182,7 @@ def _check_velocity(motion: PiecewisePolynomial) -> None:
     """Raise TrajectoryError unless the motion begins and ends at rest, without a jump of the velocity between."""
     points = np.array(motion.breakpoints)
     positions, velocities = abs(motion.evaluate(np.linspace(0.0, motion.duration, 1000), 1)).max(axis=(1, 2))
-    # of polynomials, the velocity is up to degree² / interval times the position, rounding errors included
+    # rounding errors of the velocity grow with degree² / interval, by Markov's inequality
     rounding = ROUNDING * positions * DEGREE**2 / np.diff(points).min()
     jumps = abs(motion.evaluate(points, 1, "right")[1] - motion.evaluate(points, 1, "left")[1]).max(axis=1)
     worst = int(jumps.argmax())

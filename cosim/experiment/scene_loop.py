@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from flexfmu.cosim.control.shapers import Shaper
 
 
-COMPENSATING = ("computed-torque", "disturbance-observer", "feedforward", "friction-compensation")
-"""Kinds of controllers with a model of the joints' friction; designs from a linear model aren't among them."""
-
-
 def loop_of(
     scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | None = None, *, about_rest: bool = False
 ) -> Loop:
@@ -201,7 +197,7 @@ class _Builder:
 
         period = None if motion.repetition is None else motion.repetition.period
         assumed = motion.scene.model_copy(update={"disturbance": ()})
-        if self._about_rest and getattr(section, "kind", "") in COMPENSATING:
+        if self._about_rest:
             assumed, section = _without_coulomb(assumed, section)
         context = LoopContext(
             assumed,

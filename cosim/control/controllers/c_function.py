@@ -35,14 +35,16 @@ LIBRARIES = (".so",)
 CALL = "user_function"
 """Name of the function that CasADi calls, and of its file."""
 
-_NO_CODE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|^[ \t]*#(?:\\\n|[^\n])*", re.DOTALL | re.MULTILINE)
-"""Comments, texts and lines of the preprocessor."""
+_NO_CODE = re.compile(
+    r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'|^[ \t]*#(?:\\\n|[^\n])*", re.DOTALL | re.MULTILINE
+)
+"""Comments, strings, characters and lines of the preprocessor."""
 
 _STATIC = re.compile(r"\bstatic\s+[^;={}()]*?\w+\s*(?:\[[^\]]*\]\s*)*(?=[;=,])")
 _GLOBAL = re.compile(
     r"(?!(?:typedef|extern|static|enum)\b|(?:struct|union)\s+\w+\s*$)[A-Za-z_][\w\s*]*[\s*]\w+\s*(?:\[[^\]]*\]\s*)*(?=[=,]|$)"
 )
-"""Declarations of variables that outlive a call; the second one at the start of a statement outside functions."""
+"""Declarations of variables that keep their value between calls; a global one begins a statement outside all braces."""
 
 _CALL_FILE = """/* Calls {function} as CasADi calls its functions: (x, u, p) -> (y, next_x); the last state counts the samples. */
 #include <math.h>
@@ -115,8 +117,8 @@ def c_function(
         name: name of the block.
 
     Raises:
-        InputError: a file can't be read or compiled, has no such function, or keeps values between calls; a name is repeated, a number isn't finite, or
-            the sample time isn't positive.
+        InputError: a file can't be read or compiled, has no such function, or keeps values between calls; a name is repeated, a
+            number isn't finite, or the sample time isn't positive.
         MissingCompilerError: there is no C compiler.
     """
     check_sampling(sample_time, offset, name)

@@ -65,9 +65,9 @@ def lqg(
 ) -> SymbolicBlock:
     """Build the block: state feedback with a full-order observer, from measured angles alone.
 
-    The robot is linearised about its equilibrium at a pose, without Coulomb friction, and discretised with a zero-order hold of the torques;
-    `control.dlqr` and `control.dlqe` calculate the gains. Constant references are tracked without static error in the
-    linearised robot.
+    The robot is linearised about its equilibrium at a pose, without Coulomb friction, and discretised with a zero-order hold of
+    the torques; `control.dlqr` and `control.dlqe` calculate the gains. Constant references are tracked without static error in
+    the linearised robot.
 
     Args:
         scene: the robot.
