@@ -11,7 +11,6 @@ PYTHON ?= python3
 EXTRAS := $(if $(shell command -v cc || command -v gcc || command -v clang),,[zig])
 VENV := .venv
 BIN := $(VENV)/bin
-export OMP_NUM_THREADS := 1
 
 .PHONY: demo test check fast fuzz bench lint docs format clean
 .DEFAULT_GOAL := demo

@@ -68,7 +68,7 @@ def _build_time() -> float:
 def _process_time(folder: Path, arguments: tuple[str, ...], environment: dict[str, str] | None = None) -> float:
     """Return the processor time [s] of a command and of the processes that it starts, Python's bytecode being cached."""
     command = (sys.executable, "-m", "flexfmu", *arguments)
-    variables = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": str(BYTECODE), **(environment or {})}
+    variables = {**os.environ, "PYTHONPYCACHEPREFIX": str(BYTECODE), **(environment or {})}
     variables.pop("PYTHONDONTWRITEBYTECODE", None)
     before = os.times()
     subprocess.run(command, cwd=folder, env=variables, check=True, capture_output=True)

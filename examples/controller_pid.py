@@ -3,10 +3,13 @@
 python controller_pid.py
 """
 
+import warnings
+
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.controllers.anti_windup import BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.prepared_scene import run_loop
 
@@ -14,6 +17,8 @@ scene = load_scene("barnard2012-6kg").replace(
     {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.5}
 )
 start = list(holding_torques(scene).values())  # the integral begins where the robot is at rest
+
+warnings.simplefilter("ignore", LoopWarning)  # without protection the loop runs away, as the table shows
 
 for rule in (Unprotected(), Clamping(), BackCalculation(tracking_time=0.01)):
     controller = pid(

@@ -1,6 +1,6 @@
 """Compiles the solver of variants in lockstep from the sources of an FMU, with as many lanes as the processor has.
 
-One library serves all variants of a model: a lane of every number for each variant (``c-runtime/real.h``). The generated C
+One library serves all variants of a model: a lane of every number for each variant (``c-runtime/base/real.h``). The generated C
 code comes from the FMU, the runtime from this package.
 """
 
@@ -17,7 +17,7 @@ from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError, ModelError
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.sources import Sources, batch_sources, processor_sources, runtime_sources
+from flexfmu.fmu_build.sources import Sources, runtime_sources
 from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, Compiler, find_compiler
 
 LANE_FLAGS: Mapping[int, tuple[str, ...]] = {
@@ -69,8 +69,8 @@ def lanes_of_processor() -> int:
 
 @cache
 def _lanes_of_processor() -> int:
-    library = _compiled("flexfmu_processor", {}, processor_sources(), ())
-    return int(CDLL(str(library)).flex_batch_widest())
+    library = _compiled("flexfmu_processor", {}, runtime_sources("processor"), ("-fvisibility=default",))
+    return int(CDLL(str(library)).flex_processor_lanes())
 
 
 def batch_library(fmu: Path, lanes: int) -> Path:
@@ -85,7 +85,7 @@ def batch_library(fmu: Path, lanes: int) -> Path:
     """
     generated = {name: in_lanes(name, code) for name, code in _generated_code(fmu).items()}
     flags = (f"-DFLEX_WIDTH={lanes}", *LANE_FLAGS[lanes], *WORK)
-    return _compiled("flexfmu_batch", generated, batch_sources(lanes), flags)
+    return _compiled("flexfmu_batch", generated, runtime_sources("batch"), flags)
 
 
 def _generated_code(fmu: Path) -> dict[str, str]:

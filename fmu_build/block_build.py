@@ -16,6 +16,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable, Interface, Unknown, check_names, real_variable
 from flexfmu.fmu_build.naming import Naming, named_block
 from flexfmu.fmu_build.picture import FINE_PEN, ICON_SIZE, PAGE_SIZE, block_picture, png
+from flexfmu.fmu_build.regular_sampling import regular
 from flexfmu.fmu_build.sources import Sources, assemble_sources
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -63,6 +64,7 @@ def build_block_fmu(
         return generate_block_sources(block, experiment, progress, naming)
 
     check_block(block)
+    block = regular(block)
     # default experiment: a thousand samples in steps of the sample time
     step = block.sample_time if step is None else step
     end = float(f"{DEFAULT_SAMPLES * block.sample_time:.12g}") if stop_time is None else stop_time

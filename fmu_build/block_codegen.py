@@ -99,7 +99,7 @@ def check_block(block: SymbolicBlock) -> None:
     """
     # sampling, then start states
     name = block.name
-    if not (isfinite(block.sample_time) and block.sample_time > 0.0):
+    if not (block.sample_time > 0.0 and (isfinite(block.sample_time) or block.instants)):
         raise ModelError(
             f"the sample time of block '{name}' must be positive, got {block.sample_time} s; 1e-3 is 1 kHz"
         )

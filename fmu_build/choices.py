@@ -68,7 +68,7 @@ INITIAL = ChoiceParameter(
 )
 
 LEAST_TOLERANCE = 1e-12
-"""Lower limit of the relative tolerance; smaller ones are raised to it, see ``c-runtime/plant_backend.c``."""
+"""Lower limit of the relative tolerance; smaller ones are raised to it, see ``c-runtime/plant/plant_backend.c``."""
 
 FIXED_STEP = "integrator.step"
 """Name of the parameter for a fixed step size [s]; 0 selects error control."""
@@ -92,7 +92,7 @@ INTEGRATOR = ChoiceParameter(
         "rk4": (7, "Classical Runge-Kutta method, explicit, order 4"),
     },
 )
-"""The integration method; the numbers are those of ``c-runtime/methods.h``."""
+"""The integration method; the numbers are those of ``c-runtime/solver/methods.h``."""
 
 
 def annotation(choices: Iterable[ChoiceParameter]) -> dict[str, dict[str, str]]:

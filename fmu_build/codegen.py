@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi
+import numpy as np
 
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.states import find_states
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.twin_code import twin_code
 from flexfmu.fmu_build.twins import Entry
-from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
+from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel, Variable
 
 MAX_INPUT_ORDER = 9
 """Highest order that fmi2SetRealInputDerivatives accepts: two-point Hermite data of value and four derivatives."""
@@ -62,10 +63,11 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     """C files of the model's functions (name → text, header included) and the facts for the constant tables.
 
     Raises:
-        ModelError: a function is missing or has a wrong signature.
+        ModelError: a function is missing or has a wrong signature, or the mass matrix isn't symmetric or not that of the residual.
     """
     sizes = _sizes(model)
     prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
+    _check_mass_matrix(model, prepared)
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
     files = {function_file(name): _code(model, name, function) for name, function in prepared.items()}
     if (lanes := lanes_code(with_all_arguments(c_code(prepared["residual"])))) is not None:
@@ -155,6 +157,71 @@ def _prepare(name: str, function: casadi.Function, sizes: Mapping[str, tuple[int
     symbols = [casadi.SX.sym(argument, function.sparsity_in(i)) for i, argument in enumerate(arguments)]
     value = casadi.cse(casadi.densify(function.call(symbols)[0]))
     return casadi.Function(f"model_{name}", symbols, [value], list(arguments), [result])
+
+
+SPREADS = (0.0, 1e-4, 1e-3, 1e-2, 0.1, 0.3, 1.0)
+"""Spreads of the points at which a mass matrix is evaluated, around the start and relative to it, or absolute around 0."""
+
+DRAWN = 8
+"""Number of points of each spread."""
+
+EQUAL = 1e-9
+"""Relative difference of values that count as equal: rounding errors near a singularity reach 1e-12."""
+
+
+def _check_mass_matrix(model: SymbolicModel, functions: Mapping[str, casadi.Function]) -> None:
+    """Check that the mass matrix is symmetric, and the residual linear in the accelerations with this matrix.
+
+    The integrators of co-simulation use the residual, model exchange the Cholesky factors of the lower half of the matrix: where
+    these differ, so do the results. Entries whose expressions aren't the same are compared at points drawn around the start,
+    those beyond a singularity left out.
+
+    Raises:
+        ModelError: an entry differs from its mirror image, or from the residual's Jacobian.
+    """
+    names, random = model.unknowns, np.random.default_rng(0)
+    y, u, d = (casadi.SX.sym(name, functions["mass_matrix"].sparsity_in(i)) for i, name in enumerate("yud"))
+    symbolic = casadi.cse(functions["mass_matrix"](y, u, d))
+    pairs = [(i, j) for i in range(len(names)) for j in range(i)]
+    open_pairs = [(i, j) for i, j in pairs if not casadi.simplify(symbolic[i, j] - symbolic[j, i]).is_zero()]
+    for spread in np.repeat(SPREADS, DRAWN):
+        # a point: parameters within their limits, coordinates, inputs, rates and accelerations
+        p = np.array([_drawn(each, spread, random) for each in model.parameters])
+        d, y, u = (functions[name](p).full().ravel() for name in ("derive", "initial_coordinates", "initial_inputs"))
+        y, u = (values + spread * random.standard_normal(values.size) for values in (y, u))
+        if not float(functions["singularity"](y, u, d)) >= model.minimum_margin:
+            continue
+        v, a = spread * random.standard_normal(y.size), random.standard_normal(y.size)
+        mass = functions["mass_matrix"](y, u, d).full()
+        where = f"at {', '.join(f'{name} = {value:.4g}' for name, value in zip(names, y, strict=True))}"
+        # symmetry, relative to the entries and to those on the diagonal
+        for i, j in open_pairs:
+            size = max(abs(mass[i, j]), abs(mass[j, i]), np.sqrt(abs(mass[i, i] * mass[j, j])))
+            if abs(mass[i, j] - mass[j, i]) > EQUAL * size:
+                raise ModelError(
+                    f"the mass matrix of model '{model.name}' isn't symmetric: its entry ({names[i]}, {names[j]}) is "
+                    f"{mass[i, j]:.6g}, its entry ({names[j]}, {names[i]}) is {mass[j, i]:.6g} {where}; write the equations "
+                    f"of motion so that it is, as those of Lagrange are"
+                )
+        # the residual's change by accelerations
+        bias, moving = (functions["residual"](y, v, each, u, d).full().ravel() for each in (0.0 * a, a))
+        unequal = abs(moving - bias - mass @ a) > EQUAL * (abs(bias) + abs(mass) @ abs(a))
+        if unequal.any():
+            row = int(np.argmax(unequal))
+            raise ModelError(
+                f"'mass_matrix' of model '{model.name}' isn't the Jacobian of 'residual' by the accelerations: in the row of "
+                f"{names[row]} the residual changes by {(moving - bias)[row]:.6g}, the matrix times the accelerations is "
+                f"{(mass @ a)[row]:.6g} {where}; make it casadi.jacobian(residual, a), of a residual that is linear in a"
+            )
+
+
+def _drawn(parameter: Variable, spread: float, random: np.random.Generator) -> float:
+    """A parameter's value near its start, within its limits."""
+    start = parameter.start or 0.0
+    value = start + 0.1 * spread * random.standard_normal() * (abs(start) or 1.0)
+    low = value if parameter.minimum is None else parameter.minimum
+    high = value if parameter.maximum is None else parameter.maximum
+    return float(min(max(value, low), high))
 
 
 def _check_shape(what: str, sparsity: casadi.Sparsity, expected: tuple[int, int]) -> None:

@@ -135,7 +135,7 @@ def plant_picture(
 
 def _header_licence() -> str:
     """The licence of the FMI standard's headers, copied from the first of them."""
-    header = (files("flexfmu.fmu_build") / "c-runtime" / _HEADERS[0]).read_text(encoding="utf-8")
+    header = (files("flexfmu.fmu_build") / "c-runtime" / "fmi2" / _HEADERS[0]).read_text(encoding="utf-8")
     found = re.search(r"^[ ]*Copyright.*?^[ ]*-{20,}.*?^[ ]*-{20,}", header, re.MULTILINE | re.DOTALL)
     text = found.group() if found else header
     return f"Of the FMI standard: {', '.join(_HEADERS)} in the folder sources/.\n\n{text}\n"

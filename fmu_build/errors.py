@@ -24,7 +24,15 @@ class MissingCompilerError(PlatformError):
 
 
 class CompileError(BuildError):
-    """The C compiler or linker failed; the message contains its first error line."""
+    """The C compiler or linker failed; the message contains its first error line.
+
+    Attributes:
+        undefined: symbols that nothing defines.
+    """
+
+    def __init__(self, message: str, undefined: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.undefined = undefined
 
 
 class ArchiveError(BuildError):

@@ -24,28 +24,24 @@ if TYPE_CHECKING:
 FmuKind = Literal["plant", "block", "trajectory"]
 """Kind of an FMU; all kinds share the FMI layer of the runtime."""
 
+RuntimeKind = FmuKind | Literal["batch", "elementary", "processor"]
+"""What the C runtime is compiled for."""
+
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 """Path of FMI 3.0's build description, which tools for FMI 2.0 read too."""
 
 OPTIONS = ("-O2", *COMMON_FLAGS)
 """Options for GCC and Clang that reproduce the numbers of the binaries; other compilers only need C99."""
 
-_COMMON = (
-    "backend.",
-    "clock.",
-    "elementary",
-    "fmi2",
-    "memory.",
-    "model.",
-    "old_glibc.",
-    "private.",
-    "real.",
-    "refusal.",
-)
-"""Prefixes of the runtime's files for all kinds."""
-
-_OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",), "batch": ("batch",)}
-"""Kind → prefixes of its further files; the plant needs all files except those named after other kinds."""
+_FOLDERS: Mapping[str, tuple[str, ...]] = {
+    "plant": ("base", "fmi2", "inputs", "math", "lanes", "solver", "plant"),
+    "block": ("base", "fmi2", "inputs", "math", "block"),
+    "trajectory": ("base", "fmi2", "math", "trajectory"),
+    "batch": ("base", "inputs", "math", "lanes", "solver", "batch"),
+    "elementary": ("math", "lanes"),
+    "processor": ("lanes",),
+}
+"""What is compiled → folders of ``c-runtime`` that it needs; their files lie side by side in an FMU."""
 
 
 @dataclass(frozen=True)
@@ -152,85 +148,18 @@ def assemble_sources(
     return Sources(identifier(description.name), guid, text, code(guid), runtime, pages, icon)
 
 
-def runtime_sources(kind: FmuKind = "plant") -> dict[str, str]:
-    """C files and headers of the runtime for a kind of FMU, name → text."""
-    folder = files("flexfmu.fmu_build") / "c-runtime"
-    entries = sorted((entry for entry in folder.iterdir() if _belongs(entry.name, kind)), key=lambda e: e.name)
-    return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
+def runtime_sources(kind: RuntimeKind = "plant") -> dict[str, str]:
+    """C files and headers of the runtime, name → text.
 
-
-_BATCH = (
-    "accuracy.",
-    "batch.",
-    "batch_functions.",
-    "batch_peaks.",
-    "batch_run.",
-    "collocation.",
-    "elementary",
-    "equations.",
-    "explicit",
-    "dormand_prince.",
-    "friction.h",
-    "gauss_tableaus.",
-    "inputs.",
-    "integration_step.",
-    "integrator.",
-    "lanes",
-    "linear_algebra.",
-    "memory.",
-    "methods.",
-    "model.",
-    "newton_matrix.",
-    "outcome.",
-    "plant.",
-    "powers.",
-    "prediction.",
-    "private.",
-    "radau_tableau.",
-    "real.",
-    "refusal.h",
-    "runge_kutta_4.",
-    "stages.",
-    "statics.",
-    "tableaus.",
-    "tangent.",
-    "twins.",
-)
-"""Prefixes of the runtime's files that variants in lockstep need: the numerical layer without FMI and friction."""
-
-
-def batch_sources(lanes: int) -> dict[str, str]:
-    """C files and headers of the solver of ``lanes`` variants in lockstep, name → text; friction that sticks has one lane."""
-    return _runtime_files((*_BATCH, "friction.c") if lanes == 1 else _BATCH)
-
-
-def processor_sources() -> dict[str, str]:
-    """C files and headers of the library that tells how many lanes this processor has, name → text."""
-    return _runtime_files(("batch.h", "batch_processor.", "lanes."))
-
-
-def _runtime_files(prefixes: tuple[str, ...]) -> dict[str, str]:
-    folder = files("flexfmu.fmu_build") / "c-runtime"
-    entries = sorted((entry for entry in folder.iterdir() if entry.name.startswith(prefixes)), key=lambda e: e.name)
-    return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
-
-
-def elementary_sources() -> dict[str, str]:
-    """C files and headers of the elementary functions (sin, exp, ...), scalar and on lanes, that generated code calls."""
-    return {
-        name: text
-        for name, text in runtime_sources().items()
-        if name.startswith(("elementary", "lanes.", "lanes_math.", "twins."))
-    }
-
-
-def _belongs(name: str, kind: FmuKind) -> bool:
-    """Whether a file, by its name, belongs to the runtime for a kind of FMU."""
-    if not name.endswith((".c", ".h")):
-        return False
-    if kind == "plant":
-        return not name.startswith(tuple(_OWN))
-    return name.startswith((*_COMMON, *_OWN[kind]))
+    Args:
+        kind: kind of FMU; ``batch``: the solver of variants in lockstep, without FMI; ``elementary``: the functions (sin, exp, ...),
+            scalar and on lanes, that generated code calls; ``processor``: tells how many lanes this processor has.
+    """
+    root = files("flexfmu.fmu_build") / "c-runtime"
+    entries = [
+        entry for folder in _FOLDERS[kind] for entry in (root / folder).iterdir() if entry.name.endswith((".c", ".h"))
+    ]
+    return {entry.name: entry.read_text(encoding="utf-8") for entry in sorted(entries, key=lambda each: each.name)}
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -139,6 +140,15 @@ def _zig_compiler(platform: Platform) -> Compiler | None:
     return Compiler(command, Path(spec.submodule_search_locations[0]), replace(platform, link_flags=flags))
 
 
+_UNDEFINED = re.compile(
+    r"undefined (?:reference to|symbol:?) [`'\"]?([\w.$]+)|^\s*\"_(\w+)\", referenced from", re.MULTILINE
+)
+"""What GNU's linker, LLVM's and Apple's say of a symbol that nothing defines."""
+
+_REASON = re.compile(r"error|multiple definition|duplicate symbol|cannot find", re.IGNORECASE)
+_NO_REASON = re.compile(r"ld returned \d+ exit status|linker command failed")
+
+
 def _run(command: tuple[str, ...], folder: Path, what: str) -> None:
     environment = os.environ | {"LC_ALL": "C"}
     try:
@@ -148,10 +158,14 @@ def _run(command: tuple[str, ...], folder: Path, what: str) -> None:
     except OSError as error:
         raise CompileError(f"{what}: cannot start {command[0]}: {error.strerror}; {_REMEDY}") from error
     if outcome.returncode != 0:
-        raise CompileError(f"{what} with {command[0]} failed: {_first_error(outcome.stderr + outcome.stdout)}")
+        output = outcome.stderr + outcome.stdout
+        undefined = tuple(dict.fromkeys(one or other for one, other in _UNDEFINED.findall(output)))
+        reason = f"nothing defines {', '.join(undefined)}" if undefined else _first_error(output)
+        raise CompileError(f"{what} with {command[0]} failed: {reason}", undefined)
 
 
 def _first_error(output: str) -> str:
-    """The first line of compiler output that contains "error", else the first line."""
+    """The first line of compiler output that contains "error" or tells what a linker refuses, else the first line."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
-    return next((line for line in lines if "error" in line.lower()), lines[0] if lines else "no message")
+    said = [line for line in lines if not _NO_REASON.search(line)]
+    return next((line for line in said if _REASON.search(line)), (said or lines or ["no message"])[0])

@@ -1,6 +1,6 @@
-"""The numbers of the elementary functions in `fmu_build/c-runtime`: minimax polynomials, tables, parts of pi and ln 2.
+"""The numbers of the elementary functions in `fmu_build/c-runtime/math`: minimax polynomials, tables, parts of pi and ln 2.
 
-    python generators/elementary_constants.py    # writes fmu_build/c-runtime/elementary_*_constants.h
+    python generators/elementary_constants.py    # writes fmu_build/c-runtime/math/elementary_*_constants.h
 
 Needs mpmath; a test compares the headers with what this writes.
 """
@@ -14,7 +14,7 @@ from mpmath import atan, cos, exp, floor, ldexp, log, mp, mpf, nint, pi, sin, sq
 from remez import Function, minimax
 
 mp.prec = 1400  # the table of 2/pi alone has 1184 bits
-RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
+RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime" / "math"
 
 PI_PART_BITS = 33
 """The number of quarter turns, of up to 20 bits, times a part of pi/2 is exact."""

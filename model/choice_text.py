@@ -41,8 +41,18 @@ def choice_sentence(scene: Scene) -> str:
     choice = scene.effects.choice
     if choice is None:
         return ""
-    errors = ", ".join(f"{name} {percent(value)}" for name, value in zip(choice.of, choice.error, strict=True))
-    return f"effects chosen for {percent(choice.tolerance)}: {set_text(scene)} (estimated errors: {errors})"
+    known = choice.error if choice.verified is None else choice.verified
+    errors = ", ".join(f"{name} {percent(value)}" for name, value in zip(choice.of, known, strict=True))
+    how = "estimated errors" if choice.verified is None else "errors beside the richest set"
+    alone = ", of the motion alone" if choice.verified_in == "motion" else ""
+    beyond = [name for name, value in zip(choice.of, choice.verified or (), strict=False) if value > choice.tolerance]
+    missed = (
+        f"; NOT within {percent(choice.tolerance)}: {', '.join(beyond)}, with a tolerance of the FMU of "
+        f"{scene.cosimulation.tolerance:g}; leave out `cosimulation.tolerance` and `cosimulation.integrator_step`, or ask for less"
+        if beyond
+        else ""
+    )
+    return f"effects chosen for {percent(choice.tolerance)}: {set_text(scene)} ({how}{alone}: {errors}{missed})"
 
 
 def choice_notes(scene: Scene) -> tuple[EffectNote, ...]:

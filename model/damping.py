@@ -52,7 +52,7 @@ class ModalDamping(StructuralDamping):
                 "parameter",
                 start=ratio,
                 minimum=0.0,
-                maximum=1.0,
+                maximum=1e3,
             )
         )
 

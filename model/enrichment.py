@@ -7,7 +7,7 @@ transmissions): they can only be left out, as a scene without them doesn't give 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,12 @@ from flexfmu.model.scene.effects import LOADS, MAXIMUM_MODES, Effects
 from flexfmu.model.scene.schema import Scene
 
 EffectChanges = dict[str, Any]
+
+FOLLOWING: Mapping[str, Any] = {
+    **dict.fromkeys(("controller", "shaper", "imperfection", "filter", "disturbance"), ()),
+    "cosimulation.drive": "motion",
+}
+"""Changes of a scene that leave the robot alone, its motors following the planned motion exactly."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,10 @@ def enrichments(scene: Scene) -> tuple[Neighbour, ...]:
 
 
 def reductions(scene: Scene) -> tuple[Neighbour, ...]:
-    """All scenes that have one effect or one mode less."""
+    """All scenes that have one effect or one mode less.
+
+    A motor without inertia in front of an elastic transmission has no equation of motion; it follows the planned motion instead.
+    """
     effects = scene.effects
     steps: list[tuple[str, str, EffectChanges]] = []
     # elastic families
@@ -73,7 +82,8 @@ def reductions(scene: Scene) -> tuple[Neighbour, ...]:
     # loads of the robot; the mass of the payload stays
     for key in scene.loads:
         full = key if "." in key else f"effects.{key}"
-        steps.append((key, LOADS[key].change, {full: LOADS[key].absent}))
+        massless = key == "motor_inertia" and effects.transmission is not None
+        steps.append((key, LOADS[key].change, {**(FOLLOWING if massless else {}), full: LOADS[key].absent}))
     return tuple(Neighbour(effect, change, scene.replace(values)) for effect, change, values in steps)
 
 

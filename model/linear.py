@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import casadi
 import numpy as np
 
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
@@ -70,14 +73,16 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
         raise ImportError("linearize needs python-control; run: pip install flexfmu[control]") from None
 
     # the plant, its operating point and the chosen outputs
-    plant, point = torque_driven_plant(scene), operating_point(scene, position)
+    plant, point = _plant(scene)[0], operating_point(scene, position)
     names = [variable.name for variable in plant.outputs]
     for name in outputs or ():
         if name not in names:
-            raise ValueError(f"the plant has no output `{name}`; its outputs: {', '.join(names)}")
+            near = sorted(get_close_matches(name, names, cutoff=0.0), key=names.index)
+            listed = f"{', '.join(near)} and {len(names) - len(near)} others"
+            raise ValueError(f"the plant has no output `{name}`; its outputs: {listed}")
     rows = list(range(len(names))) if outputs is None else [names.index(name) for name in outputs]
     # states are the unknowns and their rates
-    a, b, c, d = _matrices(plant, point)
+    a, b, c, d = _matrices(scene, point)
     rates = [f"der({name})" for name in plant.unknowns]
     return control.ss(
         a,
@@ -116,6 +121,7 @@ def without_coulomb_friction(scene: Scene) -> Scene:
     return scene.replace({"effects.joint_friction.coulomb": 0.0}) if scene.effects.joint_friction.coulomb else scene
 
 
+@one_blas_thread()
 def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
     """The torque-driven plant about its equilibrium at `position` [m], with some of its outputs.
 
@@ -123,12 +129,11 @@ def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[
         ValueError: the position is out of reach.
         EquilibriumError: there is no equilibrium.
     """
-    plant, point = torque_driven_plant(scene), operating_point(scene, position)
+    (plant, derived, _, _), point = _plant(scene), operating_point(scene, position)
     names = [variable.name for variable in plant.outputs]
     rows = [names.index(name) for name in outputs]
-    a, b, c, d = _matrices(plant, point)
+    a, b, c, d = _matrices(scene, point)
     n = len(plant.unknowns)
-    derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
     values = plant.functions["outputs"](point.coordinates, np.zeros(n), np.zeros(n), point.inputs, derived)
     at_rest = np.asarray(values.full())[rows, 0]
     inputs = tuple(variable.name for variable in plant.inputs)
@@ -140,25 +145,32 @@ def signal_label(name: str) -> str:
     return name.replace(".", "_")
 
 
-def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[RealArray, RealArray, RealArray, RealArray]:
-    """State-space matrices A, B, C, D for the states [y, v], from the Jacobians of the plant at the equilibrium."""
-    # symbols of the plant, and their values at the equilibrium
+@lru_cache(maxsize=8)
+def _plant(scene: Scene) -> tuple[SymbolicModel, casadi.DM, casadi.Function, casadi.Function]:
+    """The plant, its derived values, and the Jacobians of residual and outputs by coordinates, rates, accelerations and inputs."""
+    plant = torque_driven_plant(scene)
     n, m = len(plant.unknowns), len(plant.inputs)
-    y, v, a, u = (casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m)))
+    arguments = [casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m))]
     derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
+
+    def jacobians(name: str) -> casadi.Function:
+        expression = plant.functions[name](*arguments, derived)
+        return casadi.Function(name, arguments, [casadi.jacobian(expression, x) for x in arguments])
+
+    return plant, derived, jacobians("residual"), jacobians("outputs")
+
+
+def _matrices(scene: Scene, point: OperatingPoint) -> tuple[RealArray, RealArray, RealArray, RealArray]:
+    """State-space matrices A, B, C, D for the states [y, v], from the Jacobians of the plant at the equilibrium."""
+    plant, _, residual, outputs = _plant(scene)
+    n, m = len(plant.unknowns), len(plant.inputs)
     rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
-
-    def jacobians(name: str) -> list[RealArray]:
-        expression = plant.functions[name](y, v, a, u, derived)
-        slopes = casadi.Function(name, [y, v, a, u], [casadi.jacobian(expression, x) for x in (y, v, a, u)])
-        return [np.asarray(slope.full()) for slope in slopes(*rest)]
-
     # accelerations as functions of states and inputs: M a + C v + K y + B u = 0
-    stiffness, damping, mass, load = jacobians("residual")
+    stiffness, damping, mass, load = (np.asarray(each.full()) for each in residual(*rest))
     response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
     by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
     # outputs, which depend on the accelerations too
-    c_y, c_v, c_a, c_u = jacobians("outputs")
+    c_y, c_v, c_a, c_u = (np.asarray(each.full()) for each in outputs(*rest))
     state_matrix = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state])
     input_matrix = np.vstack([np.zeros((n, m)), by_input])
     return state_matrix, input_matrix, np.hstack([c_y, c_v]) + c_a @ by_state, c_u + c_a @ by_input

@@ -13,13 +13,8 @@ import casadi
 
 from flexfmu.model.beams import LinkGroup
 from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.model.scene.section import LARGEST, SMALLEST
 from flexfmu.model.symbolic import Variable
-
-POSITIVE = 1e-9
-"""Smallest admissible value of a length, density or modulus in its SI unit."""
-
-LARGEST = 1e9
-"""Default upper limit of an effect's parameter, in its SI unit."""
 
 
 class ParameterRegistry:
@@ -140,7 +135,7 @@ def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> d
 
 def _positive(name: str, unit: str, description: str, start: float, maximum: float) -> Variable:
     """A parameter above zero; FMI ranges are closed, so the minimum is tiny instead."""
-    return Variable(name, unit, description, "parameter", start=start, minimum=POSITIVE, maximum=maximum)
+    return Variable(name, unit, description, "parameter", start=start, minimum=SMALLEST, maximum=maximum)
 
 
 @dataclass(frozen=True)

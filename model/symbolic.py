@@ -5,7 +5,8 @@ torque-driven plant: actuated and elastic coordinates)::
 
     r(y, y', y'', u, d) = M(y, u, d) y'' + b(y, y', u, d) = 0
 
-with the inputs ``u`` and the derived values ``d``, computed once from the FMI parameters ``p``.
+with the inputs ``u`` and the derived values ``d``, computed once from the FMI parameters ``p``. The mass matrix M is
+symmetric and positive definite; a build refuses one that isn't symmetric, or not the Jacobian of r by y''.
 
 A block is a discrete-time system: a controller, shaper or imperfection. Its Python slave and its FMU have the same
 equations, so their results are the same. At its sample instants t_k = offset + k * sample_time it reads its inputs u,
@@ -43,7 +44,7 @@ FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "singularity": (("y", "u", "d"), "margin"),
     "error_scale": (("d",), "scale"),
 }
-"""Name of each function → (arguments, result). See `fmu_build/c-runtime/model.h` for shapes and meaning."""
+"""Name of each function → (arguments, result). See `fmu_build/c-runtime/base/model.h` for shapes and meaning."""
 
 
 @dataclass(frozen=True)
@@ -225,8 +226,9 @@ class SymbolicBlock:
     Attributes:
         name: model name.
         description: one sentence.
-        sample_time: sample time [s], above zero.
+        sample_time: sample time [s], above zero; infinite for a block that samples at ``instants`` alone.
         offset: first sample instant [s], zero or positive.
+        instants: further sample instants after the start [s], ascending.
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of the states x.
         output: CasADi function (x, u, p) → y, all dense column vectors.
@@ -251,3 +253,4 @@ class SymbolicBlock:
     latency: Mapping[str, float] = field(default_factory=dict)
     c_files: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
+    instants: tuple[float, ...] = ()

@@ -58,7 +58,7 @@ OPTIONAL = ("control", "distributed", "exudyn", "mcap", "pandas", "pyarrow", "ru
 HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
 """What a light module may put off loading, by an import within a function of what needs it."""
 
-SLOW = ("scipy", "concurrent", "html")
+SLOW = ("scipy", "threadpoolctl", "concurrent", "html")
 """What takes as long to load as a scene takes to read, or loads `logging`: functions that runs don't need may import it."""
 
 SELDOM = (

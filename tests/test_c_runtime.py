@@ -21,7 +21,9 @@ RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
 TESTS = Path(__file__).parent / "c-runtime"
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fvisibility=hidden", "-ffp-contract=off", "-fPIC")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-SOURCES = [RUNTIME / name for name in c_files(runtime_sources("plant"))]
+PATHS = {path.name: path for path in sorted(RUNTIME.glob("*/*.[ch]"))}
+INCLUDES = [f"-I{folder}" for folder in sorted(RUNTIME.iterdir()) if folder.is_dir()]
+SOURCES = [PATHS[name] for name in c_files(runtime_sources("plant"))]
 NAMES = re.findall(r"\bX\((\w+)\)", (TESTS / "tests.h").read_text().split("#define X(")[0])
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
@@ -40,7 +42,7 @@ def compile_all(folder: Path, sources: list[Path], flags: tuple[str, ...]) -> li
 
     def compile_one(source: Path) -> Path:
         target = folder / f"{source.stem}.o"
-        target.write_bytes(compiled((COMPILER, *FLAGS, *flags, f"-I{RUNTIME}"), source))
+        target.write_bytes(compiled((COMPILER, *FLAGS, *flags, *INCLUDES), source))
         return target
 
     with ThreadPoolExecutor(2) as pool:
@@ -91,7 +93,7 @@ def test_sanitizers_find_nothing(sanitized: Path) -> None:
 @pytest.mark.skipif(shutil.which("size") is None, reason="no size")
 def test_has_no_writable_globals(program: Path, tmp_path: Path) -> None:
     """Several instances in one process, and threads, must not share anything that changes."""
-    others = sorted(set(RUNTIME.glob("*.c")) - set(SOURCES))
+    others = sorted(set(RUNTIME.glob("*/*.c")) - set(SOURCES))
     objects = [*objects_beside(program, SOURCES), *compile_all(tmp_path, others, ("-O2",))]
     sections = [
         line.split() for line in run("size", "-A", *objects).splitlines() if line.startswith((".data ", ".bss "))
@@ -108,5 +110,5 @@ def test_exports_the_fmi_functions_only(program: Path, tmp_path: Path) -> None:
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
     functions = {name for name in exported if name.startswith("fmi2")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()
-    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (RUNTIME / "fmi2Functions.h").read_text()))
+    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", PATHS["fmi2Functions.h"].read_text()))
     assert functions == declared

@@ -19,7 +19,7 @@ from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, display
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, display, display_error
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
@@ -171,14 +171,18 @@ def test_metrics_of_the_quick_start(metrics: dict[str, Measurement]) -> None:
     named = {name: info.label for name, info in METRICS.items() if info.label in shown}
     assert len(named) >= 6
     for name, label in named.items():
+        found = metrics[name]
         assert re.search(
-            rf"{label} +{re.escape(display(name, metrics[name].value, error=metrics[name].error))}\n", shown
+            rf"{label} +{re.escape(display(name, found.value, error=found.error))} +"
+            rf"{display_error(name, found.value, found.error)}\n",
+            shown,
         ), label
 
 
 def test_modes_table() -> None:
     """The shown frequencies are those of the scene."""
-    shown = next(block for block in blocks("console", page("commands")) if "modes" in block).splitlines()[3:]
+    lines = next(block for block in blocks("console", page("commands")) if "modes" in block).splitlines()
+    shown = [line for line in lines if re.match(r" *\d\.\d+ ", line)]
     poses = modes_along_path(plan(load_scene("barnard2012-6kg")), 3)
     for line, pose in zip(shown, poses, strict=True):
         values = [pose.s, pose.x, pose.y, pose.q11, pose.q21, *pose.frequencies[:6]]

@@ -1,6 +1,11 @@
 """Motions as tables: rows of times and positions of the end effector or of the joints, with or without derivatives.
 
 `flexfmu.trajectories.table_file` reads them from CSV files, `write_table` writes them.
+
+Smoothing splines through measured positions: they pass the rows at a distance of the noise, with few knots of their own.
+
+Source: P. Dierckx, *Curve and Surface Fitting with Splines*, Oxford 1993, chapter 5: knots are added until the sum of squared
+distances is that of the noise. scipy's `splrep` is its program FITPACK.
 """
 
 from __future__ import annotations
@@ -18,8 +23,55 @@ from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates, PiecewisePolynomial, listed_degrees, spline
-from flexfmu.trajectories.smoothing import smoothed
 from flexfmu.trajectories.trajectory import Trajectory, limits
+
+DEGREES = (3, 5)
+"""Degrees of smoothing splines."""
+
+STANDSTILL = 0.2
+"""Rows of standstill before and after the motion, relative to its own rows: they make the spline begin and end at rest."""
+
+
+def smoothed(
+    time: RealArray, positions: RealArray, noise: float, degree: int = 5, coordinates: Coordinates = "end-effector"
+) -> PiecewisePolynomial:
+    """Return the smoothing spline; it begins and ends at rest at the first and the last position.
+
+    Args:
+        time: times [s], ascending from 0, shape (N,).
+        positions: measured positions (N, 2).
+        noise: standard deviation of their errors, in their unit.
+        degree: 3 or 5; the spline is ``degree`` - 1 times continuously differentiable, next to both ends half as often.
+        coordinates: what moves.
+
+    Raises:
+        TrajectoryError: the degree is another, or there is no such spline.
+    """
+    from scipy.interpolate import splev, splrep  # here, since other motions need no scipy
+
+    if degree not in DEGREES:
+        raise TrajectoryError(f"a smoothing spline (`noise`) has degree 3 or 5, got {degree}")
+    # standstill before and after
+    count, step = int(np.ceil(STANDSTILL * len(time))) + degree, float(np.median(np.diff(time)))
+    still = step * np.arange(1, count + 1)
+    longer = np.concatenate([-still[::-1], time, time[-1] + still])
+    splines = []
+    for axis in positions.T:
+        values = np.concatenate([np.full(count, axis[0]), axis, np.full(count, axis[-1])])
+        found, _, flag, message = splrep(
+            longer, values, w=np.full(len(longer), 1.0 / noise), k=degree, s=len(time), full_output=1, quiet=1
+        )
+        if flag > 0:
+            raise TrajectoryError(f"no smoothing spline for `noise` = {noise:g}: {message}; give another value")
+        splines.append(found)
+    # the same spline by its derivatives at the knots of both axes, and rest at the ends
+    inner = np.unique(np.concatenate([knots for knots, _, _ in splines]))
+    apart = 1e-3 * step
+    knots = np.concatenate([[0.0], inner[(inner > apart) & (inner < time[-1] - apart)], time[-1:]])
+    values = np.stack([[splev(knots, each, k) for k in range(degree // 2 + 1)] for each in splines], axis=-1)
+    values[0, [0, -1]], values[1:, [0, -1]] = positions[[0, -1]], 0.0
+    return spline(knots, values, degree, coordinates)
+
 
 COLUMNS: Mapping[Coordinates, tuple[tuple[str, str], ...]] = {
     "end-effector": (("x", "y"), ("vx", "vy"), ("ax", "ay"), ("jx", "jy")),
@@ -122,7 +174,7 @@ class MotionTable:
         Args:
             degree: 3, 5 or 7; None for 5, with jerks for 7.
             noise: standard deviation of measured positions' errors [m or rad], for a smoothing spline of degree 3 or 5; see
-                `flexfmu.trajectories.smoothing`.
+                `flexfmu.trajectories.table`.
 
         Raises:
             TrajectoryError: the degree is too low, or derivatives are to be smoothed.

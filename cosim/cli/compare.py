@@ -173,13 +173,13 @@ def _metrics_table(found: Comparison) -> Table | None:
 
 def _cell(name: str, run: ComparedRun, first: ComparedRun) -> str:
     """A metric's value, with its difference from the first run's in percent."""
-    from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
+    from flexfmu.cosim.metrics.metric_table import Measurement, display
 
     none = Measurement(None)
-    value, base = run.metrics.get(name, none).value, first.metrics.get(name, none).value
-    if value is None:
+    measured, base = run.metrics.get(name, none), first.metrics.get(name, none).value
+    if (value := measured.value) is None:
         return "–"
-    text = f"{value * ALL_METRICS[name].display_factor:.5g}"
+    text = display(name, value, None if measured.error is not None else 5, measured.error).partition(" ")[0]
     return text if run is first or not base else f"{text} ({100.0 * (value - base) / abs(base):+.3g} %)"
 
 

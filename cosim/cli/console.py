@@ -182,17 +182,24 @@ def orderly_termination() -> Iterator[None]:
         raise
 
 
+_hints: list[str] = []
+"""What the scenes of a command suggest, written beside its results: an error stays one line."""
+
+
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Turn every error that a user can meet into one line on standard error and the exit status.
+    """Turn every error that a user can meet into one line on standard error and the exit status, and end with the scenes' hints.
 
     Anything else is a mistake in flexfmu and keeps its traceback. Warnings that concern the user are one line each as well.
     """
+    _hints.clear()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _showing(warnings.showwarning)
             yield
     except typer.Exit:
+        for hint in _hints:
+            show_note(f"warning: {hint}")
         raise
     except KeyboardInterrupt:
         show_note("interrupted")
@@ -214,12 +221,13 @@ def show_note(message: str) -> None:
 
 def _showing(others: Callable[..., None]) -> Callable[..., None]:
     """Shows a warning that concerns the user without the line of code that it comes from; others as before."""
-    from flexfmu.cosim.engine.errors import CostWarning, SlaveWarning
+    from flexfmu.cosim.engine.errors import CostWarning, LearningWarning, LoopWarning, SlaveWarning
     from flexfmu.fmu_build.errors import CacheWarning
     from flexfmu.model.scene.errors import SceneWarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-        if issubclass(category, CacheWarning | CostWarning | SceneWarning | SlaveWarning):
+        shown = CacheWarning | CostWarning | LearningWarning | LoopWarning | SceneWarning | SlaveWarning
+        if issubclass(category, shown):
             show_note(f"warning: {message}")
         else:
             others(message, category, *where)
@@ -253,31 +261,35 @@ def _sentence(error: Exception) -> str:
 
 
 def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
-    """A scene from its file or by its name, changed by ``KEY=VALUE`` of `SetOption`.
+    """A scene from its file or by its name, changed by ``KEY=VALUE`` of `SetOption`; a note says if its effects are too poor.
 
     Raises:
         SceneError: as for `flexfmu.model.scene.file.load_scene`; a setting has another form.
     """
-    from flexfmu.model.scene.file import load_scene
+    from flexfmu.model.scene.file import basis_hint, load_scene
     from flexfmu.model.scene.keys import parse_setting
 
-    return load_scene(source, dict(map(parse_setting, settings or ())))
+    scene = load_scene(source, dict(map(parse_setting, settings or ())))
+    if hint := basis_hint(scene):
+        _hints.append(f"{hint} ({source})")
+    return scene
 
 
 def load_resolved(source: str, settings: Sequence[str] | None = None) -> Scene:
-    """The scene of `load_changed`, with its effects chosen where it leaves them open; a note on standard error names them.
+    """The scene of `load_changed`, with effects and learning laws chosen where it leaves them open; a note on standard error names them.
 
     Raises:
         SceneError: as for `load_changed`.
         TrajectoryError: effects are to be chosen along a motion that isn't feasible.
     """
     scene = load_changed(source, settings)
-    if scene.effects.select is None:
+    if scene.effects.select is None and not scene.learners:
         return scene
     from flexfmu.cosim.choices.effects.choice import resolved
     from flexfmu.model.choice_text import choice_sentence
 
     with progress() as show:
         chosen = resolved(scene, show)
-    show_note(choice_sentence(chosen))
+    if scene.effects.select is not None:
+        show_note(choice_sentence(chosen))
     return chosen

@@ -16,7 +16,7 @@ from flexfmu.cosim.cli.options import (
     SetOption,
     naming_convention,
 )
-from flexfmu.cosim.engine.files import RESULTS
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def fmus(
     # choose effects where the scene leaves them open, then export
     convention = naming_convention(naming)
     robot = load_resolved(scene, settings)
-    folder = out or RESULTS / robot.name / "fmus"
+    folder = out or usual_folder(robot.name, settings) / "fmus"
     with progress() as show:
         show("building the FMU of the robot", None)
         system = export_slaves(

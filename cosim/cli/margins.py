@@ -14,8 +14,20 @@ from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
 def margins(
     scene: SceneArgument,
     poses: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Poses, equally spaced along the path; 1 for its end.")
+        int,
+        typer.Option(
+            metavar="N", min=1, help="Poses, equally spaced along the path, beside the worst ones; 1 for its end alone."
+        ),
     ] = 5,
+    payload_band: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BAND",
+            help="Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 "
+            "for 4 to 8 kg. Default: the scene's alone.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -27,10 +39,11 @@ def margins(
 ) -> int:
     """Gain, phase, delay and disk margins of a sampled loop, about standstill along the path.
 
-    The loop is cut at each torque, then at both at once. Holds, delays, encoders, lags and several sample rates count exactly;
+    The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays, encoders, lags and several sample rates count exactly;
     rounding and limits don't count. The exit status is 1 if the loop is unstable.
     """
-    from flexfmu.cosim.choices.margins.margins_table import margins_data, margins_table
+    from flexfmu.cosim.choices.gains.robustness import band_masses, parse_band
+    from flexfmu.cosim.choices.margins.pictures import margins_data, margins_table
     from flexfmu.cosim.choices.margins.scene_margins import scene_margins
     from flexfmu.cosim.engine.files import OutputFolder
     from flexfmu.cosim.reports.text import to_json
@@ -38,8 +51,11 @@ def margins(
     robot = load_changed(scene, settings)
     if out is not None:
         OutputFolder(out).prepare()
+    masses = () if payload_band is None else band_masses(robot, parse_band(payload_band))
     with progress() as show:
-        result = scene_margins(robot, poses=poses, progress=lambda fraction: show("margins along the path", fraction))
+        result = scene_margins(
+            robot, poses=poses, payloads=masses, progress=lambda fraction: show("margins along the path", fraction)
+        )
         files: list[Path] = []
         if out is not None:
             from flexfmu.cosim.choices.margins.pictures import write_margins

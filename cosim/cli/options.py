@@ -38,7 +38,7 @@ SetOption = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5, controller[0].derivative=120, "
-        "controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Default: the scene as it is.",
+        "controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Without --out the results have a folder of their own, named after the changes. Default: the scene as it is.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else. Default: text.")]

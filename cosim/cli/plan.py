@@ -9,6 +9,7 @@ import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note
 from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def plan(
     from flexfmu.cosim.choices.plans.baselines import file_candidate
     from flexfmu.cosim.choices.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.choices.plans.planner import plan_scene, usual_methods
-    from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+    from flexfmu.cosim.engine.files import OutputFolder
     from flexfmu.cosim.reports.text import to_json
 
     if output is not None and output.suffix != ".toml":
@@ -161,7 +162,7 @@ def plan(
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
     }  # fmt: skip
     robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
-    folder = out or RESULTS / f"{robot.name}-plan"
+    folder = out or usual_folder(robot.name, settings, "-plan")
     OutputFolder(folder).prepare()
     with progress() as show:
         result = plan_scene(

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.results import FORMATS, Recording, check_format
+
+LONGEST = 80
+"""Characters of a folder's name that are for changes of the scene."""
 
 
 def check_formats(formats: Sequence[str]) -> None:
@@ -38,3 +43,13 @@ def write_results(
 def files_sentence(files: Sequence[str], folder: Path) -> str:
     """Return where the files are."""
     return f"{', '.join(files[:-1])} and {files[-1]} are in {folder}"
+
+
+def usual_folder(name: str, settings: Sequence[str] | None, ending: str = "") -> Path:
+    """Return the folder of a scene's results: ``results/<name>``; with changes by ``--set`` one of its own, which has them in its name."""
+    if not settings:
+        return RESULTS / f"{name}{ending}"
+    changes = re.sub(r"[^\w.+=-]+", "_", ",".join(settings)).strip("_")
+    if len(changes) > LONGEST:
+        changes = f"{changes[:LONGEST]}-{sha256(','.join(settings).encode()).hexdigest()[:8]}"
+    return RESULTS / f"{name}{ending}-{changes}"

@@ -109,6 +109,12 @@ def run(
             show_default=False,
         ),
     ] = None,
+    yes: Annotated[
+        bool,
+        typer.Option(
+            "--yes", help="Run however large the results are. Default: refuse more than 2 GB, companion included."
+        ),
+    ] = False,
     settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -152,4 +158,5 @@ def run(
         Recorded(record, record_step, record_order),
         chosen,
         settings,
+        yes,
     )

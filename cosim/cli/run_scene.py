@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_text, progress, show_note
-from flexfmu.cosim.cli.result_files import check_formats, write_results
-from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.cli.result_files import check_formats, usual_folder, write_results
+from flexfmu.cosim.engine.errors import LoopWarning, ResultsError
+from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
@@ -53,32 +55,37 @@ def run_command(
     recorded: Recorded = BY_SCENE,
     formats: Sequence[str] = ("csv",),
     changes: Sequence[str] | None = None,
+    accept_size: bool = False,
 ) -> int:
     """Simulate, write, print; the exit status.
 
     What was recorded before a failure is written too. ``companions``: how many more precise runs the errors are taken from.
     ``has_report``: whether report.html is drawn; otherwise that of an earlier run is removed.
+    ``accept_size``: whether to run however large the results are.
     ``changes``: keys of the scene that change, ``KEY=VALUE``. ``formats``: those of the recorded signals, of `flexfmu.cosim.engine.results.FORMATS`.
     """
     # formats and folder come first: no run is lost because it can't be written
     check_formats(formats)
     scene = load_changed(source, changes)
-    folder = OutputFolder(out or RESULTS / scene.name)
+    folder = OutputFolder(out or usual_folder(scene.name, changes))
     folder.prepare()
     with progress() as show:
-        if scene.effects.select is not None:
+        if scene.effects.select is not None or scene.learners:
             from flexfmu.cosim.choices.effects.choice import resolved
 
             scene = resolved(scene, show)
         show("planning the motion, building the FMU", None)
         record = recorded.selection(scene.cosimulation)
-        run = run_scene(
-            scene,
-            communication_step=step,
-            progress=lambda fraction: show("simulating", fraction),
-            isolate=isolate,
-            record=record,
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LoopWarning)  # which the summary has
+            run = run_scene(
+                scene,
+                communication_step=step,
+                progress=lambda fraction: show("simulating", fraction),
+                isolate=isolate,
+                record=record,
+                accept_size=accept_size,
+            )
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
         files = write_results(folder, run.recording, formats, run.about)
@@ -88,7 +95,14 @@ def run_command(
         has_report = has_report and is_whole
         settings, measurements, problem = _measure(run, companions if is_whole else None, progressing)
         summary = summarise(run, measurements)
-        summary["health"]["stability"] = _stability(run)
+        if changes:
+            summary["changes"] = [*changes]
+        summary["health"] |= _about_the_loop(run)
+        if "learning" in summary and scene.learners:
+            from flexfmu.cosim.choices.learning import contraction_of
+
+            contraction = contraction_of(scene)
+            summary["learning"]["contraction"] = None if contraction is None else asdict(contraction)
         folder.write("summary.json", to_json(summary))
         if has_report:
             show("drawing the report", None)
@@ -136,10 +150,11 @@ def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> 
     return render_report(summary, draw_plots(run, rest))
 
 
-def _stability(run: Run) -> str | None:
-    """What there is to say of the stability of a scene's loop."""
+def _about_the_loop(run: Run) -> dict[str, str | None]:
+    """What there is to say of the stability of a scene's loop, and of its encoders."""
     if not run.scene.controller:
-        return None
+        return {"stability": None, "coarse_counts": None}
+    from flexfmu.cosim.choices.margins.resolution import coarse_counts_of
     from flexfmu.cosim.choices.margins.warning import stability_warning
 
-    return stability_warning(run)
+    return {"stability": stability_warning(run), "coarse_counts": coarse_counts_of(run)}

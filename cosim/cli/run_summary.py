@@ -13,21 +13,22 @@ from rich.text import Text
 
 from flexfmu.cosim.cli.console import print_rich
 from flexfmu.cosim.cli.result_files import files_sentence
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display, display_error
 from flexfmu.cosim.reports.motors import motor_rows, stress_rows
+from flexfmu.cosim.reports.summary import title_of
 from flexfmu.cosim.reports.terminal import titled_table
 
 
 def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: Sequence[str]) -> None:
     """What was chosen, the metrics of a complete run, the FMU's statistics, warnings, and where the files are."""
-    name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
+    health, metrics = summary["health"], summary["metrics"]
     parts: list[RenderableType] = [Text(choice)] if choice else []
     if health["outcome"] == "completed":
         # what the motors have to do is in summary.json, and here where the scene has motors
         shown = {
             each: value for each, value in metrics.items() if "motor" in summary["scene"] or each not in DRIVE_METRICS
         }
-        parts += [_metrics_table(name, shown, summary["errors"]), Text(health["errors_from"])]
+        parts += [_metrics_table(title_of(summary), shown, summary["errors"]), Text(health["errors_from"])]
     motors, links = summary.get("motors", ()), summary.get("stresses", ())
     if motors:
         parts.append(_motors_table(motors))
@@ -44,7 +45,8 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     sentences = [
         *health["large_deflections"],
         *health["counted_twice"],
-        *filter(None, [health["unstable_loop"], health["stability"]]),
+        *health["beyond_tolerance"],
+        *filter(None, [health["unstable_loop"], health["stability"], health["coarse_counts"]]),
     ]
     sentences += [sentence for part in (*motors, *links) for sentence in part["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
@@ -60,9 +62,11 @@ def _late(delays: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:
-    table = titled_table(title, "Metric", Column("Value", justify="right"))
+    heads = ["Value", *(["Numerical error"] if any(error is not None for error in errors.values()) else [])]
+    table = titled_table(title, "Metric", *(Column(head, justify="right") for head in heads))
     for name, value in metrics.items():
-        table.add_row(ALL_METRICS[name].label, display(name, value, error=errors[name]))
+        cells = display(name, value, error=errors[name]), display_error(name, value, errors[name])
+        table.add_row(ALL_METRICS[name].label, *cells[: len(heads)])
     return table
 
 
@@ -94,13 +98,23 @@ def _learning_line(learning: Mapping[str, Any] | None) -> list[RenderableType]:
     if learning is None:
         return []
     errors = [1e3 * max(each["rms"]) for each in learning["tracking_errors"]]
-    return [Text("tracking error of the cycles, mrad RMS: " + ", ".join(f"{error:.4g}" for error in errors))]
+    parts: list[RenderableType] = [
+        Text("tracking error of the cycles, mrad RMS: " + ", ".join(f"{error:.4g}" for error in errors))
+    ]
+    if worst := learning.get("contraction"):
+        parts.append(
+            Text(
+                f"contraction: from cycle to cycle errors change by a factor of at most {worst['factor']:.4g}, at "
+                f"{worst['frequency']:.4g} Hz and {100.0 * worst['place']:.3g} % of the path"
+            )
+        )
+    return parts
 
 
 def _warning_line(health: Mapping[str, Any]) -> str:
     """All metrics for which the communication step is too coarse, each with its estimated error."""
     coarse = "; ".join(
-        f"{ALL_METRICS[warning['metric']].label} ± {display(warning['metric'], warning['estimated_error'], digits=1)}"
+        f"{ALL_METRICS[warning['metric']].label} (by {display(warning['metric'], warning['estimated_error'], digits=1)})"
         for warning in health["warnings"]
     )
     return f"warning: the communication step of {health['communication_step']:g} s is too coarse for: {coarse}"

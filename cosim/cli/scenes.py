@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-USUAL = "barnard2012-6kg"
+USUAL = "starter"
 """The scene that `new` starts from."""
 
 

@@ -9,8 +9,9 @@ import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
 from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.text import to_json
 
 
@@ -81,7 +82,7 @@ def shaper(
             raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")
     # design, simulate, and write
     robot = load_resolved(scene, settings)
-    folder = OutputFolder(out or RESULTS / robot.name)
+    folder = OutputFolder(out or usual_folder(robot.name, settings))
     folder.prepare()
     with progress() as show:
         study = examine(robot, payload_band, FINE if payload_errors else COARSE, show, drive, limits)

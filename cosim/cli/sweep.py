@@ -11,6 +11,7 @@ import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
 from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,7 +102,6 @@ def sweep(
     Every finished case is kept at once. After Ctrl-C or a crash the same command continues, and ends with the same
     table. A case that fails is a line with its message.
     """
-    from flexfmu.cosim.engine.files import RESULTS
     from flexfmu.cosim.engine.results import Selection
     from flexfmu.cosim.studies.sweep.files import write_files
     from flexfmu.cosim.studies.sweep.sweep import sweep_scene
@@ -112,7 +112,7 @@ def sweep(
     selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
     names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
     robot = load_resolved(scene, settings)
-    folder = out or RESULTS / f"{robot.name}-sweep"
+    folder = out or usual_folder(robot.name, settings, "-sweep")
     done = [0, 0]
     try:
         with progress() as show:
@@ -208,12 +208,15 @@ def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
         return
     table = titled_table(f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}")
     table.add_column("metric")
-    for head in ("unit", "smallest", "case", "median", "largest", "case"):
-        table.add_column(head, justify="left" if head == "unit" else "right")
+    for head in ("unit", "smallest", "at", "median", "largest", "at"):
+        table.add_column(head, justify="left" if head in ("unit", "at") else "right")
     for name, each in summary.items():
         low, median, high = (f"{each[part]:.4g}" for part in ("min", "median", "max"))
-        table.add_row(name, each["unit"], low, str(each["min_case"]), median, high, str(each["max_case"]))
+        at_low, at_high = (result.case_text(each[part]) for part in ("min_case", "max_case"))
+        table.add_row(name, each["unit"], low, at_low, median, high, at_high)
     print_rich(table)
     if failed:
-        print_rich(Text(f"{len(failed)} failed, the first is case {failed[0]['case']}: {failed[0]['message']}"))
+        print_rich(
+            Text(f"{len(failed)} failed, the first with {result.case_text(failed[0]['case'])}: {failed[0]['message']}")
+        )
     print_rich(Text(f"results: {', '.join(str(path) for path in files)}"))

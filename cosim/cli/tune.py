@@ -9,6 +9,7 @@ import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
 from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,14 +112,13 @@ def tune(
     from flexfmu.cosim.choices.gains.goals import split
     from flexfmu.cosim.choices.gains.robustness import parse_band
     from flexfmu.cosim.choices.gains.tuned_files import summary, write_tuned, write_tuning
-    from flexfmu.cosim.engine.files import RESULTS
     from flexfmu.cosim.reports.text import to_json
     from flexfmu.model.scene.keys import parse_setting
 
     if output is not None and output.suffix != ".toml":
         raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
     robot = load_resolved(scene, settings)
-    folder = out or RESULTS / f"{robot.name}-tune"
+    folder = out or usual_folder(robot.name, settings, "-tune")
     changes = dict(map(parse_setting, settings or ()))
     if start is not None:
         robot = _started(robot, start)

@@ -10,6 +10,7 @@ import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress
 from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.text import to_json
@@ -72,7 +73,7 @@ def _study(
         raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
     # measure, and write each file as soon as it is known
     scene = load_resolved(source, settings)
-    folder = OutputFolder(out or RESULTS / scene.name / "workprec")
+    folder = OutputFolder(out or usual_folder(scene.name, settings) / "workprec")
     folder.prepare()
     with progress() as show:
         study = run_study(scene, families or FAMILIES, lambda text: show(text, None))

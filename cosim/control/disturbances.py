@@ -1,76 +1,80 @@
 """Disturbances of the robot: forces at the end effector, torques on the motors, and masses that are picked up and dropped.
 
 Each is a block without inputs, whose output is called like the input of the robot that it acts on. What is constant between
-instants is sampled at these instants alone, so that they are exact; sines, noise and files are held from sample to sample.
-Several that act on one signal add up in one more block, at the instants of all of them.
+instants is sampled at these instants alone, so that they are exact and cost a communication point each; sines, noise and files
+are held from sample to sample. What all share: ``signal`` is the output, ``force.x``, ``force.y`` [N], ``joint1.disturbance`` [N.m],
+``payload.change`` [kg] and so on, which has the unit of the values; ``sample_time`` is the time between samples [s], ``start`` the first
+sample [s], ``duration`` the time from there on after which the signal is zero [s], None for no end; ``name`` is the block's name.
+
+Raises:
+    InputError: a value isn't finite, or the sample time isn't positive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from fractions import Fraction
-from functools import reduce
 from hashlib import sha256
 from itertools import pairwise
-from math import ceil, gcd, isfinite, lcm, pi, sqrt
+from math import ceil, inf, isfinite, pi, sqrt
+from typing import Any
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector, block
-from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.blocks.equations import Equations, Vector, block, rows_in_turn
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import RealArray, Slave, check_sampling
-from flexfmu.model.scene.disturbances import PAYLOAD
+from flexfmu.cosim.engine.slave import RealArray, check_sampling
+from flexfmu.fmu_build.regular_sampling import exact
+from flexfmu.model.scene.disturbances import (
+    PAYLOAD,
+    BandNoiseSection,
+    CsvSection,
+    PayloadChangeSection,
+    PulseSection,
+    SampledDisturbanceSection,
+    SineSection,
+    StepSection,
+)
 from flexfmu.model.symbolic import SymbolicBlock, Variable
-
-IDLE = Fraction(1)
-"""Sample time of a block whose output doesn't change [s]."""
-
-SHORTEST = 1e-6
-"""Shortest sample time of a sum or of several instants [s]; a shorter one suggests instants that differ by mistake."""
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.table_file import read_signal
 
 
 def steps(signal: str, instants: Sequence[float], values: Sequence[float], name: str = "step") -> SymbolicBlock:
     """Build the block: zero, then each of the values from its instant on, exactly.
 
     Args:
-        signal: output; ``force.x``, ``force.y`` [N], ``joint1.disturbance`` [N.m], ``payload.change`` [kg] ...
-        instants: ascending [s].
-        values: in the signal's unit; each is a tunable parameter, ``amplitude`` or ``amplitude[1]`` ...
-        name: name of the block.
-
-    Raises:
-        InputError: instants and values differ in number, don't ascend or aren't finite, or have no common step of 1 µs or more.
+        instants: ascending [s], as many as values.
+        values: each is a tunable parameter, ``amplitude`` or ``amplitude[1]`` ...
     """
     _check_finite(name, "the instants [s]", instants)
     _check_finite(name, "the values", values)
     if len(instants) != len(values) or not values or any(b <= a for a, b in pairwise(instants)) or instants[0] < 0.0:
         raise InputError(f"{name}: give ascending instants from 0 s on and as many values, got {list(instants)} s")
-    # a step that leads from instant to instant; a sample of zero comes before the first one, unless that is the start
-    times = [_exact(each) for each in instants]
-    apart = [each - times[0] for each in times[1:]]
-    step = _common(apart or times, name)
-    if 0 < times[0] < step:
-        step = _common([*apart, times[0]], name)
-    offset = max(times[0] - step, Fraction(0))
-    counts = [int((each - offset) / step) for each in times]
+    # a sample of zero comes before the first instant, unless that is the start
+    times = [float(exact(each)) for each in instants]
+    before = [0.0] if times[0] > 0.0 else []
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # the state counts the samples, up to the last instant
+        # the state counts the samples
         value = casadi.SX(0.0)
-        for k, count in enumerate(counts):
-            value = casadi.if_else(x >= count, p[k], value)
-        return value, casadi.fmin(x + 1.0, float(counts[-1]))
+        for k in range(len(times)):
+            value = casadi.if_else(x >= k + len(before), p[k], value)
+        return value, x + 1.0
 
     several = len(values) > 1
     parameters = [
         Variable(
-            f"amplitude[{k}]" if several else "amplitude", _unit(signal), f"Value from {at!r} s on", "parameter", value
+            f"amplitude[{k}]" if several else "amplitude",
+            disturbance_unit(signal),
+            f"Value from {at!r} s on",
+            "parameter",
+            value,
         )
         for k, (at, value) in enumerate(zip(instants, values, strict=True), start=1)
     ]
-    return _source(name, "Disturbance in steps", signal, equations, float(step), float(offset), parameters)
+    return _source(name, "Disturbance in steps", signal, equations, inf, 0.0, parameters, instants=(*before, *times))
 
 
 def sine(
@@ -86,19 +90,11 @@ def sine(
 ) -> SymbolicBlock:
     """Build the block: amplitude sin(2 pi frequency (t - start) + phase), held between the samples.
 
-    Args:
-        signal: as for `steps`.
-        amplitude: in the signal's unit; tunable, as are frequency [Hz] and phase [rad].
-        sample_time, start: time between samples and first sample [s].
-        duration: time from the start on after which it is zero [s]; None for no end.
-        name: name of the block.
-
-    Raises:
-        InputError: a value isn't finite, or the sample time isn't positive.
+    Amplitude, frequency [Hz] and phase [rad] are tunable parameters.
     """
     _check_finite(name, "amplitude, frequency and phase", (amplitude, frequency, phase))
     parameters = [
-        Variable("amplitude", _unit(signal), "Amplitude", "parameter", amplitude),
+        Variable("amplitude", disturbance_unit(signal), "Amplitude", "parameter", amplitude),
         Variable("frequency", "Hz", "Frequency", "parameter", frequency),
         Variable("phase", "rad", "Phase at the start", "parameter", phase),
     ]
@@ -129,16 +125,10 @@ def band_noise(
     processes by spectral representation, Applied Mechanics Reviews 44(4), 1991, section 3).
 
     Args:
-        signal: as for `steps`.
-        standard_deviation: in the signal's unit; tunable.
-        band: lowest and highest frequency [Hz], below half the sampling frequency.
+        standard_deviation: a tunable parameter.
+        band: lowest and highest frequency [Hz], ascending, below half the sampling frequency.
         seed: the phases depend on it, on the name of the block and on the signal.
-        sample_time, start, duration: as for `sine`.
         components: n.
-        name: name of the block.
-
-    Raises:
-        InputError: the band doesn't ascend or reaches half the sampling frequency, or a value isn't finite.
     """
     low, high = band
     _check_finite(name, "standard deviation and band", (standard_deviation, low, high))
@@ -152,9 +142,13 @@ def band_noise(
             f"the sample_time of {sample_time:g} s"
         )
     rates = 2.0 * pi * (low + (high - low) * (np.arange(components) + 0.5) / components)
-    phases = [_phase(f"{seed}/{name}/{signal}/{k}") for k in range(components)]
+    # random phases that depend on the text alone
+    digests = [sha256(f"{seed}/{name}/{signal}/{k}".encode()).digest() for k in range(components)]
+    phases = [2.0 * pi * int.from_bytes(each[:6], "big") / 2**48 for each in digests]
     parameters = [
-        Variable("standard_deviation", _unit(signal), "Standard deviation", "parameter", standard_deviation, 0.0)
+        Variable(
+            "standard_deviation", disturbance_unit(signal), "Standard deviation", "parameter", standard_deviation, 0.0
+        )
     ]
 
     def law(t: Vector, p: Vector) -> Vector:
@@ -176,15 +170,7 @@ def table(
 ) -> SymbolicBlock:
     """Build the block: values (N,) at times (N,) [s] from the start on, linear between, held between samples, zero outside.
 
-    Args:
-        signal: as for `steps`.
-        times: ascending.
-        values: in the signal's unit.
-        sample_time, start, duration: as for `sine`.
-        name: name of the block.
-
-    Raises:
-        InputError: times don't ascend, or a value isn't finite.
+    The times ascend from 0 s on.
     """
     _check_finite(name, "times and values", (*times, *values))
     if times.shape != values.shape or not times.size or (np.diff(times) <= 0.0).any() or times[0] < 0.0:
@@ -199,73 +185,22 @@ def table(
     inside = (instants >= times[0] - near) & (instants <= times[-1] + near)
     sampled = np.where(inside, np.interp(instants, times, values), 0.0)
     offset, first = _clock(name, sample_time, start)
-    nodes = np.concatenate([np.zeros(first), sampled, np.zeros(2)])
-    read = casadi.interpolant("values", "linear", [np.arange(float(nodes.size))], nodes)
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        return read(x), casadi.fmin(x + 1.0, float(first + count))
-
-    return _source(name, "Disturbance from a table", signal, equations, sample_time, offset, symbol=casadi.MX)
-
-
-def disturbance_sum(
-    signal: str, sources: Sequence[str], *, sample_time: float, name: str = "disturbance_sum"
-) -> SymbolicBlock:
-    """Build the block: the sum of a signal of several slaves, with inputs ``slave.signal``.
-
-    Raises:
-        InputError: the sample time isn't positive.
-    """
-    unit = _unit(signal)
-    return block(
-        name,
-        "Sum of disturbances",
-        lambda x, u, p: (casadi.sum1(u), x),
-        sample_time=sample_time,
-        inputs=[Variable(f"{each}.{signal}", unit, f"Term from {each}", "input", 0.0) for each in sources],
-        outputs=[Variable(signal, unit, "Sum of all terms", "output")],
+    rows = np.concatenate([np.zeros(first), sampled, np.zeros(1)])[:, None]
+    return _source(
+        name, "Disturbance from a table", signal, rows_in_turn(rows, "values"), sample_time, offset, symbol=casadi.MX
     )
-
-
-def with_sums(disturbances: Sequence[Slave], unused: Callable[[str], str]) -> list[Slave]:
-    """The disturbances, and a sum for each signal of several, at the common step of all of their instants.
-
-    Args:
-        disturbances: the slaves.
-        unused: assigns a unique name.
-
-    Raises:
-        InputError: disturbances that add up aren't blocks, or their instants have no common step of 1 µs or more.
-    """
-    owners: dict[str, list[Slave]] = {}
-    for each in disturbances:
-        for variable in each.variables:
-            if variable.causality == "output":
-                owners.setdefault(variable.name, []).append(each)
-    sums = []
-    for signal, slaves in owners.items():
-        if len(slaves) == 1:
-            continue
-        clocks: list[Fraction] = []
-        for each in slaves:
-            if not isinstance(each, BlockSlave):
-                raise InputError(f"{each.name} and another slave output {signal}: only blocks add up, leave one out")
-            clocks += [_exact(each.offset), _exact(each.sample_time)]
-        step = float(_common(clocks, f"disturbances in {signal}"))
-        names = [each.name for each in slaves]
-        sums.append(BlockSlave(disturbance_sum(signal, names, sample_time=step, name=unused("disturbance_sum"))))
-    return [*disturbances, *sums]
 
 
 def _source(
     name: str,
     description: str,
     signal: str,
-    equations: Callable[[Vector, Vector, Vector], tuple[Vector, Vector]],
+    equations: Equations,
     sample_time: float,
     offset: float,
     parameters: Sequence[Variable] = (),
     symbol: object = casadi.SX,
+    instants: Sequence[float] = (),
 ) -> SymbolicBlock:
     """A block without inputs, from a state that counts samples."""
     return block(
@@ -274,8 +209,9 @@ def _source(
         equations,
         sample_time=sample_time,
         offset=offset,
+        instants=instants,
         inputs=(),
-        outputs=[Variable(signal, _unit(signal), description, "output")],
+        outputs=[Variable(signal, disturbance_unit(signal), description, "output")],
         parameters=parameters,
         states=(0.0,),
         symbol=symbol,
@@ -293,7 +229,7 @@ def _clock(name: str, sample_time: float, start: float) -> tuple[float, int]:
         raise InputError(
             f"{name}: the start of {start:g} s must be 0 s, or the sample_time of {sample_time:g} s at least"
         )
-    return (float(_exact(start) - _exact(sample_time)), 1) if start else (0.0, 0)
+    return (float(exact(start) - exact(sample_time)), 1) if start else (0.0, 0)
 
 
 def _sampled(
@@ -322,32 +258,7 @@ def _samples(duration: float, sample_time: float) -> int:
     return ceil(duration / sample_time * (1.0 - 1e-12))
 
 
-def _exact(value: float) -> Fraction:
-    """The number that a user writes, not the nearest binary one: to 1e-12 s."""
-    return Fraction(repr(round(float(value), 12)))
-
-
-def _common(times: Sequence[Fraction], where: str) -> Fraction:
-    """The longest time of which all are multiples.
-
-    Raises:
-        InputError: it is below `SHORTEST`.
-    """
-    positive = [each for each in times if each] or [IDLE]
-    denominator = lcm(*(each.denominator for each in positive))
-    step = Fraction(reduce(gcd, (int(each * denominator) for each in positive)), denominator)
-    if step < Fraction(SHORTEST):
-        listed = ", ".join(f"{float(each):g}" for each in positive)
-        raise InputError(f"{where}: the times {listed} s have no common step of 1 µs or more: round them")
-    return step
-
-
-def _phase(key: str) -> float:
-    """A random phase [rad] that depends on the text alone."""
-    return 2.0 * pi * int.from_bytes(sha256(key.encode()).digest()[:6], "big") / 2**48
-
-
-def _unit(signal: str) -> str:
+def disturbance_unit(signal: str) -> str:
     """Unit of an input of the robot."""
     return "N" if signal.startswith("force.") else "kg" if signal == PAYLOAD else "N.m"
 
@@ -357,3 +268,48 @@ def _check_finite(name: str, what: str, values: Sequence[float]) -> None:
     for value in values:
         if not isfinite(value):
             raise InputError(f"{name}: {what} must be finite, got {value}")
+
+
+def _pulse(signal: str, value: float, start: float, end: float | None, name: str) -> SymbolicBlock:
+    """A step, back to zero at an end [s]."""
+    return steps(signal, [start], [value], name) if end is None else steps(signal, [start, end], [value, 0.0], name)
+
+
+def _held(section: SampledDisturbanceSection, context: LoopContext) -> dict[str, Any]:
+    """Times and name of a disturbance that is held from sample to sample."""
+    sample_time = section.sample_time or context.sample_time
+    return {"sample_time": sample_time, "start": section.start, "duration": section.duration, "name": context.name}
+
+
+def _from_step(section: PulseSection | StepSection, context: LoopContext) -> SymbolicBlock:
+    end = None if section.duration is None else section.start + section.duration
+    return _pulse(section.signal, section.amplitude, section.start, end, context.name)
+
+
+builds(StepSection)(_from_step)
+builds(PulseSection)(_from_step)
+
+
+@builds(PayloadChangeSection)
+def _from_payload(section: PayloadChangeSection, context: LoopContext) -> SymbolicBlock:
+    if section.picked_up is None:
+        mass = section.mass or context.scene.payload.mass
+        return steps(PAYLOAD, [section.dropped or 0.0], [-mass], context.name)
+    return _pulse(PAYLOAD, section.mass or 0.0, section.picked_up, section.dropped, context.name)
+
+
+builds(SineSection)(lambda s, c: sine(s.signal, s.amplitude, s.frequency, phase=s.phase, **_held(s, c)))
+builds(BandNoiseSection)(
+    lambda s, c: band_noise(s.signal, s.standard_deviation, s.band, s.seed, components=s.components, **_held(s, c))
+)
+
+
+@builds(CsvSection)
+def _from_csv(section: CsvSection, context: LoopContext) -> SymbolicBlock:
+    # scaled values may be in any unit
+    unit = disturbance_unit(section.signal) if section.scale == 1.0 else ""
+    try:
+        times, values = read_signal(section.file, section.column or section.signal, unit)
+    except TrajectoryError as error:
+        raise InputError(f"[[disturbance]] csv: {error}") from None
+    return table(section.signal, times, section.scale * values, **_held(section, context))

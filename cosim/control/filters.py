@@ -17,8 +17,14 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channel, sampling, section_channels
-from flexfmu.cosim.control.imperfections.variables import inputs, outputs
+from flexfmu.cosim.control.imperfections.channels import (
+    REFERENCE_KINDS,
+    Channel,
+    inputs,
+    outputs,
+    sampling,
+    section_channels,
+)
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import linear_plant
@@ -69,12 +75,17 @@ class Section:
                 f"a filter at {w / (2 * pi):g} Hz needs a sample time below {pi / w:.4g} s, got {h:g} s: lower the frequency, "
                 f"or sample faster"
             )
-        c = w / tan(0.5 * w * h) if w > 0.0 else 2.0 / h
+        c = self.factor(h)
         top, bottom = (_in_z(each, c, order) for each in (self.numerator, self.denominator))
         found = [each / bottom[0] if bottom[0] else float("inf") for each in (*top, *bottom[1:])]
         if not all(map(isfinite, found)):
             raise InputError(f"the filter {self} has no discrete equivalent at {h:g} s")
         return (found[0], found[1], found[2]), (found[3], found[4])
+
+    def factor(self, sample_time: float) -> float:
+        """The factor c of the bilinear transformation [1/s]."""
+        w, h = self.prewarp, sample_time
+        return w / tan(0.5 * w * h) if w > 0.0 else 2.0 / h
 
     def __str__(self) -> str:
         """The quotient in s."""
@@ -179,7 +190,7 @@ def filter_block(
         inputs=inputs(channels),
         outputs=outputs(channels),
         states=[0.0] * (1 + 2 * n * len(chain)),
-        latency=dict.fromkeys((each.name for each in channels), _delay(sections)),
+        latency=dict.fromkeys((each.name for each in channels), _delay(sections, sample_time)),
     )
 
 
@@ -189,13 +200,13 @@ def _gain(b: tuple[float, float, float], a: tuple[float, float]) -> float:
     return sum(b) / below if abs(below) > 1e-12 else 0.0
 
 
-def _delay(sections: Sequence[Section]) -> float:
-    """Delay at low frequency [s], where there is one."""
+def _delay(sections: Sequence[Section], sample_time: float) -> float:
+    """Delay at low frequency [s], where there is one: there s stands for c sample_time / 2 times the frequency."""
     found = 0.0
     for each in sections:
         top, bottom = each.numerator, each.denominator
         if top[2] and bottom[2]:
-            found += bottom[1] / bottom[2] - top[1] / top[2]
+            found += 0.5 * sample_time * each.factor(sample_time) * (bottom[1] / bottom[2] - top[1] / top[2])
     return max(0.0, found)
 
 
@@ -238,26 +249,8 @@ def _built(section: FilterSection, context: LoopContext, sections: list[Section]
     return filter_block(channels, sections, name=context.name or "filter", **sampling(section, context))
 
 
-@builds(NotchSection)
-def _notch(section: NotchSection, context: LoopContext) -> SymbolicBlock:
-    return _built(section, context, notch(frequency_of(section, context), section.damping, section.depth))
-
-
-@builds(LowPassSection)
-def _low_pass(section: LowPassSection, context: LoopContext) -> SymbolicBlock:
-    return _built(section, context, low_pass(frequency_of(section, context), section.order))
-
-
-@builds(HighPassSection)
-def _high_pass(section: HighPassSection, context: LoopContext) -> SymbolicBlock:
-    return _built(section, context, high_pass(frequency_of(section, context), section.order))
-
-
-@builds(LeadLagSection)
-def _lead_lag(section: LeadLagSection, context: LoopContext) -> SymbolicBlock:
-    return _built(section, context, lead_lag(section.zero, section.pole))
-
-
-@builds(BiquadSection)
-def _biquad(section: BiquadSection, context: LoopContext) -> SymbolicBlock:
-    return _built(section, context, biquad(section.numerator, section.denominator, section.prewarp))
+builds(NotchSection)(lambda s, c: _built(s, c, notch(frequency_of(s, c), s.damping, s.depth)))
+builds(LowPassSection)(lambda s, c: _built(s, c, low_pass(frequency_of(s, c), s.order)))
+builds(HighPassSection)(lambda s, c: _built(s, c, high_pass(frequency_of(s, c), s.order)))
+builds(LeadLagSection)(lambda s, c: _built(s, c, lead_lag(s.zero, s.pole)))
+builds(BiquadSection)(lambda s, c: _built(s, c, biquad(s.numerator, s.denominator, s.prewarp)))

@@ -5,7 +5,8 @@ The file of a controller, a shaper or an imperfection registers the function tha
     @builds(PdSection)
     def _from_section(section: PdSection, context: LoopContext) -> SymbolicBlock: ...
 
-A new kind needs such a file and a section in `flexfmu.model.scene`; every module of this package is imported.
+or, where one expression says it, ``builds(LeadLagSection)(lambda section, context: ...)``. A new kind needs such a
+function and a section in `flexfmu.model.scene`; every module of this package is imported.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class LoopContext:
         sample_time: for sections without one [s].
         before: kind of signal (``position``, ``torque`` ...) → values of both joints before the first sample; empty
             where the value of the first sample is taken.
+        is_about_rest: whether the loop is for small motions about standstill.
     """
 
     scene: Scene
@@ -51,6 +53,7 @@ class LoopContext:
     name: str
     sample_time: float
     before: Callable[[str], Sequence[float]]
+    is_about_rest: bool = False
 
 
 _BUILDERS: dict[type[Section], Callable[[Any, LoopContext], Any]] = {}

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 import numpy as np
 from pydantic_core import to_json
 
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.slave import RealArray
 
 TWICE = "An instant at which signals jump appears twice: values before the jump first, then those after it."
@@ -154,9 +153,7 @@ def chosen(columns: Mapping[str, Column], names: str | Collection[str] | None) -
         # brackets belong to names: link11.bending[1]
         these = [name] if name in columns else [each for each in columns if fnmatchcase(each, name.replace("[", "[[]"))]
         if not these and names is not None:
-            near = get_close_matches(name, columns, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(columns)}"
-            raise InputError(f"there is no signal {name!r}; {hint}")
+            raise InputError(f"there is no signal {name!r}; {suggestion(name, columns)}")
         found |= {each: columns[each] for each in these}
     return found
 

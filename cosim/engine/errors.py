@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
+
+MOST_NAMES, NEAREST = 20, 5
+"""Largest number of names that a message lists, and number of those nearest to a misspelt one where there are more."""
 
 
 class CosimError(Exception):
@@ -12,6 +16,17 @@ class CosimError(Exception):
 
 class InputError(CosimError, ValueError):
     """The user's input is wrong (a file, a name or a value); nothing has been simulated."""
+
+
+def suggestion(name: object, known: Iterable[str]) -> str:
+    """What to write in place of an unknown name: the known one that it is close to, or else a list."""
+    names = [*known]
+    if near := get_close_matches(str(name), names, n=1):
+        return f"did you mean {near[0]!r}?"
+    if len(names) > MOST_NAMES:
+        nearest = get_close_matches(str(name), names, n=NEAREST, cutoff=0.0)
+        return f"there are: {', '.join(nearest)} and {len(names) - NEAREST} others"
+    return f"there are: {', '.join(names) or 'none'}"
 
 
 @contextmanager
@@ -59,6 +74,14 @@ class WorkError(CosimError):
 
 class CostWarning(UserWarning):
     """A run will take a long time or much memory."""
+
+
+class LoopWarning(UserWarning):
+    """The control loop of a completed run is unstable."""
+
+
+class LearningWarning(UserWarning):
+    """What a controller learns makes errors grow from cycle to cycle."""
 
 
 class ResultsError(CosimError):

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flexfmu.cosim.engine.columns import Column, LazyColumns, Table, chosen
-from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
+from flexfmu.cosim.engine.errors import InputError, ResultsError, extra, suggestion
 from flexfmu.cosim.engine.formats.csv_table import read_csv, write_csv
 from flexfmu.cosim.engine.showing import few_lines, html_table
 from flexfmu.cosim.engine.slave import RealArray
@@ -32,8 +31,8 @@ Names = str | Collection[str] | None
 
 
 @dataclass(frozen=True, repr=False)
-class Recording:
-    """Signals over time. An instant at which signals jump appears twice: left limits first, then right limits.
+class Recording(Mapping[str, Column]):
+    """Signals over time, a mapping from their names. An instant at which signals jump appears twice: left limits first, then right limits.
 
     Attributes:
         time: (N,) instants [s], not decreasing.
@@ -71,10 +70,23 @@ class Recording:
         try:
             return self.columns[name]
         except KeyError:
-            raise KeyError(f"no signal {name!r} was recorded; there are: {', '.join(self.columns)}") from None
+            raise KeyError(f"no signal {name!r} was recorded; {suggestion(name, self.columns)}") from None
 
-    def _ipython_key_completions_(self) -> list[str]:
-        return [*self.columns]
+    def __iter__(self) -> Iterator[str]:
+        """Return an iterator over the names of the signals."""
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        """Return the number of signals."""
+        return len(self.columns)
+
+    def __bool__(self) -> bool:
+        """Return True, also without signals: it is a recording."""
+        return True
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a signal of that name was recorded."""
+        return name in self.columns
 
     @property
     def units(self) -> dict[str, str]:
@@ -294,9 +306,7 @@ class Selection:
             raise InputError("the list of signals to record is empty; name one, or None for all")
         for name in self.names or ():
             if name not in known:
-                near = get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
-                raise InputError(f"there is no signal {name!r} to record; {hint}")
+                raise InputError(f"there is no signal {name!r} to record; {suggestion(name, known)}")
 
 
 EVERYTHING = Selection()

@@ -217,6 +217,15 @@ class HasOffset(Protocol):
 
 
 @runtime_checkable
+class HasInstants(Sampled, Protocol):
+    """Samples at further instants; with an infinite sample time at these alone."""
+
+    @property
+    def instants(self) -> Sequence[float]:
+        """Times from the start [s], ascending."""
+
+
+@runtime_checkable
 class SamplesInTwoPhases(Sampled, Protocol):
     """Can calculate outputs before all inputs are known, such as a discrete system y = C x + D u with zeros in D.
 

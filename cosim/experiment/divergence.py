@@ -6,14 +6,16 @@ The error of an unstable linear loop grows exponentially; its factor per sample 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import hypot, log, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.recording import VELOCITIES
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
@@ -46,18 +48,23 @@ INSTANTS = 500
 """Number of instants searched for the largest velocity of the planned motion."""
 
 
-def divergence(run: Run) -> str | None:
+def divergence(run: Run, velocities: Sequence[Column | None] | None = None) -> str | None:
     """Message with the diverging signal, its growth and remedies; None for a stable loop.
 
-    Also None without a control loop, or if the joints' velocities are not recorded.
+    Args:
+        run: the run; without a control loop there is no message.
+        velocities: of both joints, at the run's instants; None for those of its recording. A joint without one isn't judged.
     """
-    columns = [run.recording.columns.get(f"joint{joint}.velocity") for joint in (1, 2)]
+    columns = [run.recording.columns.get(name) for name in VELOCITIES] if velocities is None else velocities
+    known = {joint: each.values for joint, each in enumerate(columns) if each is not None}
     if run.scene.cosimulation.drive != "torque" or len(run.slaves) <= len(("trajectory", "plant")):
         return None
-    if columns[0] is None or columns[1] is None or run.recording.time.size < 2:
+    if not known or run.recording.time.size < 2:
         return None
     time, joints = run.recording.time, run.plan.joints
-    errors = np.stack([each.values for each in columns if each is not None], axis=1) - joints.evaluate(time, 1)[1]
+    # most instants are there twice
+    instants, places = np.unique(time, return_inverse=True)
+    errors = np.stack([*known.values()], axis=1) - joints.evaluate(instants, 1)[1][places][:, [*known]]
     error = abs(errors).max(axis=1)
     peak = abs(joints.evaluate(np.linspace(0.0, joints.duration, INSTANTS), 1)[1]).max()
     # a robot may fall until its controller catches it
@@ -71,7 +78,7 @@ def divergence(run: Run) -> str | None:
         return None
     factor, since = found
     worst = int(error.argmax())
-    joint = 1 + int(abs(errors[worst]).argmax())
+    joint = 1 + [*known][int(abs(errors[worst]).argmax())]
     return (
         f"joint{joint}.velocity is up to {error[worst]:.3g} rad/s off its reference, where the motion needs {peak:.3g} rad/s; the error "
         f"{_course(factor, unit, step)} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"

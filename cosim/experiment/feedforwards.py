@@ -53,7 +53,7 @@ def with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: Sl
             f'one of them, connect = {{ "{signal}" = "{owners[0]}.{signal}" }} for example'
         )
     from flexfmu.cosim.control.blocks.slave import BlockSlave
-    from flexfmu.cosim.control.controllers.feedforward_sum import feedforward_sum
+    from flexfmu.cosim.control.sums import feedforward_sum
 
     block = feedforward_sum(several, sample_time=clock[0], offset=clock[1], name=names.unused("feedforward_sum"))
     return (*controllers, BlockSlave(block))

@@ -108,7 +108,7 @@ def close_loop(
             inline_blocks.append(inline_block(as_slave(each, names)))
     disturbing = [as_slave(each, names) for each in disturbances]
     if disturbing:
-        from flexfmu.cosim.control.disturbances import with_sums
+        from flexfmu.cosim.control.sums import with_sums
 
         disturbing = with_sums(disturbing, names.unused)
     return Loop(

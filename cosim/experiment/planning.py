@@ -1,4 +1,7 @@
-"""Plans the motion of a scene: path, task-space trajectory, joint trajectory, and their shaping."""
+"""Plans the motion of a scene: path, task-space trajectory, joint trajectory, and their shaping.
+
+A motion with standstill before and after it.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +19,50 @@ from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.blends import BLENDS
-from flexfmu.trajectories.curves import Point, Side
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.curves import Point, Side, checked_side
+from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import JointTrajectory, check_margins
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES
-from flexfmu.trajectories.standstill import Standstill
-from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits
+from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits, merged
 
 if TYPE_CHECKING:
     from flexfmu.model.reference_design.inverse_dynamics import FlexibleReferences
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """A motion that begins after a standstill, and ends with one.
+
+    Attributes:
+        motion: the motion.
+        time: duration of each standstill [s].
+    """
+
+    motion: Trajectory
+    time: float
+
+    @property
+    def duration(self) -> float:
+        """Duration with both standstills [s]."""
+        return self.motion.duration + 2.0 * self.time
+
+    @cached_property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Start and end [s], and the delayed breakpoints of the motion."""
+        return merged([0.0, self.duration], [self.time + point for point in self.motion.breakpoints])
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """Return the coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
+        instants = times(time)
+        return self.limits(instants, np.full(instants.shape, checked_side(side) == "left"), order)
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
+        """See `flexfmu.trajectories.trajectory.HasLimits`."""
+        return limits(self.motion, times(time) - self.time, left, order)
+
 
 Law = tuple[str, tuple[tuple[str, float | tuple[float, ...]], ...]]
 """Kind and parameters of a motion profile."""

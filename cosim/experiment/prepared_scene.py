@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import ceil
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, LoopWarning
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Progress
@@ -17,16 +18,18 @@ from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.simulator import Simulator
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.engine.slave import RealArray, Sampled
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.convergence import companion_share, companion_step
 from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.loop import Loop, make_loop
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
-from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
+from flexfmu.cosim.experiment.recording import VELOCITIES, RigidMotion, SceneRecording, slave_facts
+from flexfmu.cosim.experiment.run_size import check_size, check_step, recorded_bytes
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Companion, Health, RestingRobot, RestPositions, Run, Timing
-from flexfmu.cosim.experiment.system import coupling_of, scene_system
+from flexfmu.cosim.experiment.system import PLANT, TORQUES, coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.schema import Scene
@@ -39,9 +42,14 @@ COMPANION_TOLERANCE = 1e-2
 COMPANION_COUPLING = 0.1
 """Ratio of the tolerances of step control, which shortens the steps faster."""
 
-COMPANION_STEPS = 2000
-"""Smallest number of communication steps of a companion over the motion; with fewer, both runs could miss the same
-motion between communication points."""
+
+KEYS = {
+    "(initial = 2)": '(`cosimulation.initial` = "undeformed")',
+    "make integrator.step smaller": "make `cosimulation.integrator_step` smaller",
+    "a fixed integrator.step": "a fixed `cosimulation.integrator_step`",
+    "(joint_friction.kind =": "(`effects.joint_friction.kind` =",
+}
+"""What the FMU's messages advise, with its own parameters → the same with keys of the scene."""
 
 
 class Options(TypedDict, total=False):
@@ -57,6 +65,7 @@ class Options(TypedDict, total=False):
     isolate: bool | None
     call_limit: float | None
     record: Selection | None
+    accept_size: bool
 
 
 def run_scene(
@@ -74,6 +83,7 @@ def run_scene(
     isolate: bool | None = None,
     call_limit: float | None = None,
     record: Selection | None = None,
+    accept_size: bool = False,
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
 
@@ -98,14 +108,16 @@ def run_scene(
             lost in the child process.
         call_limit: time limit of one call of a slave in an isolated run [s]; None for the scene's value.
         record: which signals are recorded, how often, and with how many derivatives; None for the scene's keys.
+        accept_size: whether to run however large the recording is.
 
     Returns:
-        The run; if a slave fails, with the recording up to then.
+        The run; if a slave fails, with the recording up to then. A completed run whose control loop is unstable says so in
+        ``health`` and by a `LoopWarning`.
 
     Raises:
         TrajectoryError: the motion is not feasible, or can't be shaped.
-        InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
-            slaves can't be connected.
+        InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, the
+            slaves can't be connected, or the recordings of the run and its companion have more than 2 GB.
         BuildError: the FMU can't be built (no compiler, for example).
     """
     prepared = PreparedScene(
@@ -121,7 +133,20 @@ def run_scene(
         call_limit=call_limit,
         record=record,
     )
-    return prepared.run(parameters, progress)
+    if not accept_size:
+        prepared.check_size()
+    run = prepared.run(parameters, progress)
+    if run.health.unstable_loop is not None:
+        warnings.warn(run.health.unstable_loop, LoopWarning, stacklevel=_callers_level())
+    return run
+
+
+def _callers_level() -> int:
+    """How many frames up from the caller of this function the user's code is."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("flexfmu."):
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def run_loop(
@@ -219,14 +244,13 @@ class PreparedScene:
         record = Selection(section.record, section.record_order, section.record_step) if record is None else record
         self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
         self._step = section.communication_step if fixed is None else fixed
-        _check_step(self._step, self._loop.motion.once.duration)
+        check_step(self._step, self._loop.motion.once.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
         self._call_limit = section.call_limit if call_limit is None else call_limit
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
-        self._sampled = [slave for slave in self._parts.slaves if isinstance(slave, Sampled)]
         self._rests = RestPositions(self._loop.motion, RestingRobot(scene, self._fmu_path))
         # the simulator is made at the first run; a companion has the same arguments
         self._simulator: Simulator | None = None
@@ -271,7 +295,7 @@ class PreparedScene:
             plan=self._loop.motion,
             recording=self._recording.of(simulation.recording, parts),
             outcome=simulation.outcome,
-            message="; ".join((*hints, simulation.message)),
+            message="; ".join((*hints, _with_keys(simulation.message))),
             fmu_path=self._fmu_path,
             communication_step=self._step,
             tolerance=self._tolerance,
@@ -284,11 +308,31 @@ class PreparedScene:
             companion=self._companion(parts.changes),
             rests=self._rests,
         )
+        if run.outcome in (Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE):
+            return run
+        # a motor without a controller isn't in the loop
+        columns = simulation.recording.columns
+        velocities = [columns.get(f"{PLANT}.{name}") for name in VELOCITIES]
+        held = [name in parts.constants for name in TORQUES]
+        unstable = divergence(run, [None if no else each for each, no in zip(velocities, held, strict=True)])
+        if unstable is None:
+            return run
+        if run.completed:
+            return replace(
+                run, health=replace(run.health, messages=(unstable, *run.health.messages), unstable_loop=unstable)
+            )
         # if the loop has diverged before a slave fails, the loop is the cause
-        failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)
-        if failed and (unstable := divergence(run)) is not None:
-            return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
-        return run
+        return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
+
+    def check_size(self) -> None:
+        """Refuse a run whose recording is too large with its companion's.
+
+        Raises:
+            InputError: they have more than 2 GB; see `flexfmu.cosim.experiment.run_size.check_size`.
+        """
+        steps = self._step, companion_step(self._parts, self._loop.motion, self._step)
+        sizes = [recorded_bytes(self._parts, self._recording.needed, self._stop_time, each) for each in steps]
+        check_size(self._loop.motion, self._parts, sizes, self._step)
 
     def _delays(self, found: Sequence[SignalDelay]) -> tuple[SignalDelay, ...]:
         """The delays of the loop: disturbances act when they say."""
@@ -313,7 +357,7 @@ class PreparedScene:
         if not (alone and same and scene.start == before.start):
             return False
         loop = loop_of(scene)
-        _check_step(self._step, loop.motion.once.duration)
+        check_step(self._step, loop.motion.once.duration)
         self._loop, self._stop_time = loop, loop.motion.stop_time
         self._again = {**self._again, "scene": scene, "loop": loop}
         self._parts.references.follow(loop.driving)
@@ -360,31 +404,22 @@ class PreparedScene:
 
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The companion: communication steps that divide those of the run, and tighter tolerances."""
-        samples = [slave.sample_time for slave in self._sampled]
-        longest = min(
-            0.5 * self._step, self._loop.motion.once.duration / COMPANION_STEPS, *(0.5 * each for each in samples)
-        )
-        step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
+        step = companion_step(self._parts, self._loop.motion, self._step)
         tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)
         finer = {**self._again, "communication_step": step, "tolerance": tolerance}
-        return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
+        share = companion_share(self._again["scene"], self._parts, self._tolerance, tolerance)
+        return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)), share)
 
     def isolate_python_slaves(self) -> None:
         """Isolate Python slaves passed as objects too, so that runs don't change them, unless isolation is switched off."""
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
 
 
-def _check_step(step: float, duration: float) -> None:
-    """Check that a communication step [s] is not longer than the motion [s].
-
-    Raises:
-        InputError: it is.
-    """
-    if step > duration:
-        raise InputError(
-            f"the communication step of {step:g} s is longer than the motion of {duration:g} s: reduce "
-            f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
-        )
+def _with_keys(message: str) -> str:
+    """A message of the FMU with the scene's keys for its parameters."""
+    for parameter, key in KEYS.items():
+        message = message.replace(parameter, key)
+    return message
 
 
 def _run_companion(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,9 @@ from flexfmu.cosim.engine.slave import RealArray, Sampled, Slave, offset
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES, SceneSystem
 from flexfmu.trajectories.trajectory import limits
+
+VELOCITIES = ("joint1.velocity", "joint2.velocity")
+"""Outputs of the robot that tell an unstable loop."""
 
 
 class SceneRecording:
@@ -51,6 +55,8 @@ class SceneRecording:
             # signals that others are derivatives of, for values in between
             integrals = [found[0] for name in sources if (found := integral(name)) is not None]
             sources |= {name for name in integrals if name in outputs}
+            if parts.others:
+                sources |= {f"{PLANT}.{name}" for name in VELOCITIES} & outputs
         self.needed = Selection(sources, selection.order, selection.step)
         # names in the scene's recording, for the names of the master's
         self._recorded: tuple[str, ...] = ()
@@ -161,7 +167,7 @@ class SlaveFacts:
     Attributes:
         name: name of the slave.
         description: kind of the slave.
-        sample_time, offset: [s]; None for a slave that isn't sampled.
+        sample_time, offset: [s]; None for a slave that isn't sampled, or at given instants alone.
     """
 
     name: str
@@ -174,7 +180,7 @@ def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
     """Facts about the slaves for the summary."""
     return tuple(
         SlaveFacts(slave.name, _description(slave), slave.sample_time, offset(slave))
-        if isinstance(slave, Sampled)
+        if isinstance(slave, Sampled) and slave.sample_time < inf
         else SlaveFacts(slave.name, _description(slave))
         for slave in slaves
     )

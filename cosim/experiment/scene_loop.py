@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 
 
 def loop_of(
-    scene: Scene, motion: MotionPlan | None = None, own: MotionPlan | None = None, *, about_rest: bool = False
+    scene: Scene,
+    motion: MotionPlan | None = None,
+    own: MotionPlan | None = None,
+    *,
+    about_rest: bool = False,
+    probes: bool = False,
 ) -> Loop:
     """Build the loop of a scene.
 
@@ -35,6 +40,7 @@ def loop_of(
         own: motion in place of that along the scene's path, to which shapers and cycles apply.
         about_rest: whether the loop is for small motions about standstill: controllers compensate no Coulomb friction, and none
             learns from cycle to cycle.
+        probes: whether controllers that learn stay in a loop about standstill, as integrators of a single sample.
 
     Raises:
         InputError: a slave can't be made or connected.
@@ -50,7 +56,7 @@ def loop_of(
     builder = _Builder(scene, planned, names, about_rest)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
     course = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
-    sections = [each for each in scene.controller if not (about_rest and isinstance(each, LearningSection))]
+    sections = [each for each in scene.controller if probes or not (about_rest and isinstance(each, LearningSection))]
     controllers = [slave for each in sections for slave in builder.slaves(each, course.motion)]
     # torques are filtered before they meet imperfections, measurements and references after that
     before = [each for each in scene.filter if each.signal == "torque"]
@@ -70,7 +76,7 @@ def _repeated(scene: Scene, with_cycles: bool, motion: MotionPlan) -> MotionPlan
         from flexfmu.cosim.experiment.cycles import in_cycles
 
         return in_cycles(motion)
-    learning = [each for each in scene.controller if isinstance(each, LearningSection)]
+    learning = scene.learners
     if not learning or motion.repetition is not None:
         return motion
     first = learning[0]
@@ -208,6 +214,7 @@ class _Builder:
             name,
             sample_time,
             self._before,
+            self._about_rest,
         )
         return build(section, context)
 

@@ -22,6 +22,7 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Names, Recording
 from flexfmu.cosim.engine.showing import shorten
+from flexfmu.cosim.experiment.convergence import NO_ORDER
 from flexfmu.cosim.experiment.parameters import parameters_for, scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import SlaveFacts
@@ -51,16 +52,18 @@ class Timing:
 
 @dataclass(frozen=True)
 class Health:
-    """Statistics and messages of the FMU.
+    """How a run went.
 
     Attributes:
         statistics: the FMU's Integer variables ``statistics.*`` at the end, without that prefix: steps, rejections,
             evaluations, iterations, factorisations; empty for an FMU without them.
-        messages: log messages of the FMU.
+        messages: what there is to say of the control loop, such as its instability, and log messages of the FMU.
+        unstable_loop: in a completed run: which signal runs away, how fast, and remedies; None for a stable loop, and for none.
     """
 
     statistics: Mapping[str, int]
     messages: tuple[str, ...]
+    unstable_loop: str | None = None
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,13 @@ class Companion:
         communication_step: [s], at most half of the run's and of every sample time.
         tolerance: relative tolerance for the FMU.
         run: function that simulates it; takes a progress function or None.
+        share: its largest error, in terms of the change of a metric from the run to it.
     """
 
     communication_step: float
     tolerance: float
     run: Callable[[Progress | None], Run] = field(repr=False)
+    share: float = NO_ORDER
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,7 +104,7 @@ class Run:
         communication_step: communication step [s].
         tolerance: relative tolerance passed to the FMU.
         input_order: degree of the input polynomials.
-        health: statistics and messages of the FMU.
+        health: statistics of the FMU, and messages.
         timing: wall times.
         slaves: all slaves of the system.
         delays: delay of the signals of each connection.

@@ -22,6 +22,8 @@ from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR
 from flexfmu.model.scene import cosimulation as sections
 from flexfmu.model.scene.schema import Scene
 
+TORQUES = ("joint1.torque", "joint2.torque")
+
 PLANT, REFERENCES = "plant", "trajectory"
 """Names of the slaves for the robot and for the planned motion."""
 
@@ -101,14 +103,16 @@ def scene_system(
     if loop.motion.design is not None:
         # the flexible end effector is at the start of the path, the rigid one isn't
         settings |= dict(zip(("start.x", "start.y"), loop.motion.start, strict=True))
-    # without a controller, constant torques hold the start pose
-    unfed = {} if loop.controllers else holding_torques(scene)
+    # motors without a controller: constant torques hold the start pose; explicit connections may be from any name
+    acting = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks))
+    given = {each.name.replace("_", ".") for slave in acting for each in slave.variables if each.causality == "output"}
+    unfed = {} if given >= {*TORQUES} else holding_torques(scene)
     settings |= unfed
     # the slaves and their connections
     plant = FmuSlave(fmu_path, PLANT, settings, input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
     references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
-    others = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks), *loop.disturbances)
+    others = (*acting, *loop.disturbances)
     wiring = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect, loop.disturbances)
     parts = SceneSystem(references, plant, others, wiring, loop.parameters, unfed)
     return parts.with_parameters(parameters or {})

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 
-from flexfmu.cosim.engine.errors import WiringError
+from flexfmu.cosim.engine.errors import WiringError, suggestion
 from flexfmu.cosim.engine.slave import Causality, Slave
 from flexfmu.cosim.experiment.fitting_signals import check_misspelt, check_units, no_source
 
@@ -252,9 +252,7 @@ class _Bus:
             return name
         found = self.find(name)
         if found is None:
-            near = get_close_matches(name, self.sources, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(self.sources)}"
-            raise WiringError(f"there is no signal {name!r} to connect to; {hint}")
+            raise WiringError(f"there is no signal {name!r} to connect to; {suggestion(name, self.sources)}")
         return found
 
     def publish_to(self, plant: Slave) -> None:
@@ -316,8 +314,7 @@ def _nothing_to_pass(inline: InlineBlock, bus: _Bus, controllers: Sequence[Slave
     if missing.endswith(".torque"):
         return f"{inline.slave.name} acts on {missing}, which nothing outputs: the robot needs a controller"
     # probably a wrong name
-    near = get_close_matches(missing, bus.sources, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(bus.sources)}"
+    hint = suggestion(missing, bus.sources)
     return f"{inline.slave.name} acts on {missing}, which doesn't exist; {hint}"
 
 

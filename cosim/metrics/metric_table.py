@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from math import ceil, floor, isnan, log10
+from math import ceil, floor, isfinite, isnan, log10
 from operator import methodcaller
 
 from flexfmu.cosim.metrics.signals import (
@@ -258,40 +258,62 @@ LOOP_METRICS: Mapping[str, Metric] = {
 ALL_METRICS: Mapping[str, Metric] = {**COMMON_METRICS, **MOTOR_METRICS, **LOOP_METRICS}
 
 
-def display(name: str, value: float | None, digits: int = 6, error: float | None = None) -> str:
-    """Format a metric's value in its display unit; a dash where there is none.
+DIGITS, DIGITS_WITHOUT_ERROR = 10, 6
+"""Largest numbers of significant digits of a value with an error, and of one whose error isn't known."""
 
-    With an error as ``value ± error``: the error with one digit, rounded up, and the value to the place of that digit.
+SMALLEST, NOISE = -15, -12
+"""Powers of ten below which nothing is printed, and up to which the error of a zero isn't worth a word: both are rounding."""
+
+
+def printed(value: float | None, error: float | None = None, digits: int | None = None) -> tuple[str, str]:
+    """Return a value with the digits that its error allows and no others, and a bound of the printed number's error.
+
+    The bound is the power of ten of the last digit; it covers the error and the rounding to that digit. An error of 0.3 and a
+    value of 73.6046 are ``74`` and ``1``, an error of 4e-7 makes ``73.604601`` and ``1e-6``.
+
+    Args:
+        value: None or NaN where there is none, a dash.
+        error: in the unit of the value; None where it isn't known, which leaves the bound empty.
+        digits: largest number of significant digits; None for `DIGITS`, or `DIGITS_WITHOUT_ERROR`.
+    """
+    if value is None or isnan(value):
+        return "–", ""
+    if error is None or not isfinite(error):
+        return f"{value:.{digits or DIGITS_WITHOUT_ERROR}g}", ""
+    # the last digit: that of twice the error, or the last one that there may be
+    size = floor(log10(abs(value))) if value else SMALLEST
+    last = max(size + 1 - (digits or DIGITS), SMALLEST, ceil(log10(2.0 * error) - 1e-12) if error > 0.0 else SMALLEST)
+    bound = f"1e{last}" if not -4 < last < 4 else f"{10.0**last:g}"
+    rounded = round(value, -last)
+    if rounded == 0.0:
+        return "0", bound if last > NOISE else ""
+    size = floor(log10(abs(rounded)) + 1e-12)
+    return (f"{rounded:.{max(-last, 0)}f}" if -5 < size < DIGITS else f"{rounded:.{size - last}e}"), bound
+
+
+def display(name: str, value: float | None, digits: int | None = None, error: float | None = None) -> str:
+    """Format a metric's value in its display unit, see `printed`; a dash where there is none.
 
     Args:
         name: of the metric, as in ``summary.json``.
         value: in the metric's SI unit; None or NaN where the run doesn't have it.
-        digits: largest number of significant digits of the value.
-        error: in the same unit; None or zero isn't shown.
+        digits: largest number of significant digits; None for as many as the error allows, 10 at most, and 6 without an error.
+        error: in the same unit; None where it isn't known.
 
     Raises:
         KeyError: there is no such metric.
     """
     info = ALL_METRICS[name]
-    if value is None or isnan(value):
-        return "–"
-    shown = value * info.display_factor
-    if not error:
-        return f"{shown:.{digits}g} {info.display_unit}".rstrip()
-    # the error, rounded up, and the place of the value's last digit
-    scaled = error * info.display_factor
-    power = floor(log10(scaled))
-    scaled = ceil(scaled / 10.0**power * (1.0 - 1e-12)) * 10.0**power
-    last = floor(log10(scaled) + 1e-12)
-    size = floor(log10(abs(shown))) if shown else last
-    last = max(last, size + 1 - digits)
+    text, _ = _printed(info, value, error, digits)
+    return text if text == "–" else f"{text} {info.display_unit}".rstrip()
 
-    # the value, rounded to that place
-    if shown == 0.0 or size < last:
-        text = "0"
-    elif -5 < size < digits:
-        text = f"{round(shown, -last):.{max(-last, 0)}f}"
-    else:
-        text = f"{shown:.{size - last}e}"
-    margin = f"{scaled:.0f}" if 1.0 <= scaled < 1e4 else f"{scaled:.1g}"
-    return f"{text} ± {margin} {info.display_unit}".rstrip()
+
+def display_error(name: str, value: float | None, error: float | None) -> str:
+    """Format the bound of a metric's numerical error, in its display unit like `display`: ``below 1e-6``; empty where unknown."""
+    _, bound = _printed(ALL_METRICS[name], value, error)
+    return f"below {bound}" if bound else ""
+
+
+def _printed(info: Metric, value: float | None, error: float | None, digits: int | None = None) -> tuple[str, str]:
+    factor = info.display_factor
+    return printed(None if value is None else value * factor, None if error is None else error * factor, digits)

@@ -3,7 +3,9 @@
 The error of a metric is estimated from a companion: the same run with shorter communication steps and a tighter
 tolerance. The change of the metric in the companion contains the errors of integration, input polynomials, coupling and
 interpolation. One run alone can't show them: the integrator's local errors don't tell how a peak acceleration depends
-on the phase of a stiff mode.
+on the phase of a stiff mode. The companion's value is the more accurate one, and is the metric's where there is a
+companion; its error follows from the same change and from the order of convergence
+(`flexfmu.cosim.experiment.convergence`).
 """
 
 from __future__ import annotations
@@ -20,10 +22,18 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines
-from flexfmu.cosim.experiment.scene_run import Run, rest_position
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, LOOP_METRICS, MOTOR_METRICS, Measurement
+from flexfmu.cosim.experiment.scene_run import Companion, Run, rest_position
+from flexfmu.cosim.metrics.metric_table import (
+    ALL_METRICS,
+    COMMON_METRICS,
+    LOOP_METRICS,
+    MOTOR_METRICS,
+    Measurement,
+    printed,
+)
 from flexfmu.cosim.metrics.motors import inertia_ratios
 from flexfmu.cosim.metrics.recorded_solution import RecordedSolution, Settings
+from flexfmu.cosim.metrics.signals import ROUNDING
 
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -53,17 +63,16 @@ class Metrics(dict[str, T]):
 
 
 def _shown(metric: object) -> str:
-    """Return a metric as a short text."""
+    """Return a metric as a short text, with the digits that its error allows."""
     value, error = (metric.value, metric.error) if isinstance(metric, Measurement) else (metric, None)
-    text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return f"{text} ± {error:.1g}" if error is not None else text
+    return printed(value, error)[0] if isinstance(value, float) else str(value)
 
 
 SAFETY = 4.0
-"""Factor from the change in a single companion to the error; it covers the companion's own error."""
+"""Factor from the change in a single companion to the run's own error; it covers the companion's error."""
 
-ROUNDING = 8.0 * np.finfo(float).eps
-"""Rounding error of a metric, relative to the largest magnitude of the signals that it is computed from."""
+LEAST_SHARE = 0.3
+"""Least error of a companion, in terms of its tolerance and of the metric: a change may be small by chance."""
 
 
 def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = None) -> Metrics[Measurement]:
@@ -73,8 +82,8 @@ def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = N
 
     Args:
         run: the run.
-        companions: number of companions to simulate for the errors. 0: the errors stay unknown. 1: the change in the
-            companion times `SAFETY`. 2: a second, more precise companion verifies the first.
+        companions: number of companions to simulate. 0: values of the run, whose errors stay unknown. 1: values of a
+            companion, with errors by the change to it. 2: a second, more precise companion verifies the first, and gives the values.
         names: names of the metrics to compute; None for all.
 
     Raises:
@@ -140,7 +149,7 @@ def with_errors(
         progress: passed to the companions' runs.
     """
     # runs with ever smaller steps and tolerances, each the companion of the one before
-    results, finest, how = [measured], run, list[str]()
+    results, finest, how, companion = [measured], run, list[str](), None
     while len(how) < companions and finest.companion is not None:
         companion = finest.companion
         finest = companion.run(progress)
@@ -148,19 +157,24 @@ def with_errors(
         if not finest.completed:
             return _based(measured, f"errors are not known: {finest.message}, in a companion with {how[-1]}")
         results.append(measure(finest.recording, settings, measured))
-    if not how:
+    if companion is None or run.companion is None:
         return _based(measured, Metrics.basis)
 
     # error of each metric: its change in the companions, and rounding
-    rounding = {name: ROUNDING * _magnitude(run.recording, name) for name in measured}
-    if (acceleration := measured.get("rms_acceleration_error")) is not None:
-        rounding["rms_acceleration_error"] += _curvature_rounding(run.recording, acceleration.value)
-    stated = {name: _stated([one.get(name) for one in results], rounding[name]) for name in measured}
-    _settle(stated, run.recording, settings)
+    rounding = {name: each.rounding + ROUNDING * _magnitude(run.recording, name) for name, each in measured.items()}
+    stated = {name: _stated([one.get(name) for one in results], rounding[name], companion) for name in measured}
+    _settle(stated, [run.recording, finest.recording], settings)
     if len(how) == 1:
-        return _based(stated, f"errors are taken from a companion run with {how[0]}")
-    # a second companion shows whether the first one alone would understate an error
-    missed = [name for name in stated if _is_missed([one.get(name) for one in results], rounding[name])]
+        return _based(stated, f"errors are taken from a companion run with {how[0]}, and so are the values")
+    # a second companion shows whether the error of the first one would have been understated
+    missed = list[str]()
+    for name in stated:
+        first, final = (
+            _stated([one.get(name) for one in results[:2]], rounding[name], run.companion),
+            stated[name].value,
+        )
+        if first.error is not None and first.value is not None and final is not None:
+            missed += [name] if abs(first.value - final) > first.error else []
     verdict = f"; one companion alone understates {', '.join(missed)}" if missed else ""
     return _based(stated, f"errors are verified by companion runs with {' and '.join(how)}{verdict}")
 
@@ -172,40 +186,47 @@ def _based(measured: Mapping[str, Measurement], basis: str) -> Metrics[Measureme
     return found
 
 
-def _stated(results: Sequence[Measurement | None], rounding: float) -> Measurement:
-    """Return a metric with its error, from its values in the run and in ever finer companions."""
+def _stated(results: Sequence[Measurement | None], rounding: float, finest: Companion) -> Measurement:
+    """Return a metric from its values in the run and in ever finer companions: the finest one, and the run's own."""
     first = results[0] or Measurement(None)
     values = [each.value for each in results if each is not None and each.value is not None]
     if first.value is None or len(values) < len(results):
         return first
-    change = abs(first.value - values[-1])
-    error = rounding + (SAFETY * change if len(values) == 2 else change + abs(values[-2] - values[-1]))
-    return replace(first, error=error, interpolation_error=min(first.interpolation_error, error))
+    # the run's error, then that of the finest companion
+    change, last = abs(first.value - values[-1]), abs(values[-2] - values[-1])
+    own_error = rounding + (SAFETY * change if len(values) == 2 else change + last)
+    least = LEAST_SHARE * finest.tolerance * abs(values[-1])
+    return replace(
+        first,
+        value=values[-1],
+        error=rounding + max(finest.share * last, least),
+        own=first.value,
+        own_error=own_error,
+        interpolation_error=min(first.interpolation_error, own_error),
+    )
 
 
-def _is_missed(results: Sequence[Measurement | None], rounding: float) -> bool:
-    """Whether the finest run contradicts the error that the first companion gives."""
-    early, final = _stated(results[:2], rounding).error, _stated([results[0], results[-1]], rounding).error
-    return early is not None and final is not None and (final - rounding) / SAFETY > early
-
-
-def _settle(stated: dict[str, Measurement], recording: Recording, settings: Settings) -> None:
-    """Increase the settling time's error to its change when the vibration grows or shrinks by its own error.
+def _settle(stated: dict[str, Measurement], recordings: Sequence[Recording], settings: Settings) -> None:
+    """Increase the settling time's errors to its change when the vibration grows or shrinks by its own error.
 
     A settling time jumps by half a period where a crest just touches the settling band.
+
+    Args:
+        stated: the metrics, which change.
+        recordings: of the run, and of its finest companion.
+        settings: as for `measure`.
     """
     settled, vibration = stated.get("settling_time"), stated.get("residual_vibration_amplitude")
     if settled is None or vibration is None or settled.error is None or vibration.error is None:
         return
-    moved = RecordedSolution(recording, settings).settling_time(vibration.error).interpolation_error
-    stated["settling_time"] = replace(settled, error=max(settled.error, moved))
-
-
-def _curvature_rounding(recording: Recording, value: float | None) -> float:
-    """Return the RMS acceleration's error [m/s2] from positions' rounding, differentiated over the shortest step."""
-    steps = np.diff(recording.time)
-    curvature = 8.0 * ROUNDING * _magnitude(recording, "peak_position_error") / float(steps[steps > 0.0].min()) ** 2
-    return min(curvature, 0.5 * curvature**2 / value) if value else curvature
+    moved = [
+        RecordedSolution(recording, settings).settling_time(error or 0.0).interpolation_error
+        for recording, error in zip(recordings, (vibration.own_error, vibration.error), strict=True)
+    ]
+    own_error, error = (
+        max(one or 0.0, other) for one, other in zip((settled.own_error, settled.error), moved, strict=True)
+    )
+    stated["settling_time"] = replace(settled, own_error=own_error, error=error)
 
 
 def _magnitude(recording: Recording, name: str) -> float:

@@ -1,13 +1,15 @@
 """The solution of a recorded run, from which metrics are computed: its signals, interpolated between communication points.
 
 Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
+
+Speed and mechanical power of the motors over the duty cycle, as Hermite segments.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -16,23 +18,88 @@ import numpy as np
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.analysis import Analysis, analyse
-from flexfmu.cosim.metrics.duty_cycle import RecordedPower, joint_speed, product
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
     TIP_DEFLECTIONS,
     TORQUES,
+    at_ends,
     deviation_from_point,
     deviation_from_rigid,
     joint_error,
     modal_deflection,
     position,
+    position_rounding,
     segments,
 )
 from flexfmu.cosim.metrics.solution import Measurement, Solution
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
+
+SHAPE = 2.0 / 3.0
+"""Largest mean of an interpolation error over a segment in terms of its peak: that of theta (1 - theta); others are slimmer."""
+
+
+def joint_speed(recording: Recording, joint: int, planned: Trajectory | None) -> HermiteSegments | None:
+    """Return the angular velocity of a motor [rad/s] with two derivatives; None where it isn't known.
+
+    Args:
+        recording: of any robot; its joint velocity or its reference, where that drives the motors.
+        joint: 0 or 1.
+        planned: joint trajectory, used where neither was recorded.
+    """
+    for name in (f"joint{joint + 1}.velocity", f"joint{joint + 1}.reference.velocity"):
+        if name in recording.columns:
+            return segments(recording, [name])
+    if planned is None:
+        return None
+    torque = segments(recording, TORQUES[joint : joint + 1])
+    # the fourth derivative comes along, as for other metrics, which share the table
+    begin, end = (each[1:4, :, joint : joint + 1] for each in at_ends(torque, planned, 4))
+    return HermiteSegments(torque.start, torque.end, begin, end)
+
+
+def product(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:
+    """Return the product of two signals with one channel and two derivatives each, by Leibniz' rule."""
+
+    def derivatives(u: RealArray, v: RealArray) -> RealArray:
+        return np.stack([u[0] * v[0], u[1] * v[0] + u[0] * v[1], u[2] * v[0] + 2.0 * u[1] * v[1] + u[0] * v[2]])
+
+    left, right = derivatives(first.left, second.left), derivatives(first.right, second.right)
+    return HermiteSegments(first.start, first.end, left, right)
+
+
+@dataclass(frozen=True)
+class RecordedPower:
+    """A power, interpolated between communication points; see `flexfmu.cosim.metrics.solution.PowerSignal`."""
+
+    segments: HermiteSegments
+    cycles: int
+
+    @cached_property
+    def _parts(self) -> tuple[float, ...]:
+        return analyse(self.segments).parts()
+
+    def peak(self, sign: int) -> Measurement:
+        """Largest positive or negated negative power."""
+        return Measurement(self._parts[0 if sign > 0 else 1], self._parts[4])
+
+    def energy(self, sign: int) -> Measurement:
+        """Energy a cycle of the positive part, of the negated negative part, or the sum of both."""
+        positive, negative = (
+            Measurement(self._parts[2 + k] / self.cycles, SHAPE * self._parts[5 + k] / self.cycles) for k in (0, 1)
+        )
+        return self._difference(self.cycles) if sign == 0 else positive if sign > 0 else negative
+
+    def mean(self) -> Measurement:
+        """Mean over time."""
+        return self._difference(float(self.segments.duration.sum()))
+
+    def _difference(self, divisor: float) -> Measurement:
+        """Return the integral of both parts over a divisor."""
+        _, _, positive, negative, _, first, second = self._parts
+        return Measurement((positive - negative) / divisor, SHAPE * (first + second) / divisor)
 
 
 @dataclass(frozen=True)
@@ -74,10 +141,15 @@ class Settings:
 
 @dataclass(frozen=True)
 class RecordedSignal:
-    """A recorded signal, interpolated between communication points; see
-    `flexfmu.cosim.metrics.solution.TimeSignal`."""
+    """A recorded signal, interpolated between communication points; see `flexfmu.cosim.metrics.solution.TimeSignal`.
+
+    Attributes:
+        segments: the signal.
+        rounding: error of its values by rounding, in its unit; counts where a second derivative is taken.
+    """
 
     segments: HermiteSegments
+    rounding: float = 0.0
 
     @cached_property
     def _analysis(self) -> Analysis:
@@ -92,9 +164,15 @@ class RecordedSignal:
 
         To second order e changes the root mean square by (mean of p e + half the mean of e²) / root mean square.
         """
-        squares, common, deviation = self._analysis.mean_products(order)
+        analysis, noise = self._analysis, 0.0
+        if order == 2:
+            resolving, noise = self.segments.resolving_curvature(self.rounding)
+            analysis = analysis if resolving is self.segments else analyse(resolving)
+        squares, common, deviation = analysis.mean_products(order)
         root, bound, change = math.sqrt(squares), math.sqrt(deviation), abs(common) + 0.5 * deviation
-        return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
+        if root == 0.0:
+            return Measurement(root, bound, rounding=noise)
+        return Measurement(root, min(change / root, bound), rounding=min(noise, 0.5 * noise**2 / root))
 
     def final(self, order: int = 0) -> Measurement:
         """Norm of a time derivative at the last communication point, without interpolation error."""
@@ -171,7 +249,8 @@ class RecordedSolution(Solution):
         return self._path_error_in_motion
 
     def residual_vibration(self) -> RecordedSignal | None:
-        return self._vibration if self._settings.dwell else None
+        # a dwell that is too short for a communication point is none
+        return self._vibration if self._settings.dwell and self._vibration.segments.start.size else None
 
     def tracking_error(self, joint: int) -> RecordedSignal | None:
         error = self._tracking_error(joint)
@@ -219,7 +298,7 @@ class RecordedSolution(Solution):
 
     @cached_property
     def _path_error_in_motion(self) -> RecordedSignal:
-        return self._in_motion(self._path_error)
+        return replace(self._in_motion(self._path_error), rounding=position_rounding(self._recording))
 
     @cached_property
     def _vibration(self) -> RecordedSignal:

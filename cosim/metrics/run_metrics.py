@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
-from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.errors import CosimError, InputError, suggestion
 from flexfmu.cosim.engine.showing import html_table, shorten
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, Measurement, printed
 from flexfmu.cosim.metrics.metrics import Metrics, measure_run, settings_for, with_errors
 from flexfmu.model.scene.errors import EquilibriumError
 
@@ -63,9 +62,9 @@ class Quantity(float):
 class RunMetrics(Mapping[str, Quantity]):
     """The metrics of a run by name, each computed when it is first asked for: ``run.metrics.peak_torque_1``.
 
-    Values are in SI units, of `flexfmu.cosim.metrics.metric_table.COMMON_METRICS`, without simulating again. Errors
-    (``run.metrics.peak_torque_1.error``) are those of `measure_run` with one companion run, which is simulated when the first
-    error is asked for. In pandas: ``pandas.Series(run.metrics)``, ``pandas.DataFrame([run.metrics for run in runs])``.
+    Values are the run's own in SI units, of `flexfmu.cosim.metrics.metric_table.COMMON_METRICS`, without simulating again. Errors
+    (``run.metrics.peak_torque_1.error``) are those of these values, by the one companion run of `measure_run`, which is simulated
+    when the first error is asked for; `print` then shows the companion's values, which are more accurate. In pandas: ``pandas.Series(run.metrics)``, ``pandas.DataFrame([run.metrics for run in runs])``.
 
     Args:
         run: the run.
@@ -98,7 +97,7 @@ class RunMetrics(Mapping[str, Quantity]):
 
     def _number(self, name: str, measured: Measurement) -> Quantity:
         value = math.nan if measured.value is None else measured.value
-        return Quantity(value, ALL_METRICS[name].unit, measured.reason, lambda: self._with_errors[name].error)
+        return Quantity(value, ALL_METRICS[name].unit, measured.reason, lambda: self._with_errors[name].own_error)
 
     def __getitem__(self, name: str) -> Quantity:
         """Return a metric, computed alone."""
@@ -122,8 +121,7 @@ class RunMetrics(Mapping[str, Quantity]):
 
     def _unknown(self, name: str) -> str:
         known = self._names()
-        near = get_close_matches(str(name), known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
+        hint = suggestion(name, known)
         return f"this run has no metric {name!r}; {hint}"
 
     def __iter__(self) -> Iterator[str]:
@@ -171,13 +169,14 @@ class RunMetrics(Mapping[str, Quantity]):
         return [f"  {name:<{width}}  {value}" for name, value in self._shown().items()]
 
     def _shown(self) -> dict[str, str]:
-        """Return name → number with unit, and with its error if that is known already."""
+        """Return name → number with unit; if errors are known already, the companion's with the digits that its error allows."""
         known: Mapping[str, Any] = self._with_errors if "_with_errors" in self.__dict__ else {}
         shown = {}
         for name, number in self._numbers.items():
-            error = known[name].error if name in known else None
-            margin = f" ± {error:.1g}" if error is not None else ""
-            shown[name] = shorten(f"{float(number):.6g}{margin} {number.unit}", 79)
+            value, error = (known[name].value, known[name].error) if name in known else (float(number), None)
+            text, bound = printed(value, error)
+            margin = f", numerical error below {bound}" if bound else ""
+            shown[name] = shorten(f"{text} {number.unit}".rstrip() + margin, 79)
         return shown
 
     def _repr_html_(self) -> str:

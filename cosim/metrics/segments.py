@@ -35,6 +35,9 @@ DIVERGING = 3.0
 """Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out:
 its derivatives belong to a vibration or a decay that is far faster than the step."""
 
+RESOLVED = 1e-6
+"""Rounding of a second derivative, relative to the largest one, that is never looked at: its square is below rounding."""
+
 CONTINUITY = 1e-9
 """Jump of a signal or derivative, relative to its magnitude, above which a node is a breakpoint."""
 
@@ -83,6 +86,32 @@ class HermiteSegments:
         part of both signals has no interpolation error.
         """
         return HermiteSegments(self.start, self.end, self.left - left, self.right - right)
+
+    def resolving_curvature(self, rounding: float) -> tuple[HermiteSegments, float]:
+        """Return segments for the second derivative alone, and the root mean square over time of its rounding error.
+
+        The values at both ends of a segment, right to ``rounding``, give the second derivative no better than ``rounding`` /
+        duration². Where this exceeds what its own highest derivatives add to it, it is interpolated from itself and these;
+        such a segment has no value and no slope at its start.
+        """
+        noise = rounding / self.duration**2
+        if len(self.left) < 4 or not noise.size or noise.max() <= RESOLVED * norms(self.left[2]).max():
+            return self, float(noise.max(initial=0.0))
+        second = HermiteSegments(self.start, self.end, self.left[2:], self.right[2:])
+        short = noise > np.sqrt(contributions(*second._two_point)[-1])
+        kept = float(np.sqrt(noise[~short] ** 2 @ self.duration[~short] / self.duration.sum()))
+        # both integrals of the second derivative, by its control points
+        left, right, control, duration = (
+            self.left.copy(),
+            self.right.copy(),
+            second.control,
+            self.duration[:, np.newaxis],
+        )
+        count = len(control)
+        weights = np.arange(count, 0, -1.0) / (count * (count + 1.0))
+        integrals = np.stack([duration**2 * np.tensordot(weights, control, axes=1), duration * control.mean(axis=0)])
+        left[:2, short], right[:2, short] = 0.0, integrals[:, short]
+        return HermiteSegments(self.start, self.end, left, right), kept
 
     @cached_property
     def consistent(self) -> HermiteSegments:

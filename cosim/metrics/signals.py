@@ -26,6 +26,9 @@ TORQUES = ("joint1.torque", "joint2.torque")
 TIP_DEFLECTIONS = ("link11.tip_deflection", "link21.tip_deflection")
 FIRST_BENDING = "link11.bending[1]"
 
+ROUNDING = 8.0 * float(np.finfo(float).eps)
+"""Rounding error of a metric, relative to the largest magnitude of the signals that it is computed from."""
+
 
 def segments(recording: Recording, names: Sequence[str], accelerations: Sequence[str] = ()) -> HermiteSegments:
     """Return the named signals, interpolated between communication points, one channel each.
@@ -56,6 +59,11 @@ def position(recording: Recording) -> HermiteSegments:
     the vibration, the quintic through acceleration, jerk and snap has a thousand times its error.
     """
     return segments(recording, POSITION, ACCELERATION)
+
+
+def position_rounding(recording: Recording) -> float:
+    """Return the rounding error [m] of differences between end-effector positions, see `HermiteSegments.resolving_curvature`."""
+    return 8.0 * ROUNDING * max(float(np.abs(recording[name].values).max(initial=0.0)) for name in POSITION)
 
 
 def modal_deflection(recording: Recording) -> HermiteSegments | None:

@@ -8,18 +8,23 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Measurement:
-    """The value of one metric.
+    """The value of one metric, in its SI unit: with a companion run the companion's, which is the more accurate one.
 
     Attributes:
-        value: in the SI unit of the table of metrics; None where the metric doesn't exist (no dwell, not settled, run cut short).
-        interpolation_error: estimated error of the interpolation between communication points, a part of the error.
-        error: estimated error of the value in the same unit; None where it isn't known.
+        value: the value; None where the metric doesn't exist (no dwell, not settled, run cut short).
+        interpolation_error: estimated error of the interpolation between the run's communication points, a part of its error.
+        error: estimated error of the value; None where it isn't known.
+        own, own_error: value and error of the run itself; None without a companion, when ``value`` is the run's.
+        rounding: rounding error that exceeds that of the signals themselves, a part of the error.
         reason: the run's message where the run failed and the metric has no value; otherwise empty.
     """
 
     value: float | None
     interpolation_error: float = 0.0
     error: float | None = None
+    own: float | None = None
+    own_error: float | None = None
+    rounding: float = 0.0
     reason: str = ""
 
 

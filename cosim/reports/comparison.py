@@ -174,7 +174,10 @@ def metrics_table(runs: Sequence[ComparedRun]) -> Table:
         found = [run.metrics.get(name, none) for run in runs]
         rows.append([ALL_METRICS[name].label, *(_cell(name, each, found[0]) for each in found)])
     return Table(
-        "Metrics", ["Metric", *(run.name for run in runs)], rows, "In brackets: difference from the first run."
+        "Metrics",
+        ["Metric", *(run.name for run in runs)],
+        rows,
+        "Values have the digits that their numerical errors allow. In brackets: difference from the first run.",
     )
 
 

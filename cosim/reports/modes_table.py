@@ -15,6 +15,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.trajectories.along_path import positions_along
 from flexfmu.trajectories.jets import Jet
 
@@ -45,6 +46,7 @@ class ModalPose:
         return asdict(self) | {"frequencies": list(self.frequencies)}
 
 
+@one_blas_thread()
 def modes_along_path(
     plan: MotionPlan, count: int, progress: Callable[[float], None] = lambda fraction: None
 ) -> list[ModalPose]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display, display_error
 from flexfmu.cosim.reports.motors import motor_rows, stress_rows
 from flexfmu.cosim.reports.page import Figure, render
+from flexfmu.cosim.reports.summary import title_of
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
@@ -32,6 +33,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Figure]) -> str:
     health, metrics, errors = summary["health"], summary["metrics"], summary["errors"]
     return render(
         "report.html.j2",
+        title=title_of(summary),
         scene=summary["scene"],
         effects=summary["effects"],
         motion=_motion_sentence(summary["scene"], summary.get("motion")),
@@ -40,12 +42,12 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Figure]) -> str:
         coarse=[
             {
                 "label": ALL_METRICS[warning["metric"]].label,
-                "error": f"± {display(warning['metric'], warning['estimated_error'], digits=1)}",
+                "error": display(warning["metric"], warning["estimated_error"], digits=1),
             }
             for warning in health["warnings"]
         ],
         tiles=[
-            {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 4, errors[name])} for name in TILES
+            {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 5, errors[name])} for name in TILES
         ],
         metrics=[_metric_row(name, metrics[name], errors[name]) for name in metrics],
         plots=list(plots),
@@ -96,7 +98,12 @@ def _cycles(trajectory: Mapping[str, Any]) -> str:
 
 def _metric_row(name: str, value: float | None, error: float | None) -> dict[str, str]:
     info = ALL_METRICS[name]
-    return {"label": info.label, "value": display(name, value, error=error), "description": info.description}
+    return {
+        "label": info.label,
+        "value": display(name, value, error=error),
+        "error": display_error(name, value, error),
+        "description": info.description,
+    }
 
 
 def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

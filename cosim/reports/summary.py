@@ -1,4 +1,7 @@
-"""The summary of a run as plain data, the content of ``summary.json`` and of the report."""
+"""The summary of a run as plain data, the content of ``summary.json`` and of the report.
+
+What references for the flexible robot ask of the motors, for `summary.json` and the report.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +14,58 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.feedforwards import counted_twice
-from flexfmu.cosim.experiment.planning import deviation
+from flexfmu.cosim.experiment.planning import MotionPlan, deviation
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import Metrics
 from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.metrics.stress import link_stresses
-from flexfmu.cosim.reports.reference_facts import reference_facts
+from flexfmu.model.scene.choice import NAMED_FLOOR
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.delays import SignalDelay
     from flexfmu.cosim.experiment.prepared_scene import Run
     from flexfmu.model.scene.schema import Scene
+
+JERK_JUMP = 1e-3
+"""Jump of the motion's jerk, relative to its largest jerk, above which it counts: smaller ones are rounding."""
+
+
+def jerk_jump(motion: Trajectory) -> float:
+    """Largest jump of the jerk [m/s³] within a motion of the end effector, 0 where there is none but rounding."""
+    inner = np.array(motion.breakpoints)
+    before, after = (motion.evaluate(inner, 3, side)[3] for side in ("left", "right"))
+    largest = max(float(np.abs(before).max()), float(np.abs(after).max()))
+    jump = float(np.hypot(*(after - before).T).max())
+    return jump if jump > JERK_JUMP * largest else 0.0
+
+
+def reference_facts(motion: MotionPlan) -> dict[str, float | str]:
+    """What the references ask of the motors, and how smooth the motion is; a sentence if its jerk jumps."""
+    design, rigid = motion.design, motion.rigid
+    assert design is not None
+    assert rigid is not None
+    jump, largest = jerk_jump(rigid.task), design.largest_jerk
+    found: dict[str, float | str] = {
+        "knot_spacing": design.motors.duration / design.motors.intervals,
+        "lead": 0.5 * (motion.duration - rigid.duration),
+        "largest_joint_jerk": largest,
+        "jerk_jump": jump,
+    }
+    if jump:
+        found["warning"] = (
+            f"the motion's jerk jumps by {jump:.3g} m/s³, so the jerk of the joints, {largest:.3g} rad/s³, grows with closer "
+            "knots: smoother or wider blends, or knots further apart, keep it lower"
+        )
+    return found
 
 
 COARSE = 1e-5
@@ -58,10 +95,11 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
     Keys:
         scene: the scene with all defaults.
         effects: effect → sentence.
-        metrics: name → number, or None for a metric without a value.
-        errors: name → estimated error of the metric, or None if unknown.
+        metrics: name → number, or None for a metric without a value: the companion's, where there was one, else the run's own.
+        errors: name → estimated error of that number, or None if unknown.
+        own_metrics, own_errors: the same of the run itself, to which the recorded signals belong.
         health: outcome, integrator statistics, basis of the errors, interpolation errors, warnings, deflections beyond linear
-            theory, instability of the control loop.
+            theory, instability of the control loop, numerical errors beyond the tolerance of an automatic choice of effects.
         slaves: name, description, sample time and offset of each slave.
         delays: delay of each connection.
         timing: wall times [s].
@@ -71,11 +109,14 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
         references: only with references for the flexible robot: distance of the knots [s], time before and after the end effector's
             motion [s], largest jerk of the joints [rad/s³], largest jump of the motion's jerk [m/s³], and a sentence on it.
-        effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
+        effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors, errors beside the run of the richest set
+            and of what (``scene`` as it runs, or its ``motion`` alone), and contributions.
         cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
         motors: only with ``[motor]``: margins, losses and power of each motor, and a sentence for each limit that is exceeded.
         stresses: only with ``mechanism.material.yield_strength``: peak stresses of each link, where and when, and its safety factor.
-        learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad].
+        changes: only with changes on the command line: ``KEY=VALUE`` of each.
+        learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad],
+            and with `flexfmu run` the contraction of what is learned: factor, frequency [Hz] and place on the path.
     """
     return {
         "scene": _scene(run),
@@ -83,6 +124,8 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         **({"effect_choice": choice} if (choice := choice_summary(run.scene)) else {}),
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
         "errors": {name: measurement.error for name, measurement in measurements.items()},
+        "own_metrics": {name: each.value if each.own is None else each.own for name, each in measurements.items()},
+        "own_errors": {name: each.own_error for name, each in measurements.items()},
         "health": _health(run, measurements),
         **({"motion": run.plan.source} if run.plan.source else {}),
         **_shaping(run),
@@ -96,6 +139,11 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "versions": dict(versions(run.fmu_path)),
         "units": run.recording.units,
     }
+
+
+def title_of(summary: Mapping[str, Any]) -> str:
+    """Return the title of a summary: the scene's name, and what was changed on the command line."""
+    return ", ".join([summary["scene"]["name"], *summary.get("changes", ())])
 
 
 def describe_effects(scene: Scene) -> dict[str, str]:
@@ -144,9 +192,27 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
         "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
         "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
         "large_deflections": exceeded(run),
-        "unstable_loop": divergence(run) if run.completed else None,
+        "unstable_loop": run.health.unstable_loop,
         "counted_twice": counted_twice(run.scene),
+        "beyond_tolerance": list(_beyond_tolerance(run, measurements)),
     }
+
+
+def _beyond_tolerance(run: Run, measurements: Mapping[str, Measurement]) -> Iterator[str]:
+    """Yield a sentence for each metric of an automatic choice whose numerical error is larger than what was asked for."""
+    choice = run.scene.effects.choice
+    for name in () if choice is None else choice.of:
+        found, peak = measurements[name], measurements["peak_position_error"].value
+        error = found.own_error
+        if choice is None or found.value is None or error is None:
+            continue
+        scale = max(abs(found.value), NAMED_FLOOR * (peak or 0.0) if ALL_METRICS[name].unit == "m" else 0.0)
+        if error > choice.tolerance * scale:
+            yield (
+                f"{ALL_METRICS[name].label}: the run's own numerical error of {error:.2g} {ALL_METRICS[name].unit} is more than the "
+                f"{100.0 * choice.tolerance:g} % that the choice of effects was asked for; reduce `cosimulation.step`, now "
+                f"{run.communication_step:g} s, or `cosimulation.tolerance`, now {run.tolerance:g}"
+            )
 
 
 def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
@@ -162,6 +228,8 @@ def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
 def _scene(run: Run) -> dict[str, Any]:
     """Return the scene as plain data, without the keys of a path that the motion doesn't take."""
     data = run.scene.model_dump(mode="json", exclude_none=True)
+    for each in data["controller"]:
+        each.pop("response", None)  # thousands of numbers that follow from the rest
     for key in PATH_KEYS if run.plan.source else ():
         data["trajectory"].pop(key, None)
     return data
@@ -268,6 +336,8 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
         "of": list(choice.of),
         "chosen": chosen_set(scene),
         "estimated_error": dict(zip(choice.of, choice.error, strict=True)),
+        **({} if choice.verified is None else {"verified_error": dict(zip(choice.of, choice.verified, strict=True))}),
+        "verified_in": choice.verified_in,
         "integrator_tolerance": scene.cosimulation.tolerance,
         "effects": [
             {

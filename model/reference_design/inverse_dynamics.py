@@ -19,6 +19,7 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
 from flexfmu.model.reference_design.variants import VariantModel
 from flexfmu.model.scene.errors import EquilibriumError
@@ -82,6 +83,7 @@ class FlexibleReferences:
         return np.asarray(self.model.values(q, v, a, references)[0, :, n : n + 2])
 
 
+@one_blas_thread()
 def flexible_references(
     scene: Scene, motion: Trajectory, rigid: Trajectory, knot_spacing: float = KNOT_SPACING
 ) -> FlexibleReferences:

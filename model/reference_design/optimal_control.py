@@ -22,6 +22,7 @@ import casadi
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.reference_design.control_limits import Area, ReferenceLimits, Robot
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.motion_programme import Aim, MotionProgramme
@@ -95,6 +96,7 @@ class OptimalMotion:
     iterations: int
 
 
+@one_blas_thread()
 def optimal_motions(
     robots: Sequence[Robot],
     limits: ReferenceLimits,

@@ -61,6 +61,7 @@ def fastest_motion(
     *,
     parts: int = 2,
     iterations: int = 40,
+    loose: float = LOOSE,
 ) -> Iterator[Improvement]:
     """Joint references that are faster and faster within limits that hold for all robots.
 
@@ -71,6 +72,7 @@ def fastest_motion(
         nodes: indices of the robots that the programmes have; None for `NODES` that are denser near both ends.
         parts: steps of the integration for each interval of the spline.
         iterations: largest number of programmes in each stage.
+        loose: bound of the residual vibration [m] in the first stages; the last bound is the least.
 
     Yields:
         Motions on the way; the last one with ``checked`` is the fastest that meets all limits.
@@ -79,7 +81,7 @@ def fastest_motion(
         EquilibriumError: the first motion has no elastic motion.
     """
     chosen = np.array(spread(len(robots), NODES) if nodes is None else nodes)
-    motion, loose = start, max(limits.residual, LOOSE)
+    motion, loose = start, max(limits.residual, loose)
     # few variants, then all nodes, with a bound that falls
     levels = max(1, round(math.log(loose / limits.residual, FALL)))
     bounds = np.geomspace(loose, limits.residual, levels + 1)[:-1].tolist()

@@ -26,6 +26,9 @@ MEASURES: tuple[MeasureName, ...] = get_args(MeasureName)
 INTEGRATOR_SHARE = 0.5
 """Share of the tolerance for the integration error; the rest is for neglected effects."""
 
+NAMED_FLOOR = 1e-4
+"""Smallest scale of a position metric that the user named, as a fraction of the peak position error: no run resolves smaller values."""
+
 DEFAULT_TOLERANCE = 0.01
 """Tolerance where neither scene nor command gives one."""
 
@@ -58,12 +61,16 @@ class EstimatedEffect(Section):
 class ChoiceSection(Section):
     """Result of an automatic choice of effects; written by `flexfmu`, not by hand.
 
-    `error` is the estimated error of each metric due to neglected effects, relative to the metric's scale.
+    `error` is the estimated error of each metric due to neglected effects, relative to the metric's scale. `verified` is the error
+    of the run against that of the richest set, of effects and integration together: of the scene as it runs, or of its motion alone
+    where its loop can't run.
     """
 
     tolerance: ChoiceTolerance
     of: MeasureNames
     error: Shares
+    verified: Shares | None = None
+    verified_in: Literal["scene", "motion"] = "scene"
     effects: Annotated[tuple[EstimatedEffect, ...], BeforeValidator(as_tuple)]
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection, Sampling, from_scene_file
 from flexfmu.model.scene.schedules import (
@@ -16,6 +16,7 @@ from flexfmu.model.scene.schedules import (
 from flexfmu.model.scene.section import (
     NotNegative,
     NotNegativePerJoint,
+    PerJoint,
     Positive,
     PositivePerJoint,
     SecondsOrZero,
@@ -69,7 +70,8 @@ AntiWindupSection = Annotated[
 class PidSection(SampledSection):
     """PID control of the measured angles.
 
-    `anti_windup` is the method at the torque limit: "clamping", "none" or
+    `setpoint_weight` acts on changes of the reference since the start. `initial_torque` is the torque there, from the integral; by default
+    what holds the robot, and nothing if a feedforward does or without an integral. `anti_windup` is the method at the torque limit: "clamping", "none" or
     `{ kind = "back-calculation", tracking_time = 0.01 }`.
     """
 
@@ -80,6 +82,7 @@ class PidSection(SampledSection):
     filter_time: Annotated[NotNegativePerJoint, quantity("s")] = (0.0, 0.0)
     setpoint_weight: float = 1.0
     derivative_weight: float = 1.0
+    initial_torque: Annotated[PerJoint | None, quantity("N.m")] = None
     torque_limit: TorqueLimit = None
     anti_windup: AntiWindupSection = ClampingSection()
     schedule: PidScheduleSection | None = None
@@ -107,6 +110,7 @@ class VelocityLoopSection(LoopOfCascade):
     proportional: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
     integral: Annotated[NotNegativePerJoint, quantity("N.m/rad")] = (0.0, 0.0)
     inertia: Annotated[NotNegativePerJoint, quantity("kg.m2")] = (0.0, 0.0)
+    initial_torque: Annotated[PerJoint, quantity("N.m")] = (0.0, 0.0)
     schedule: VelocityScheduleSection | None = None
 
 
@@ -198,21 +202,67 @@ class DisturbanceObserverSection(SampledSection):
     torque_limit: TorqueLimit = None
 
 
-class LearningSection(SampledSection):
-    """P-type iterative learning control, added to the torque of another controller.
+Responses = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]
 
-    The robot makes the motion there and back `cycles` times. After each cycle the learned torque grows by `gain` times
-    the position error `lead` samples later.
+
+def _tuples(value: Any) -> Any:
+    """Lists at all levels as tuples."""
+    return tuple(map(_tuples, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _cut_off(value: Any) -> Any:
+    """A cut-off, or a word for one."""
+    if value in ("auto", "none", None) or (
+        isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0.0
+    ):
+        return value
+    raise ValueError(f'give a cut-off above 0 Hz, "auto" or "none", got {value!r}')
+
+
+class LearningSection(SampledSection):
+    """Iterative learning control, added to the torque of another controller.
+
+    The robot makes the motion there and back `cycles` times. With `law` = "proportional" the learned torque grows after each cycle by
+    `gain` times the position error `lead` samples later; with "norm-optimal" by what a model of the loop says of all errors.
 
     `forgetting` is the share of the learned torque that each cycle loses. The dwell between two motions is that of the
-    scene, extended so that a cycle is a whole number of samples.
+    scene, extended so that a cycle is a whole number of samples. `q_filter` is the cut-off of a low-pass without phase through which
+    what is learned goes; "auto", which norm-optimal learning has by default, chooses it so that learning converges with all payloads
+    within `payload_error` of the robot's.
+
+    The norm-optimal law minimises squared errors and changes of the torque, weighted by `regularisation`. Its model is the loop at nine
+    poses with the scene's payload or `payload`, or `response`: angles of the joints, samples after a torque of 1 N.m of one sample.
     """
 
     kind: Literal["learning"]
-    gain: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
+    law: Literal["proportional", "norm-optimal"] = "proportional"
+    gain: Annotated[NotNegativePerJoint | None, quantity("N.m/rad")] = None
     cycles: Annotated[int, quantity("cycles", ge=1, le=1000)]
     lead: Annotated[int, quantity("samples", ge=0)] = 1
     forgetting: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
+    q_filter: Annotated[float | Literal["auto", "none"] | None, BeforeValidator(_cut_off), quantity("Hz")] = None
+    payload_error: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
+    regularisation: Annotated[float, quantity("1", gt=0.0)] = 1e-3
+    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    response: Annotated[Responses | None, BeforeValidator(_tuples), quantity("rad/(N.m)")] = None
+
+    @model_validator(mode="after")
+    def _keys_fit_the_law(self) -> Self:
+        theirs = {"proportional": ("gain", "lead"), "norm-optimal": ("regularisation", "payload", "response")}
+        other = "norm-optimal" if self.law == "proportional" else "proportional"
+        for key in theirs[other]:
+            if getattr(self, key) != type(self).model_fields[key].default:
+                raise ValueError(f'`{key}` goes with `law = "{other}"`, not with "{self.law}": leave it out')
+        if self.law == "proportional" and self.gain is None:
+            raise ValueError('the key `gain` in N.m/rad is missing; only `law = "norm-optimal"` needs none')
+        return self
+
+    @property
+    def cut_off(self) -> float | Literal["auto"] | None:
+        """Cut-off of the Q-filter [Hz], ``auto`` where it is to be chosen, None for none."""
+        if self.q_filter is None:
+            return "auto" if self.law == "norm-optimal" else None
+        return None if self.q_filter == "none" else self.q_filter
 
 
 class StateFeedbackSection(SampledSection):

@@ -13,10 +13,12 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MeasureNames, contradictions
-from flexfmu.model.scene.section import Section, as_tuple, named_kind, quantity
+from flexfmu.model.scene.section import LARGEST, NOT_TINY, Section, as_tuple, named_kind, quantity
 
 MAXIMUM_MODES = 40
 """Largest number of modes of one family; the tests check the shapes up to this mode."""
+
+Acceleration = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
 
@@ -31,7 +33,7 @@ class ModalDampingSection(Section):
     """C_ii = 2 ratio sqrt(K_ii M_ii) for every mode of every link, with the link's own modal mass and stiffness."""
 
     kind: Literal["modal"]
-    ratio: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
+    ratio: Annotated[float, quantity("1", ge=0.0, le=1e3)]
 
     @property
     def sentence(self) -> str:
@@ -43,7 +45,7 @@ class StiffnessDampingSection(Section):
     """C = time * K on the elastic coordinates."""
 
     kind: Literal["stiffness"]
-    time: Annotated[float, quantity("s", ge=0.0)]
+    time: Annotated[float, quantity("s", ge=0.0, le=1e3)]
 
     @property
     def sentence(self) -> str:
@@ -55,7 +57,7 @@ class MassDampingSection(Section):
     """C = rate * M on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
     kind: Literal["mass"]
-    rate: Annotated[float, quantity("1/s", ge=0.0)]
+    rate: Annotated[float, quantity("1/s", ge=0.0, le=1e6)]
 
     @property
     def sentence(self) -> str:
@@ -67,8 +69,8 @@ class RayleighDampingSection(Section):
     """C = rate * M + time * K on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
     kind: Literal["rayleigh"]
-    rate: Annotated[float, quantity("1/s", ge=0.0)]
-    time: Annotated[float, quantity("s", ge=0.0)]
+    rate: Annotated[float, quantity("1/s", ge=0.0, le=1e6)]
+    time: Annotated[float, quantity("s", ge=0.0, le=1e3)]
 
     @property
     def sentence(self) -> str:
@@ -87,9 +89,9 @@ class SmoothFrictionSection(Section):
     """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor, with the motor rate w."""
 
     kind: Literal["smooth"] = "smooth"
-    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
-    coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
-    velocity: Annotated[float, quantity("rad/s", gt=0.0)] = 0.01
+    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0, le=LARGEST)] = 0.0
+    coulomb: Annotated[float, quantity("N.m", ge=0.0, le=LARGEST)] = 0.0
+    velocity: Annotated[float, quantity("rad/s", gt=0.0, le=LARGEST), NOT_TINY] = 0.01
 
     @property
     def is_there(self) -> bool:
@@ -109,10 +111,10 @@ class StictionSection(Section):
     """
 
     kind: Literal["stiction"]
-    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
-    coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
-    breakaway: Annotated[float, quantity("N.m", ge=0.0)] | None = None
-    stribeck_velocity: Annotated[float, quantity("rad/s", gt=0.0)] | None = None
+    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0, le=LARGEST)] = 0.0
+    coulomb: Annotated[float, quantity("N.m", ge=0.0, le=LARGEST)] = 0.0
+    breakaway: Annotated[float, quantity("N.m", ge=0.0, le=LARGEST)] | None = None
+    stribeck_velocity: Annotated[float, quantity("rad/s", gt=0.0, le=LARGEST), NOT_TINY] | None = None
 
     @property
     def holding(self) -> float:
@@ -154,8 +156,8 @@ JointFrictionSection = Annotated[
 class Transmission(Section):
     """Elastic transmission between each motor and its proximal link."""
 
-    stiffness: Annotated[float, quantity("N.m/rad", gt=0.0)]
-    damping: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+    stiffness: Annotated[float, quantity("N.m/rad", gt=0.0, le=LARGEST), NOT_TINY]
+    damping: Annotated[float, quantity("N.m.s/rad", ge=0.0, le=LARGEST)] = 0.0
 
 
 FamilyName = Literal["proximal_bending", "proximal_axial", "distal_bending", "distal_axial"]
@@ -169,7 +171,7 @@ class Effects(Section):
     `select = "auto"` chooses the elastic effects: as few as keep the errors of the metrics in `of` below `tolerance`.
     """
 
-    gravity: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m/s2")]
+    gravity: Annotated[tuple[Acceleration, Acceleration], BeforeValidator(as_tuple), quantity("m/s2")]
     basis: Literal["assumed-modes", "craig-bampton"]
     proximal_bending: ModeCount = 0
     proximal_axial: ModeCount = 0
@@ -179,7 +181,7 @@ class Effects(Section):
     foreshortening: bool = False
     quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
     damping: DampingSection = NoDampingSection()
-    motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
+    motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0, le=LARGEST)] = 0.0
     joint_friction: JointFrictionSection = SmoothFrictionSection()
     transmission: Transmission | None = None
     reactions: bool = False

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
 from flexfmu.model.scene.keys import GAINS
+
+MOST_HOMES = 3
+"""Largest number of other kinds with a key for which they are named."""
 
 
 def listed(names: Any) -> str:
@@ -16,22 +19,49 @@ def listed(names: Any) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
-    """The message for one of pydantic's errors in the section ``root``."""
-    keys, model, unit = _locate(error["loc"], root)
+def sentences(errors: Iterable[Mapping[str, Any]], root: type[BaseModel]) -> list[str]:
+    """The messages for pydantic's errors in the section ``root``: one for each, but unknown keys with the same remedy have one together."""
+    found: dict[str, list[str]] = {}
+    for error in errors:
+        if error["type"] == "extra_forbidden":
+            key, remedy = _unknown(error["loc"], root)
+            found.setdefault(remedy, []).append(key)
+        else:
+            found[_sentence(error, root)] = []
+    return [_unknown_sentence(keys, text) if keys else text for text, keys in found.items()]
+
+
+def _unknown_sentence(keys: list[str], remedy: str) -> str:
+    if len(keys) == 1:
+        return f"{listed(keys)} is not a known key: {remedy.format(they='it belongs', them='it')}"
+    return f"{listed(keys[:-1])} and {listed(keys[-1:])} are not known keys: {remedy.format(they='they belong', them='them')}"
+
+
+def _unknown(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[str, str]:
+    """An unknown key, and what to do about it and others like it."""
+    keys, model, _, kinds = _locate(location, root)
+    name, known = keys[-1], list(model.model_fields) if model is not None else []
+    # a key of another kind, of which a section whose kind was changed has many
+    homes = [str(tag) for each in kinds if name in each.model_fields for tag in _tags(each)]
+    if model is not None and 0 < len(homes) <= MOST_HOMES:
+        own = _tags(model)[0]
+        remedy = f"{{they}} to kind {' or '.join(map(repr, homes))}, not to {own!r}; remove {{them}}, or set `{'.'.join(keys[:-1])}` as a whole"
+        return ".".join(keys), remedy
+    close = [GAINS[name]] if GAINS.get(name) in known else difflib.get_close_matches(name, known, n=1)
+    return ".".join(keys), f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
+
+
+def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
+    """The message for one of pydantic's errors."""
+    keys, model, unit, _ = _locate(error["loc"], root)
     key, annotation = ".".join(keys), _annotation(model, keys)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     unit = "" if unit == "1" else unit
-    # a key that is missing or unknown
+    # a key that is missing
     if kind == "missing":
         words = get_args(annotation) if get_origin(annotation) is Literal else ()
         remedy = f" (in {unit})" if unit else f", one of {', '.join(map(repr, words))}" if words else ""
         return f"`{key}` is missing: add it{remedy}"
-    if kind == "extra_forbidden":
-        known = list(model.model_fields) if model is not None else []
-        close = [GAINS[keys[-1]]] if GAINS.get(keys[-1]) in known else difflib.get_close_matches(keys[-1], known, n=1)
-        remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
-        return f"`{key}` is not a known key: {remedy}"
     # message of one of the project's validators
     if kind == "value_error":
         return f"{f'in `{key}`: ' if key else ''}{context['error']}"
@@ -42,7 +72,7 @@ def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
     if kind == "union_tag_invalid":
         return f"`{key}.kind` must be one of {context['expected_tags']}, got {value.get('kind')!r}"
     if kind == "union_tag_not_found":
-        kinds = [tag for each in _sections(annotation) for tag in get_args(each.model_fields["kind"].annotation)]
+        kinds = [tag for each in _sections(annotation) for tag in _tags(each)]
         return f"`{key}.kind` must be one of {', '.join(map(repr, kinds))}, but is missing"
     # a value out of range, of the wrong form, or anything else that pydantic finds
     if kind in _BOUNDS:
@@ -79,7 +109,7 @@ _BOUNDS = {
 
 def unit_of(location: tuple[str | int, ...], root: type[BaseModel]) -> str:
     """Unit of the key at a location, as pydantic writes it; empty where it has none."""
-    keys, model, unit = _locate(location, root)
+    keys, model, unit, _ = _locate(location, root)
     unit = unit or next(_units(_annotation(model, keys)), "")
     return "" if unit == "1" else unit
 
@@ -100,14 +130,17 @@ def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
     return None if field is None else field.annotation
 
 
-def _locate(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[list[str], type[BaseModel] | None, str]:
-    """Keys of the scene file, section of the last key, and its unit, for an error location of pydantic."""
+def _locate(
+    location: tuple[Any, ...], root: type[BaseModel]
+) -> tuple[list[str], type[BaseModel] | None, str, list[type[BaseModel]]]:
+    """Keys of the scene file, section of the last key, its unit, and sections of the other kinds, for an error location of pydantic."""
     # follow the location: keys so far, possible sections of the next part, section of the last key
     keys: list[str] = []
     variants: list[type[BaseModel]] = [root]
     holder: type[BaseModel] | None = root
+    kinds: list[type[BaseModel]] = []
     unit = ""
-    for part in location:
+    for i, part in enumerate(location):
         model = variants[0] if len(variants) == 1 else None
         field = model.model_fields.get(part) if model is not None and isinstance(part, str) else None
         if field is not None:
@@ -115,15 +148,16 @@ def _locate(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[list[str]
             holder = model
             extra = field.json_schema_extra
             unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-            variants = list(_sections(field.annotation))
+            variants, kinds = list(_sections(field.annotation)), []
         elif isinstance(part, int):
             keys[-1] += f"[{part}]"
-        elif (chosen := _variant(variants, part)) is not None:
-            variants, holder = [chosen], chosen
+        # the tag of a kind; where it can't be one, the same word is a key
+        elif (len(variants) > 1 or i + 1 < len(location)) and (chosen := _variant(variants, part)) is not None:
+            variants, holder, kinds = [chosen], chosen, [each for each in variants if each is not chosen]
         else:
             keys.append(str(part))
             holder, variants = model, []
-    return keys, holder, unit
+    return keys, holder, unit, kinds
 
 
 def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
@@ -136,8 +170,13 @@ def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
 
 def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | None:
     """The section whose `kind` may be `tag`; None if there is none."""
-    kinds = ((model, model.model_fields.get("kind")) for model in variants)
-    return next((model for model, kind in kinds if kind is not None and tag in get_args(kind.annotation)), None)
+    return next((model for model in variants if tag in _tags(model)), None)
+
+
+def _tags(section: type[BaseModel]) -> tuple[Any, ...]:
+    """What the `kind` of a section may be; none if it has no kind."""
+    kind = section.model_fields.get("kind")
+    return () if kind is None else get_args(kind.annotation)
 
 
 def array_example(section: type[BaseModel] | None, key: str) -> str:

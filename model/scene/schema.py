@@ -20,7 +20,7 @@ from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.keys import set_value
 from flexfmu.model.scene.loop import FOLDER
 from flexfmu.model.scene.mechanism import Mechanism, Payload
-from flexfmu.model.scene.messages import sentence
+from flexfmu.model.scene.messages import sentences
 from flexfmu.model.scene.motion import TrajectorySection, with_kind
 from flexfmu.model.scene.motor import MotorSection, one_table
 from flexfmu.model.scene.plan import PlanSection
@@ -55,6 +55,11 @@ class Scene(Section):
     disturbance: Annotated[tuple[DisturbanceKind, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
     plan: PlanSection | None = None
+
+    @property
+    def learners(self) -> tuple[LearningSection, ...]:
+        """Controllers that learn from cycle to cycle."""
+        return tuple(each for each in self.controller if isinstance(each, LearningSection))
 
     def __repr__(self) -> str:
         """Return five lines with the beginning of each section; `print` shows all keys."""
@@ -130,7 +135,7 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _cycles_are_given_once(self) -> Self:
-        if self.trajectory.way_back != "none" and any(isinstance(each, LearningSection) for each in self.controller):
+        if self.trajectory.way_back != "none" and self.learners:
             raise ValueError(
                 "controllers that learn repeat the motion there and back by their own `cycles`: leave out "
                 "`trajectory.way_back`, `cycles` and `pause`; the dwell is the pause"
@@ -244,5 +249,4 @@ def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -
     try:
         return Scene.model_validate(data, context={FOLDER: folder})
     except ValidationError as error:
-        sentences = [sentence(dict(details), Scene) for details in error.errors()]
-        raise SceneError(f"{'; '.join(sentences)} ({source})") from None
+        raise SceneError(f"{'; '.join(sentences(error.errors(), Scene))} ({source})") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 
 class Section(BaseModel):
@@ -16,6 +16,22 @@ class Section(BaseModel):
 def quantity(unit: str, **bounds: Any) -> Any:
     """A field with a unit, for error messages and documentation."""
     return Field(json_schema_extra={"unit": unit}, **bounds)
+
+
+SMALLEST = 1e-9
+"""Smallest admissible value of a length, density, stiffness or velocity of the model, in its SI unit."""
+
+LARGEST = 1e9
+"""Usual upper limit of a value of the model, in its SI unit."""
+
+
+def _not_tiny(value: float) -> float:
+    if value < SMALLEST:
+        raise ValueError(f"must be at least {SMALLEST:g}, got {value:g}")
+    return value
+
+
+NOT_TINY = AfterValidator(_not_tiny)
 
 
 def as_tuple(value: Any) -> Any:
@@ -41,6 +57,7 @@ def for_both(value: Any) -> Any:
     raise ValueError(f"give one number for both joints, or a list of two, got {value!r}")
 
 
+PerJoint = Annotated[tuple[float, float], BeforeValidator(for_both)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 NotNegativePerJoint = Annotated[tuple[NotNegative, NotNegative], BeforeValidator(for_both)]
 """One number for both joints or one for each, stored as a pair."""

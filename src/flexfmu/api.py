@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -45,6 +46,7 @@ def run(
     fmu: str | Path | None = None,
     progress: Progress | None = None,
     trajectory: OwnMotion | Trajectory | None = None,
+    accept_size: bool = False,
 ) -> Run:
     """Co-simulate a scene over its motion and the dwell that follows.
 
@@ -67,11 +69,14 @@ def run(
         progress: function that is called during the run with the simulated fraction, 0 to 1.
         trajectory: own motion instead of the scene's path and profile: an object with ``duration`` [s] and ``position(time)``,
             x and y [m], see `flexfmu.trajectories.own`. The scene's shapers, controllers, cycles and dwell apply to it.
+        accept_size: whether to run however large the results are; otherwise more than 2 GB, a companion run for the errors
+            included, are refused.
 
     Returns:
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
         ``run.completed`` whether it reached the stop time. If a slave fails during the run, nothing is raised: the recording
-        ends there, and the outcome gives the reason. ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
+        ends there, and the outcome gives the reason. A completed run whose control loop is unstable says so in
+        ``run.health.messages``, and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains. ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
@@ -88,7 +93,7 @@ def run(
         from flexfmu.cosim.experiment.own_motion import own_loop  # which few runs need
 
         loop = own_loop(robot, trajectory)
-    return run_scene(
+    found = run_scene(
         resolved(robot) if loop is None else loop.motion.scene,
         communication_step=communication_step,
         tolerance=tolerance,
@@ -96,7 +101,15 @@ def run(
         fmu_path=None if fmu is None else Path(fmu),
         progress=progress,
         loop=loop,
+        accept_size=accept_size,
     )
+    if not found.scene.imperfection:
+        return found
+    from flexfmu.cosim.choices.margins.resolution import coarse_counts_of  # which few runs need
+
+    coarse = coarse_counts_of(found)
+    health = found.health if coarse is None else replace(found.health, messages=(*found.health.messages, coarse))
+    return replace(found, health=health)
 
 
 def compare(
@@ -332,7 +345,9 @@ def linearize(
     return linearize_scene(resolved(_scene(scene)), position, outputs)
 
 
-def margins(scene: SceneSource, *, poses: int = 5) -> MarginsResult:
+def margins(
+    scene: SceneSource, *, poses: int = 5, payload_band: float | tuple[float, float] | None = None
+) -> MarginsResult:
     """How far the sampled loop of a torque-driven scene is from instability, about equilibria along its path.
 
         result = flexfmu.margins("examples/controller_scene.toml")
@@ -342,7 +357,9 @@ def margins(scene: SceneSource, *, poses: int = 5) -> MarginsResult:
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive it, with controllers.
-        poses: number of poses, equally spaced along the path; 1 for its end.
+        poses: number of poses, equally spaced along the path, beside the worst ones, which are searched; 1 for its end alone.
+        payload_band: payloads among which the worst one is searched, too, which controllers don't know: a fraction to both sides,
+            or the lightest and the heaviest [kg].
 
     Returns:
         Gain, phase and delay margin, disk margin, peak of the sensitivity and bandwidth for each pose and each cut, in SI units
@@ -355,9 +372,11 @@ def margins(scene: SceneSource, *, poses: int = 5) -> MarginsResult:
         EquilibriumError: the robot has no static equilibrium at a pose.
         TypeError: ``scene`` is of another type.
     """
+    from flexfmu.cosim.choices.gains.robustness import band_masses
     from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 
-    return scene_margins(_scene(scene), poses=poses)
+    robot = _scene(scene)
+    return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
 
 
 def sweep(

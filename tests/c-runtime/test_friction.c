@@ -196,3 +196,160 @@ void test_rates_with_friction_are_exact(void) {
   }
   free_plant(plant);
 }
+
+/* four carts on top of each other, the first on the ground: unknowns are the displacements relative to what is below, inputs
+ * the pulls on the carts, so that each friction relieves or loads all others; d = masses, forces in motion and at rest, directions */
+#define CARTS 4
+
+static int carts_derive(const double **arg, double **res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[0], 3 * CARTS * sizeof(double));
+  memset(res[0] + 3 * CARTS, 0, CARTS * sizeof(double));
+  return 0;
+}
+
+static int carts_zeros(const double **arg, double **res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  memset(res[0], 0, CARTS * sizeof(double));
+  return 0;
+}
+
+// what the frictions have to balance: pulls less inertia of all carts from here on
+static void carts_load(const double *a, const double *u, const double *m, double *load) {
+  double absolute[CARTS], sum = 0.0;
+  for (int k = 0; k < CARTS; k++) absolute[k] = sum += a[k];
+  load[CARTS - 1] = u[CARTS - 1] - m[CARTS - 1] * absolute[CARTS - 1];
+  for (int k = CARTS - 2; k >= 0; k--) load[k] = load[k + 1] + u[k] - m[k] * absolute[k];
+}
+
+static int carts_residual(const double **arg, double **res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *d = arg[4];
+  carts_load(arg[2], arg[3], d, res[0]);
+  for (int k = 0; k < CARTS; k++) res[0][k] = d[3 * CARTS + k] * d[CARTS + k] - res[0][k];
+  return 0;
+}
+
+static int carts_mass(const double **arg, double **res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  for (int i = 0; i < CARTS; i++)
+    for (int j = 0; j < CARTS; j++) {
+      res[0][i * CARTS + j] = 0.0;
+      for (int k = i > j ? i : j; k < CARTS; k++) res[0][i * CARTS + j] += arg[2][k];
+    }
+  return 0;
+}
+
+static int carts_margin(const double **arg, double **res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = 1.0;
+  return 0;
+}
+
+static int carts_scale(const double **arg, double **res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  for (int k = 0; k < 2 * CARTS; k++) res[0][k] = 1.0;
+  res[0][2 * CARTS] = 1.0;
+  return 0;
+}
+
+#define ANY(name) {name, "1", 1.0, -HUGE_VAL, HUGE_VAL, 1}
+static const flex_variable carts_variables[] = {ANY("1"), ANY("2"), ANY("3"), ANY("4"),  ANY("5"),  ANY("6"),
+                                                ANY("7"), ANY("8"), ANY("9"), ANY("10"), ANY("11"), ANY("12")};
+static const flex_friction carts_frictions[] = {{0, 8, 12}, {1, 9, 13}, {2, 10, 14}, {3, 11, 15}};
+
+#define FUNCTION(f) {f, 10, 1, 0, 0}
+static const flex_model carts = {.name = "carts",
+                                 .guid = "{carts}",
+                                 .n = CARTS,
+                                 .n_inputs = CARTS,
+                                 .n_parameters = 3 * CARTS,
+                                 .n_derived = 4 * CARTS,
+                                 .input_variables = carts_variables,
+                                 .parameter_variables = carts_variables,
+                                 .n_frictions = CARTS,
+                                 .frictions = carts_frictions,
+                                 .default_tolerance = 1e-6,
+                                 .margin_name = "margin",
+                                 .derive = FUNCTION(carts_derive),
+                                 .initial_inputs = FUNCTION(carts_zeros),
+                                 .initial_coordinates = FUNCTION(carts_zeros),
+                                 .residual = FUNCTION(carts_residual),
+                                 .mass_matrix = FUNCTION(carts_mass),
+                                 .singularity = FUNCTION(carts_margin),
+                                 .error_scale = FUNCTION(carts_scale)};
+
+static double drawn(unsigned *seed) {
+  *seed = *seed * 1664525u + 1013904223u;
+  return *seed / 4294967296.0;
+}
+
+// carts of drawn masses and frictions with the rates v, under drawn pulls; at rest friction bears so many times more
+static flex_plant *pulled_carts(unsigned *seed, const double *v, double more_at_rest) {
+  const double zeros[CARTS] = {0.0};
+  flex_plant *plant = make_plant(&carts, 1e-6);
+  double *m = plant->p, *c = m + CARTS, *b = c + CARTS;
+  for (int k = 0; k < CARTS; k++) {
+    m[k] = exp(3.0 * drawn(seed) - 1.5);
+    c[k] = exp(2.0 * drawn(seed) - 1.0);
+    b[k] = more_at_rest * c[k];
+  }
+  begin_at(plant, zeros, v);
+  for (int k = 0; k < CARTS; k++) set_input(plant, k, 6.0 * drawn(seed) - 3.0);
+  CHECK(flex_plant_need_acceleration(plant).outcome == FLEX_DONE);
+  return plant;
+}
+
+// what has the same friction at rest and in motion has one solution (accelerations minimise the convex function
+// a' M a / 2 - a' F + sum of c |a|), which its conditions prove: what stays at rest bears at most its largest force, what
+// begins to slip is held back by just that, as is what slips already
+void test_coupled_frictions_release_what_must_slip(void) {
+  unsigned seed = 1;
+  int counts[CARTS + 1] = {0};
+  for (int trial = 0; trial < 3000; trial++) {
+    double v[CARTS], load[CARTS];
+    for (int k = 0; k < CARTS; k++) v[k] = drawn(&seed) < 0.8 ? 0.0 : drawn(&seed) - 0.5;
+    flex_plant *plant = pulled_carts(&seed, v, 1.0);
+    const double *a = plant->integrator.a, *c = plant->p + CARTS;
+    int released = 0;
+    carts_load(a, plant->u, plant->p, load);
+    for (int k = 0; k < CARTS; k++) {
+      double direction = v[k] != 0.0 ? v[k] : a[k];
+      released += v[k] == 0.0 && a[k] != 0.0;
+      if (direction == 0.0) CHECK(fabs(load[k]) <= c[k] * (1.0 + 1e-9));
+      else CHECK_CLOSE(load[k], copysign(c[k], direction), 1e-9 * c[k]);
+    }
+    counts[released]++;
+    free_plant(plant);
+  }
+  for (int k = 0; k < CARTS; k++) CHECK(counts[k] > 20);
+}
+
+// while a pull grows, what bears the greatest part of its breakaway force lets go first; where that relieves all others enough,
+// nothing else does
+void test_the_most_overloaded_friction_lets_go_first(void) {
+  const double zeros[CARTS] = {0.0};
+  unsigned seed = 2;
+  int others_were_overloaded = 0;
+  for (int trial = 0; trial < 3000; trial++) {
+    flex_plant *plant = pulled_carts(&seed, zeros, 1.3);
+    const double *m = plant->p, *c = m + CARTS, *b = c + CARTS;
+    double load[CARTS], a[CARTS] = {0.0}, mass = 0.0;
+    int first = 0, overloaded = 0, is_alone = 1;
+    carts_load(a, plant->u, m, load);
+    for (int k = 0; k < CARTS; k++) {
+      overloaded += fabs(load[k]) > b[k];
+      if (fabs(load[k]) / b[k] > fabs(load[first]) / b[first]) first = k;
+    }
+    for (int k = first; k < CARTS; k++) mass += m[k];
+    if (overloaded) a[first] = (load[first] - copysign(c[first], load[first])) / mass;
+    carts_load(a, plant->u, m, load);
+    for (int k = 0; k < CARTS; k++) is_alone &= k == first || fabs(load[k]) <= b[k];
+    if (is_alone) {
+      others_were_overloaded += overloaded > 1;
+      for (int k = 0; k < CARTS; k++) CHECK_CLOSE(plant->integrator.a[k], a[k], 1e-12 * (1.0 + fabs(a[k])));
+    }
+    free_plant(plant);
+  }
+  CHECK(others_were_overloaded > 100);
+}

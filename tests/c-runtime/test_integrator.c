@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "check.h"
+#include "integration_step.h"
 #include "models.h"
 #include "plants.h"
 #include "tests.h"
@@ -58,7 +59,7 @@ static void fixed_steps(flex_plant *plant, const flex_tableau *tableau, double d
   flex_stages_use(stages, tableau);
   flex_stages_clear(stages);
   for (int k = 0; k < count; k++) {
-    CHECK(flex_integrator_accelerate(integrator, plant->u) == FLEX_DONE);
+    CHECK(flex_step_accelerate_present(integrator, plant->u) == FLEX_DONE);
     for (int i = 0; i < tableau->stages; i++) memcpy(stages->acceleration + i * n, integrator->a, (size_t)n * sizeof(double));
     CHECK(flex_stages_solve(stages, k * h, h, integrator->y, integrator->v, integrator->a, 1.0, 0.0) == FLEX_DONE);
     for (int c = 0; c < n; c++) {

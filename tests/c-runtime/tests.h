@@ -52,6 +52,8 @@
   X(friction_rolls_back)                      \
   X(chatter_is_bounded)                       \
   X(rates_with_friction_are_exact)            \
+  X(coupled_frictions_release_what_must_slip) \
+  X(the_most_overloaded_friction_lets_go_first) \
   X(fmi_model_exchange)                         \
   X(fmi_model_exchange_is_checked)              \
   X(fmi_model_exchange_states_are_restored)     \

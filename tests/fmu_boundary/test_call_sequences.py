@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from boundary_support.harness import COMPILER, run
 from boundary_support.raw import ERROR, LAST_SUCCESSFUL_TIME, OK, RawInstance, raw_instance
 from boundary_support.standard import MARKS, STATES, is_allowed
 from boundary_support.subjects import FILES, fail_a_step
 from fmpy.fmi2 import fmi2EventInfo
 
-HEADER = Path(__file__).parents[2] / "fmu_build" / "c-runtime" / "fmi2Functions.h"
+RUNTIME = Path(__file__).parents[2] / "fmu_build" / "c-runtime"
 N_STATES = 4
 OUTSIDE_THE_TABLE = {"fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2Instantiate", "fmi2FreeInstance"}
 
@@ -106,10 +107,57 @@ def bring_to(instance: RawInstance, name: str, state: str) -> None:
 
 def test_the_tables_have_all_functions() -> None:
     """A function that is forgotten here is not held to the standard."""
-    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", HEADER.read_text()))
+    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", next(RUNTIME.rglob("fmi2Functions.h")).read_text()))
     stepping, exchange = (set(MARKS[kind]) for kind in ("co-simulation", "model exchange"))
     assert stepping | exchange == declared - OUTSIDE_THE_TABLE
     assert (len(stepping), len(exchange), len(stepping & exchange)) == (30, 31, 21)
+
+
+PHASES = {
+    "instantiated": "INSTANTIATED",
+    "initialization": "INITIALISATION_MODE",
+    "step complete": "STEP_COMPLETE",
+    "step failed": "STEP_FAILED",
+    "event mode": "EVENT_MODE",
+    "continuous-time mode": "CONTINUOUS_TIME_MODE",
+    "terminated": "TERMINATED",
+}
+KINDS = {"co-simulation": "STEPPING", "model exchange": "EXCHANGE"}
+"""State and kind of the standard → name in the runtime's table."""
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_the_runtime_has_the_standards_table(tmp_path: Path) -> None:
+    """Each function is there for the kinds and in the states of the standard: what the compiler makes of the C table."""
+    (header,) = RUNTIME.rglob("fmi2_states.h")
+    columns = ", ".join(f"(k & {KINDS[kind]}) && (p & {PHASES[state]})" for kind, state in STATES)
+    columns += "".join(f", (k & {kind}) != 0" for kind in KINDS.values())
+    source, program = tmp_path / "table.c", tmp_path / "table"
+    source.write_text(f"""
+        #include <stdio.h>
+        #include "{header}"
+        static void show(const char *name, int k, int p) {{
+          const int served[] = {{{columns}}};
+          printf("%s", name);
+          for (unsigned i = 0; i < sizeof served / sizeof *served; i++) printf(" %d", served[i]);
+          puts("");
+        }}
+        int main(void) {{
+        #define X(function, kinds, phases) show(#function, kinds, phases);
+          FLEX_FMI2_CALLS(X)
+          return 0;
+        }}
+    """)
+    run(COMPILER, source, "-o", program)
+    found = {name: marks for name, *marks in (line.split() for line in run(program).splitlines())}
+    expected = {
+        name: [
+            *(str(int(name in MARKS[kind] and is_allowed(kind, name, state))) for kind, state in STATES),
+            *(str(int(name in MARKS[kind])) for kind in KINDS),
+        ]
+        for name in MARKS["co-simulation"] | MARKS["model exchange"]
+    }
+    assert found == expected
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 def test_runtime_and_templates_are_found_as_resources() -> None:
     """Building reads them through the package, wherever it is installed."""
     package = files("flexfmu.fmu_build")
-    assert (package / "c-runtime" / "model.h").is_file()
+    assert (package / "c-runtime" / "base" / "model.h").is_file()
     assert (package / "templates" / "modelDescription.xml.j2").is_file()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.interface import STATISTICS
 from flexfmu.model.symbolic import SymbolicModel
@@ -51,6 +52,27 @@ def test_free_oscillation_agrees_with_its_closed_form(make_oscillators: MakeMode
     scale = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(computed / scale, expected / scale, atol=1e-8)
     np.testing.assert_allclose(result["first.spring_force"], -STIFFNESS * result["first.position"], rtol=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("static", "enumerations"), [(False, False), (True, True)])
+def test_variants_side_by_side_start_as_their_fmu_does(
+    make_oscillators: MakeModel, static: bool, enumerations: bool
+) -> None:
+    """Without settings, the start value of `initial` is that of the FMU: undeformed masses swing, those at rest stay there."""
+    path = build_fmu(make_oscillators(static_start=static), enumerations=enumerations).path
+    time = np.linspace(0.0, 0.5, 51)
+    force = np.full((time.size - 1, 1, 1), FORCE)
+    course = Course(time, np.zeros(time.size, dtype=bool), ["force"], np.array([FORCE]), force, [0], time.size - 1)
+    solver = Lockstep(path, {}, course, ["mass"], STATES[:2], order=0, tolerance=1e-9)
+    masses = np.array([1.0, 2.0, 5.0])
+    found, failed = solver.record(masses[:, None])
+    assert not failed.any()
+    _, K, B = _matrices()
+    for mass, (first, second) in zip(masses, found[:, :, 0], strict=True):
+        rest = np.tile(np.linalg.solve(K, B * FORCE), (time.size, 1))
+        expected = rest if static else _released(time, mass)[:, :2]
+        np.testing.assert_allclose(np.column_stack([first, second]), expected, atol=1e-6 * abs(rest).max())
 
 
 def test_tolerance_is_honoured(make_oscillators: MakeModel) -> None:

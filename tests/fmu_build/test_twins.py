@@ -13,7 +13,7 @@ import pytest
 
 from flexfmu.fmu_build.codegen import _prepare, _sizes, c_code, twin_arguments, with_all_arguments
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.sources import elementary_sources
+from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler
 from flexfmu.fmu_build.twin_code import twin_code
 from flexfmu.fmu_build.twins import Graph, find_twins
@@ -40,7 +40,7 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 
 def _library(code: str, flags: tuple[str, ...], folder: Path) -> ctypes.CDLL:
     folder.mkdir()
-    files = elementary_sources() | {"function.c": code, "model_functions.h": ""}
+    files = runtime_sources("elementary") | {"function.c": code, "model_functions.h": ""}
     for name, text in files.items():
         (folder / name).write_text(text)
     jobs = [CompileJob(n, (*GENERATED_FLAGS, "-fvisibility=default", *flags)) for n in files if n.endswith(".c")]

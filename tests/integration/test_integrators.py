@@ -178,7 +178,7 @@ def test_an_explicit_method_with_steps_too_long_says_so() -> None:
     )
     run = run_scene(scene, communication_step=5e-3)
     assert run.outcome is not Outcome.COMPLETED
-    assert "cannot be solved with the fixed step 0.001 s; make integrator.step smaller" in run.message
+    assert "cannot be solved with the fixed step 0.001 s; make `cosimulation.integrator_step` smaller" in run.message
     assert all(np.isfinite(each.values).all() for each in run.recording.columns.values())
 
 

@@ -107,7 +107,7 @@ def _compile_harness(name: str, program: Path) -> None:
     """
     compiler = find_compiler(PLATFORMS[name])
     source = Path(__file__).with_name("harness.c")
-    headers = str(files("flexfmu.fmu_build") / "c-runtime")
+    headers = str(files("flexfmu.fmu_build") / "c-runtime" / "fmi2")
     libraries = ["-ldl", "-Wl,--no-as-needed", "-lm"] if "linux" in name else []
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-s", "-Wl,--gc-sections", "-I", headers]
     subprocess.run([*compiler.command, *flags, source, "-o", program, *libraries], check=True, capture_output=True)

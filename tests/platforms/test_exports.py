@@ -32,7 +32,7 @@ OLDEST_GLIBC = {"linux64": (2, 14), "aarch64-linux": (2, 17)}
 
 def _fmi_functions(description: str) -> set[str]:
     """What the standard's header declares for the interfaces that the model description names."""
-    header = (files("flexfmu.fmu_build") / "c-runtime" / "fmi2Functions.h").read_text(encoding="utf-8")
+    header = (files("flexfmu.fmu_build") / "c-runtime" / "fmi2" / "fmi2Functions.h").read_text(encoding="utf-8")
     _, _, _, common, exchange, cosimulation = re.split(r"^(?:Common Functions|Functions for FMI2)", header, flags=re.M)[
         -6:
     ]

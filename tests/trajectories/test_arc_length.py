@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ellipe
 
 from flexfmu.trajectories import TrajectoryError
-from flexfmu.trajectories.arc_length import tabulate
+from flexfmu.trajectories.curves import tabulate
 from flexfmu.trajectories.jets import RealArray
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.piecewise import spline
-from flexfmu.trajectories.smoothing import smoothed
+from flexfmu.trajectories.table import smoothed
 
 TIME = np.linspace(0.0, 0.5, 501)
 

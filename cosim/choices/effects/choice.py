@@ -1,23 +1,30 @@
 """Chooses a scene's effects by estimates and verifies the choice by runs.
 
-A run of the chosen set's FMU is compared with the estimates, and where these leave doubt with a run of the richest
-set's FMU.
+The scene is run as it is, with its shapers, controllers, imperfections and disturbances, with the chosen set and with the richest
+one. Estimates alone don't decide: they are of motors that follow the motion exactly, and off by a quarter where a residual vibration
+is a thousandth of the deflection.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from math import inf
 from pathlib import Path
+from typing import Any, get_args
 
-from flexfmu.cosim.choices.effects.estimator import Estimator, MetricValues, scales
-from flexfmu.cosim.choices.effects.search import SAFETY, choose_effects, rich_enough
-from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.choices.effects.estimator import Estimator, MetricValues, richest, scales
+from flexfmu.cosim.choices.effects.search import SAFETY, choose_effects, one_more, rich_enough
+from flexfmu.cosim.engine.errors import CosimError, LearningWarning, ResultsError
+from flexfmu.cosim.engine.results import EVERYTHING
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.model.enrichment import FOLLOWING
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import (
     DEFAULT_TOLERANCE,
     INTEGRATOR_SHARE,
@@ -27,7 +34,7 @@ from flexfmu.model.scene.choice import (
     MeasureName,
     integrator_tolerance,
 )
-from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
+from flexfmu.model.scene.effects import FamilyName
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import JointMotion
@@ -79,18 +86,21 @@ def _measure(name: str, dwells: bool) -> MeasureName:
     raise SceneError(f"effects can't be chosen by {name!r}: choose from {', '.join(MEASURES)}")
 
 
-FmuOf = Callable[[Scene], Path]
-"""Scene → path of an FMU with its effects."""
-
 EXACT = 1e-9
 """Tolerance of the FMUs in comparisons, small enough that only the effects differ."""
 
-ALLOWED = 0.8
-"""Largest observed error in units of the tolerance; the rest is a margin for the error of the richest set,
-`CONVERGED`."""
+NUMERICAL = 0.2
+"""Largest integration error of a verified choice in units of the tolerance: a companion states four times the error of a run, so
+that the error beside a metric is within the tolerance. Also the largest change of the richest set by one more mode of every family,
+where runs say it. With the share of the effects, half the tolerance, a margin is left."""
 
 ROUNDS = 6
 """Largest number of choices, each with larger safety factors than the one before; then the richest set is taken."""
+
+WITHOUT_ERROR = 1e12
+"""Safety factor with which only the richest set is within a tolerance."""
+
+_ONCE = {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
 
 
 @dataclass(frozen=True)
@@ -102,22 +112,45 @@ class Observed:
 
 
 def resolved(scene: Scene, show: ShowProgress = quiet) -> Scene:
-    """Return the scene with chosen effects if it has ``select = "auto"``, otherwise the scene itself.
+    """Return the scene with chosen effects if it has ``select = "auto"``, and with settled controllers that learn.
 
-    The choice is made for one unshaped motion, without the way back, which the motors follow exactly.
+    Controllers that learn: see `flexfmu.cosim.choices.learning.settled`.
 
     Raises:
         BuildError: an FMU for the verification can't be built.
+        InputError: learning can't be settled.
         ResultsError: a run failed.
         SceneError: the tolerance or a metric is impossible.
         TrajectoryError: the motion isn't feasible.
     """
-    if scene.effects.select is None:
+    if scene.effects.select is not None:
+        tolerance, of = requirements(scene)
+        scene = choose_verified(scene, followed(scene), tolerance, of, named_metrics(scene), show)[0]
+    if scene.learners:
+        show("judging what is learned from cycle to cycle", None)
+    return _settled(scene)
+
+
+def _settled(scene: Scene) -> Scene:
+    if not scene.learners:
         return scene
-    tolerance, of = requirements(scene)
-    return choose_verified(scene, plan(scene).joints, tolerance, of, named_metrics(scene), show)[0]
+    from flexfmu.cosim.choices.learning import settled  # and with it the linear loop, which few scenes need
+
+    return settled(scene)
 
 
+def followed(scene: Scene) -> JointMotion:
+    """Return the motion that the motors follow in the estimates: shaped for the richest set, without the way back.
+
+    Raises:
+        TrajectoryError: the motion isn't feasible, or can't be shaped.
+    """
+    if not scene.shaper:
+        return plan(scene).joints
+    return loop_of(_alone(richest(scene), {"shaper": scene.model_dump(exclude_none=True)["shaper"]})).motion.joints
+
+
+@one_blas_thread()
 def choose_verified(
     scene: Scene,
     motion: JointMotion,
@@ -125,22 +158,20 @@ def choose_verified(
     of: tuple[MeasureName, ...],
     named: Collection[MeasureName] = (),
     show: ShowProgress = quiet,
-    fmu_of: FmuOf | None = None,
 ) -> tuple[Scene, Estimator]:
     """Return the scene with the cheapest set of effects whose error is within the tolerance, and the estimator.
 
-    A run of the chosen set is compared with the estimates. Where they leave doubt, a run of the richest set decides.
-    Where its metrics contradict the estimates, the choice is repeated with larger safety factors. Where only the
-    integrator's error is too large, its tolerance is tightened, if the choice has set it.
+    Runs of the scene with the chosen set and with the richest one verify the choice. Where they contradict the estimates, the choice
+    is repeated with larger safety factors. Where the integrator's error is too large, its tolerance is tightened, if the choice
+    has set it. The scene's ``effects.choice`` has the errors of the last run.
 
     Args:
         scene: robot, loads and motion; its own elastic effects are ignored.
-        motion: the planned motion of its motors.
+        motion: the planned motion of its motors, for the estimates.
         tolerance: largest relative error of the metrics.
         of: the metrics.
         named: metrics that the user named, whose errors are relative to their own values, see `scales`.
         show: called with the current activity and the finished fraction.
-        fmu_of: function that returns the FMUs; None builds them or takes them from the cache.
 
     Raises:
         BuildError: an FMU can't be built.
@@ -148,98 +179,142 @@ def choose_verified(
     """
     show("choosing the effects", None)
     estimator = Estimator(scene, motion, of, named, rich_enough(scene, motion, tolerance, of, named))
-    # choose, verify by runs, and increase the safety factors of metrics whose estimates were wrong
-    runs, safety = _Runs(estimator, of, show, fmu_of), dict.fromkeys(of, SAFETY)
-    for _ in range(ROUNDS):
-        chosen = choose_effects(scene, motion, tolerance, of, estimator, safety)
-        if runs.agree(chosen, ALLOWED * tolerance):
-            return chosen, estimator
-        exact, estimated = runs.errors(chosen, EXACT), estimator.errors(chosen.effects)
+    first, runs = estimator, _Runs(estimator, of, show)
+    # where estimates are off, they don't tell how many modes the richest set needs: add some until runs agree
+    is_open = runs.contradict_estimates(tolerance)
+    while is_open and (most := one_more(estimator.richest, get_args(FamilyName))) != estimator.richest:
+        before, estimator = runs, Estimator(scene, motion, of, named, most)
+        runs = _Runs(estimator, of, show)
+        is_open = runs.change_from(before) > NUMERICAL * tolerance
+    # choose, verify by runs, and increase the safety factors of metrics whose estimates were wrong; sets within the first richest one
+    # may be small enough
+    safety = dict.fromkeys(of, SAFETY)
+    for estimates in (first, *(estimator for _ in range(1, ROUNDS))):
+        chosen = choose_effects(scene, motion, tolerance, of, estimates, safety)
+        exact, estimated = runs.errors(chosen, EXACT), estimates.errors(chosen.effects)
         wrong = [name for name in of if exact[name] > (1.0 - INTEGRATOR_SHARE) * tolerance]
         if not wrong:
-            return _tightened(chosen, tolerance, runs), estimator
+            return runs.verified(chosen, tolerance), estimator
         for name in wrong:
-            safety[name] = max(2.0 * safety[name], SAFETY * exact[name] / max(estimated[name], 1e-12))
-    return choose_effects(scene, motion, tolerance, of, estimator, dict.fromkeys(of, 1e12)), estimator
-
-
-def _tightened(scene: Scene, tolerance: float, runs: _Runs) -> Scene:
-    """Tighten the integrator's tolerance until the errors are within the tolerance; keep one that the user has set."""
-    automatic = scene.cosimulation.tolerance == integrator_tolerance(tolerance)
-    while automatic and scene.cosimulation.tolerance > LEAST_TOLERANCE:
-        tighter = max(0.1 * scene.cosimulation.tolerance, LEAST_TOLERANCE)
-        scene = scene.replace({"cosimulation.tolerance": tighter})
-        if max(runs.errors(scene).values()) <= ALLOWED * tolerance:
-            break
-    return scene
+            grown = SAFETY * exact[name] / max(estimated[name], 1e-12)
+            safety[name] = min(max(2.0 * safety[name], grown), WITHOUT_ERROR)
+    everything = choose_effects(scene, motion, tolerance, of, estimator, dict.fromkeys(of, WITHOUT_ERROR))
+    return runs.verified(everything, tolerance), estimator
 
 
 class _Runs:
-    """Compares runs of sets of effects with estimates and with the richest set's run, made when first needed."""
+    """Compares runs of a scene with sets of effects with the run of the richest set, the scene as it is.
 
-    def __init__(
-        self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress, fmu_of: FmuOf | None
-    ) -> None:
-        self._estimator, self._of, self._show, self._fmu_of = estimator, of, show, fmu_of
+    Where the loop's run fails, or nothing controls the torques, the motors follow the motion instead.
+    """
 
-    def agree(self, scene: Scene, limit: float) -> bool:
-        """Whether a set's errors are within a limit, by its run and the estimates, in doubt by the richest run."""
-        self._show("running the chosen set", None)
-        own, estimator = observe(scene, self._of, self._fmu_of).metrics, self._estimator
-        beside = [
-            _errors(own, each, estimator.scales) for each in (estimator.metrics(scene.effects), estimator.reference)
-        ]
-        # the estimate of the richest set may be as wrong as that of the chosen one, so both differences count
-        if all(beside[0][name] + beside[1][name] <= limit for name in self._of):
-            return True
-        return max(_errors(own, self._richest, self._scales).values()) <= limit
+    def __init__(self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress) -> None:
+        self._of, self._show, self._estimator = of, show, estimator
+        self._known: dict[tuple[str, float], MetricValues] = {}
+        show("running the richest set", None)
+        needed, most = (*of, "peak_position_error"), estimator.richest
+        self._is_alone = most.cosimulation.drive == "torque" and not most.controller
+        try:
+            self._richest = observe(most, needed, EXACT, is_alone=self._is_alone).metrics
+        except CosimError:
+            self._is_alone = True
+            self._richest = observe(most, needed, EXACT, is_alone=True).metrics
+        self._scales = scales(self._richest, estimator.named)
 
-    def errors(self, scene: Scene, tolerance: float | None = None) -> MetricValues:
-        """Return a set's errors against the richest set's run, with a tolerance of the FMU or the scene's own."""
-        own = observe(scene, self._of, self._fmu_of, tolerance).metrics
-        return _errors(own, self._richest, self._scales)
+    def contradict_estimates(self, tolerance: float) -> bool:
+        """Whether the richest set's run is further than a tolerance from its estimate, of motors that follow the motion exactly."""
+        if self._estimator.richest.controller and not self._is_alone:
+            return False
+        estimated = self._estimator.reference
+        return any(abs(self._richest[name] - estimated[name]) > tolerance * self._scales[name] for name in self._of)
 
-    @cached_property
-    def _richest(self) -> MetricValues:
-        self._show("running the richest set", None)
-        return observe(self._estimator.richest, (*self._of, "peak_position_error"), self._fmu_of, EXACT).metrics
+    def change_from(self, other: _Runs) -> float:
+        """Return the largest change of a metric of the richest set from that of other runs, relative to its scale."""
+        return max(abs(self._richest[name] - other._richest[name]) / self._scales[name] for name in self._of)
 
-    @property
-    def _scales(self) -> MetricValues:
-        return scales(self._richest, self._estimator.named)
+    def errors(self, scene: Scene, tolerance: float | None = None, beside: MetricValues | None = None) -> MetricValues:
+        """Return a set's errors beside the richest set's metrics or others, infinite where its run fails.
 
+        Args:
+            scene: with the set.
+            tolerance: of the FMU; the scene's own when None.
+            beside: metrics to compare with; the richest set's when None.
+        """
+        other, own = self._richest if beside is None else beside, self._metrics(scene, tolerance)
+        return {name: abs(own[name] - other[name]) / self._scales[name] for name in self._of}
 
-def _errors(metrics: MetricValues, other: MetricValues, units: MetricValues) -> MetricValues:
-    """Return the differences of metrics relative to their scales."""
-    return {name: abs(value - other[name]) / units[name] for name, value in metrics.items()}
+    def verified(self, scene: Scene, tolerance: float) -> Scene:
+        """Return the scene with its verified errors, the integrator's tolerance tightened unless the user has set it."""
+        exact, section = self._metrics(scene, EXACT), scene.cosimulation
+        is_free = section.tolerance == integrator_tolerance(tolerance) and not section.integrator_step
+        while is_free and max(self.errors(scene, None, exact).values()) > NUMERICAL * tolerance:
+            if scene.cosimulation.tolerance <= EXACT:
+                break
+            scene = scene.replace({"cosimulation.tolerance": max(0.1 * scene.cosimulation.tolerance, EXACT)})
+        errors = self.errors(scene)
+        if max(errors.values()) == inf:
+            observe(scene, self._of, is_alone=self._is_alone)  # says why it fails
+        found = {
+            "verified": [errors[name] for name in self._of],
+            "verified_in": "motion" if self._is_alone else "scene",
+        }
+        return scene.replace({f"effects.choice.{key}": value for key, value in found.items()})
+
+    def _metrics(self, scene: Scene, tolerance: float | None) -> MetricValues:
+        effects = scene.effects.model_copy(update={"choice": None})
+        key = effects.model_dump_json(), tolerance or scene.cosimulation.tolerance
+        if key not in self._known:
+            self._show("running the chosen set", None)
+            try:
+                self._known[key] = observe(scene, self._of, tolerance, is_alone=self._is_alone).metrics
+            except ResultsError:
+                self._known[key] = dict.fromkeys(self._of, inf)
+        return self._known[key]
 
 
 def observe(
-    scene: Scene, of: tuple[MeasureName, ...], fmu_of: FmuOf | None = None, tolerance: float | None = None
+    scene: Scene, of: tuple[MeasureName, ...], tolerance: float | None = None, *, is_alone: bool = False
 ) -> Observed:
-    """Run one motion of a scene without controllers, shapers and imperfections, as the estimates assume; return the metrics.
+    """Run a scene and return its metrics.
+
+    References for the flexible robot are left out: they make the error of the path vanish, each for its own set of effects.
 
     Args:
         scene: with chosen effects.
         of: the metrics.
-        fmu_of: function that returns its FMU; None builds it or takes it from the cache.
-        tolerance: of the FMU; the scene's own when None.
+        tolerance: of the FMU, in place of a fixed integrator step too; the scene's own when None.
+        is_alone: whether the motors follow one motion exactly, as the estimates assume, without controllers, shapers,
+            imperfections, disturbances and the way back.
 
     Raises:
-        ResultsError: the run failed.
+        ResultsError: the run failed, or its loop is unstable.
     """
-    alone = {"controller": [], "shaper": [], "imperfection": [], "filter": [], "cosimulation.drive": "motion"}
-    bare = scene.replace({**alone, "trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0})
-    path = (fmu_of or _built)(bare)
-    prepared = PreparedScene(bare, fmu_path=path, tolerance=tolerance)
+    changes = {"trajectory.references": None} | ({} if tolerance is None else {"cosimulation.integrator_step": 0.0})
+    robot = _alone(scene, changes) if is_alone else scene.replace(changes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LearningWarning)  # it is given once, of the scene with the chosen set
+        robot = _settled(robot)
+    prepared = PreparedScene(robot, fmu_path=_fmu(robot), tolerance=tolerance, record=EVERYTHING)
     run = prepared.run()
-    if not run.completed:
-        raise ResultsError(f"the comparison with {scene.name} failed: {run.message}")
+    if not run.completed or run.health.unstable_loop:
+        raise ResultsError(f"the comparison with {scene.name} failed: {run.health.unstable_loop or run.message}")
     measured = measure_run(run, companions=0)
     values = {name: measured[name].value for name in of}
     return Observed({name: value for name, value in values.items() if value is not None}, prepared.run)
 
 
-def _built(scene: Scene) -> Path:
-    """Build the FMU that all scenes with the same set share: without estimates, and with the payload as a parameter."""
-    return build_scene(scene.replace({"effects.choice": None, "payload.mass": 1.0})).path
+def _alone(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """The scene with changes, its motors following a single motion exactly."""
+    return scene.replace({**FOLLOWING, **_ONCE, **changes})
+
+
+def _fmu(scene: Scene) -> Path:
+    """The FMU that all scenes with the same set share: payload and motion are its parameters and inputs."""
+    shared = {
+        "effects.choice": None,
+        "cosimulation.tolerance": 1e-4,
+        "trajectory.duration": 1.0,
+        "trajectory.dwell": 0.0,
+    }
+    mass = {} if scene.disturbance else {"payload.mass": 1.0}
+    return build_scene(scene.replace({**shared, **_ONCE, **mass})).path

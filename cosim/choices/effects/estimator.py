@@ -19,7 +19,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement, Solution
-from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.linearized_motion import LinearizedMotion, Outputs
@@ -58,9 +58,8 @@ def richest(scene: Scene) -> Scene:
     return with_set(scene, RICHEST)
 
 
-FLOOR, NAMED_FLOOR = 0.1, 1e-4
-"""Smallest scale of a position metric, as a fraction of the peak position error; the second one applies to metrics that
-the user named, since no run resolves smaller values."""
+FLOOR = 0.1
+"""Smallest scale of a position metric that the user hasn't named, as a fraction of the peak position error."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,7 +186,7 @@ def effects_of_loads(
     """
     metrics, scales = estimator.metrics(chosen.effects), estimator.scales
     for without in (each for each in reductions(chosen) if each.effect in LOADS):
-        others = Estimator(without.scene, motion, tuple(metrics)).metrics(without.scene.effects)
+        others = Estimator(without.scene, motion, tuple(metrics), most=without.scene).metrics(without.scene.effects)
         shares = tuple(abs(others[name] - value) / scales[name] for name, value in metrics.items())
         yield (
             without,

@@ -13,10 +13,10 @@ from rich.text import Text
 
 from flexfmu.cosim.choices.effects.choice import (
     EXACT,
-    FmuOf,
     Observed,
     ShowProgress,
     choose_verified,
+    followed,
     named_metrics,
     observe,
     quiet,
@@ -31,6 +31,7 @@ from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.choice_text import percent, set_text
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import (
     INTEGRATOR_SHARE,
     ChoiceSection,
@@ -40,6 +41,7 @@ from flexfmu.model.scene.choice import (
 )
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.cost import Cost, costs
+from flexfmu.model.selection.motion_grid import JointMotion
 
 POSES = 3
 """Number of poses for natural frequencies: start, middle and end of the path."""
@@ -91,6 +93,7 @@ class EffectStudy:
         return choice
 
 
+@one_blas_thread()
 def study_effects(
     scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: ShowProgress = quiet
 ) -> EffectStudy:
@@ -113,10 +116,10 @@ def study_effects(
         # an integrator's tolerance that belongs to another choice, or to none, is replaced
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     # the choice, and every set that differs by one effect or load
-    motion = plan(scene)
-    chosen, estimator = choose_verified(scene, motion.joints, limit, names, named_metrics(scene, of), show)
+    motion, joints = plan(scene), followed(scene)
+    chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show)
     show("looking at what the robot gives", None)
-    found = _changes(estimator, chosen, motion)
+    found = _changes(estimator, chosen, joints)
     # their costs and natural frequencies
     show("timing the equations", None)
     own, *theirs = costs((chosen, *(other for _, other, _ in found)))
@@ -128,12 +131,12 @@ def study_effects(
 
 
 def _changes(
-    estimator: Estimator, chosen: Scene, motion: MotionPlan
+    estimator: Estimator, chosen: Scene, motion: JointMotion
 ) -> tuple[tuple[Place, Scene, EstimatedEffect], ...]:
     """Return the scenes that differ from the chosen one by one effect or load, with their estimates."""
     assert chosen.effects.choice is not None  # `choose_effects` sets it
     elastic = zip(neighbours(estimator, chosen), chosen.effects.choice.effects, strict=True)
-    loads = effects_of_loads(estimator, chosen, motion.joints)
+    loads = effects_of_loads(estimator, chosen, motion)
     return (
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
         *(("given", each.scene, estimate) for each, estimate in loads),
@@ -177,17 +180,16 @@ EVERYTHING = "everything"
 """Effect in the comparison with the richest set; its estimated change includes the safety factor."""
 
 
-def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> tuple[Comparison, ...]:
+def check_choice(study: EffectStudy, show: ShowProgress = quiet) -> tuple[Comparison, ...]:
     """Return all `comparisons` at once."""
-    return tuple(comparisons(study, fmu_of, show))
+    return tuple(comparisons(study, show))
 
 
-def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> Iterator[Comparison]:
+def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[Comparison]:
     """Compare runs of the chosen set with the richest one, then with each next richer one; runs are made on demand.
 
     Args:
         study: the choice.
-        fmu_of: function that returns the FMUs; None builds them or takes them from the cache.
         show: called with the current activity and the finished fraction.
 
     Raises:
@@ -196,11 +198,11 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgr
     """
     # the runs to compare with
     chosen, estimator = study.scene, study.estimator
-    names = tuple(estimator.reference)
+    names, is_alone = tuple(estimator.reference), study.choice.verified_in == "motion"
     show("running the chosen set", None)
-    base = observe(chosen, names, fmu_of, EXACT)
+    base = observe(chosen, names, EXACT, is_alone=is_alone)
     show("running the richest set", None)
-    full = observe(estimator.richest, (*names, "peak_position_error"), fmu_of, EXACT)
+    full = observe(estimator.richest, (*names, "peak_position_error"), EXACT, is_alone=is_alone)
     units = scales(full.metrics, estimator.named)
 
     def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
@@ -214,7 +216,7 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgr
         if estimator.covers(each.scene.effects):
             show(f"running with {each.effect}: {each.change}", None)
             estimated = estimator.changes(chosen.effects, each.scene.effects)
-            yield compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of, EXACT))
+            yield compare(each.effect, each.change, estimated, observe(each.scene, names, EXACT, is_alone=is_alone))
 
 
 SHOWN_FREQUENCIES = 3
@@ -328,8 +330,11 @@ def report(study: EffectStudy) -> list[RenderableType]:
     """Return the tables of all effects, and the choice in sentences."""
     # values for the sentences
     choice, absent = study.choice, ", ".join(absent_effects(study.scene))
-    worst = ", ".join(
-        f"{METRICS[name].label.lower()} {percent(value)}" for name, value in zip(choice.of, choice.error, strict=True)
+    worst, verified = (
+        ", ".join(
+            f"{METRICS[name].label.lower()} {percent(each)}" for name, each in zip(choice.of, values, strict=True)
+        )
+        for values in (choice.error, choice.verified or choice.error)
     )
     limit = (1.0 - INTEGRATOR_SHARE) * choice.tolerance
     # tables, then sentences
@@ -337,6 +342,7 @@ def report(study: EffectStudy) -> list[RenderableType]:
         *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
         f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",
         f"estimated error of this set: {worst}; it may be {percent(limit)}",
+        f"error of its run beside the richest set, integration included: {verified}",
         f"tolerance of the FMU: {study.scene.cosimulation.tolerance:g}",
     ]
     return [contribution_table(study), frequency_table(study), *map(Text, lines)]

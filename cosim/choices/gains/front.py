@@ -13,9 +13,11 @@ from flexfmu.cosim.choices.gains.trial import Interval, Study, check_keys
 from flexfmu.cosim.choices.gains.tuner import TuneResult, tune_study
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
 
 
+@one_blas_thread()
 def tune_scene(
     scene: Scene,
     over: Mapping[str, Sequence[float] | str] | Iterable[str],

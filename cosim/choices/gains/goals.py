@@ -6,9 +6,8 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.reports.comparison import LOOP_FIGURES
 
@@ -144,8 +143,7 @@ def parse_goal(name: str) -> Goal:
     if len(parts) == 2:
         return Goal(name, parts)
     known = [*ALL_METRICS, *dict.fromkeys(each[:-2] for each in ALL_METRICS if each.endswith("_2")), *MARGINS]
-    near = get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
+    hint = suggestion(name, known)
     raise InputError(f"there is no figure {name!r} of a run or a loop; {hint}")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.comparison import OverBand
@@ -86,7 +85,7 @@ def robustness(
 
 def failure_of(run: Run) -> str:
     """Return why a run is worth nothing: it failed, or its loop diverged; empty where it is worth something."""
-    return (divergence(run) or "") if run.completed else run.message
+    return (run.health.unstable_loop or "") if run.completed else run.message
 
 
 def _largest(values: Collection[float | None]) -> float | None:

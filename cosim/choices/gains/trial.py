@@ -12,11 +12,12 @@ from typing import Any
 
 from flexfmu.cosim.choices.gains.goals import MARGINS, Condition, Goal
 from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
-from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+from flexfmu.cosim.choices.margins.scene_margins import MarginsResult, scene_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
+from flexfmu.model.one_thread import keep_one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.keys import full_key, value_at
 from flexfmu.model.scene.schema import Scene
@@ -26,7 +27,7 @@ DIGITS = 5
 """Significant digits of tried values: more than a run tells apart, and short enough for a scene file."""
 
 POSES = 2
-"""Number of poses at which margins are calculated, start and end of the path: each takes longer than a run."""
+"""Number of poses at which margins are calculated, start and end of the path, beside the worst ones in between."""
 
 WIDE = 4.0
 """Ratio of the ends of an interval from which its scale is logarithmic."""
@@ -148,7 +149,7 @@ class Study:
                 found[name] = None if None in both else max(each for each in both if each is not None)
         # margins take longer than runs
         if any(goal.is_margin for goal in self.goals):
-            found |= loop_margins(scene, POSES)
+            found |= margin_figures(loop_margins(scene, self.band))
         return Trial(values, found)
 
     def rank(self, trial: Trial) -> tuple[int, float]:
@@ -164,18 +165,24 @@ class UnstableLoopError(InputError):
     """The loop of a scene is unstable about a pose of its path."""
 
 
-def loop_margins(scene: Scene, poses: int) -> dict[str, float | None]:
-    """Return the worst margins of a scene's loop along its path.
+def loop_margins(scene: Scene, band: PayloadBand | None = None) -> MarginsResult:
+    """Return the margins of a scene's loop along its path, and over a band of payloads.
 
     Raises:
         UnstableLoopError: the loop is unstable about a pose.
         InputError: it can't be linearised.
         TrajectoryError, EquilibriumError: as for `flexfmu.margins`.
     """
-    found = scene_margins(scene, poses=poses)
-    for pose in found.poses:
-        if not pose.is_stable:
-            raise UnstableLoopError(f"the loop is unstable about the pose at {100.0 * pose.s:.0f} % of the path")
+    found = scene_margins(scene, poses=POSES, payloads=() if band is None else band_masses(scene, band))
+    worst = max(found.poses, key=lambda pose: pose.radius)
+    if not worst.is_stable:
+        payload = "" if band is None else f" with {worst.payload:.4g} kg"
+        raise UnstableLoopError(f"the loop is unstable about the pose at {100.0 * worst.s:.3g} % of the path{payload}")
+    return found
+
+
+def margin_figures(found: MarginsResult) -> dict[str, float | None]:
+    """Return the worst of each margin."""
     return {name: float(getattr(found.worst, name)) for name in MARGINS}
 
 
@@ -217,8 +224,10 @@ _studies: list[Study] = []
 
 
 def _start(study: Study) -> None:
-    """Begin a process: Ctrl-C is for the parent."""
+    """Begin a process: Ctrl-C is for the parent, whose way to end by SIGTERM isn't this one's."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    keep_one_blas_thread()
     _studies[:] = [study]
 
 

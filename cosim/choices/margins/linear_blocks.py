@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import casadi
 import numpy as np
@@ -45,6 +46,10 @@ class LinearBlock:
         kept = sorted({*_reached(self.a, self.b[:, inputs])} & {*_reached(self.a.T, self.c[outputs].T)})
         return replace(self, a=self.a[np.ix_(kept, kept)], b=self.b[kept], c=self.c[:, kept])
 
+    def equals(self, other: LinearBlock) -> bool:
+        """Whether the matrices are the same."""
+        return all(map(np.array_equal, (self.a, self.b, self.c, self.d), (other.a, other.b, other.c, other.d)))
+
 
 def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArray]:
     """Linearise a sampled slave at constant inputs (m,).
@@ -64,7 +69,7 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
     states, parameters = np.array(block.states), [each.start or 0.0 for each in block.parameters]
     for _ in range(SAMPLES):
         states = np.asarray(block.update(states, inputs, parameters).full())[:, 0]
-    a, b, c, d = _derivatives(block, states, inputs, parameters)
+    a, b, c, d = _derivatives(slave, states, inputs, parameters)
     if len(inputs) and not (b.any() or d.any()):
         # dead zones and backlash: the gain for large signals, which all pass
         a, b, c, d = (
@@ -82,11 +87,18 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
     return linear, outputs
 
 
+_known: WeakKeyDictionary[BlockSlave, casadi.Function] = WeakKeyDictionary()
+"""Derivatives of blocks, which are evaluated at many operating points."""
+
+
 def _derivatives(
-    block: SymbolicBlock, states: RealArray, inputs: RealArray, parameters: list[float]
+    slave: BlockSlave, states: RealArray, inputs: RealArray, parameters: list[float]
 ) -> tuple[RealArray, RealArray, RealArray, RealArray]:
     """A, B, C, D at a point; of a block with random numbers, which no input reaches, their mean over many samples."""
-    jacobians = _jacobians(block)
+    block = slave.block
+    if slave not in _known:
+        _known[slave] = _jacobians(block)
+    jacobians = _known[slave]
     found = [np.asarray(each.full()) for each in jacobians(states, inputs, parameters)]
     if not len(inputs) or len(_reached(*found[:2])) == len(states):
         return found[0], found[1], found[2], found[3]

@@ -31,6 +31,9 @@ from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
+MODEL_BASED = ("computed-torque", "disturbance-observer")
+"""Kinds of controllers with a model of the robot's motion."""
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -77,9 +80,17 @@ class WiredLoop:
         wiring = wire(references, robot, loop.controllers, loop.inline_blocks, loop.connect)
         slaves: list[Slave] = [references, robot, *loop.controllers, *(each.slave for each in loop.inline_blocks)]
         self.system: System = connect(slaves, wiring.connections)
-        self._scene = _of_the_robot(scene, loop.parameters)
+        # the real robot for small motions: with its own payload, and without Coulomb friction
+        self._scene = without_coulomb_friction(scene.replace(dict(loop.parameters)) if loop.parameters else scene)
+        sections = [each for each in scene.controller if each.kind in MODEL_BASED]
+        self._models = tuple(each.name or each.kind.replace("-", "_") for each in sections)
         if any(isinstance(each, AlgebraicLoop) for each in self.system.exchange_order):
             raise InputError(f"scene {scene.name} has an algebraic loop, which can't be linearised")
+
+    @property
+    def payload(self) -> float:
+        """The robot's own payload [kg]."""
+        return self._scene.payload.mass
 
     @property
     def sampled(self) -> list[int]:
@@ -93,19 +104,40 @@ class WiredLoop:
         taken = {each.output for each in self.system.connections if slaves[each.source].name == PLANT}
         return [slaves[1].variables[i].name for i in sorted(taken)]
 
-    def at(self, position: tuple[float, float], identify: bool = True) -> tuple[LinearLoop, tuple[str, ...]]:
+    def at(
+        self,
+        position: tuple[float, float],
+        identify: bool = True,
+        velocity: RealArray | None = None,
+        payload: float | None = None,
+    ) -> tuple[LinearLoop, tuple[str, ...]]:
         """The linear loop about the equilibrium at a place of the end effector [m], and the names of its channels.
 
         Args:
             position: the place.
             identify: whether Python functions and FMUs are called to find their linear blocks.
+            velocity: of the joints (2,) [rad/s], at which controllers have the gains that they have there; the robot stands still.
+            payload: mass [kg] of the robot's payload instead of its own; controllers assume what they did.
 
         Raises:
             InputError: a slave can't be linearised, or the loop isn't closed.
             ValueError, EquilibriumError: see `linear_plant`.
         """
-        plant = kept_plant(self._scene, position, self.measured)
-        return _Linearised(self.system, plant, self.sampled, identify).loop()
+        scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
+        plant = kept_plant(scene, position, self.measured)
+        moving = self._moving(plant, velocity)
+        return _Linearised(self.system, plant, self.sampled, identify, moving, self._models).loop()
+
+    def _moving(self, plant: LinearPlant, velocity: RealArray | None) -> dict[str, float]:
+        """Signals that a velocity of the joints changes, and their values; empty for standstill."""
+        if velocity is None or not velocity.any():
+            return {}
+        n = len(plant.a) // 2
+        found = dict(zip(plant.outputs, (plant.rest[1] + plant.c[:, n : n + 2] @ velocity).tolist(), strict=True))
+        found = {name: value for name, value in found.items() if ".velocity" in name}
+        for joint, value in zip(("joint1", "joint2"), velocity.tolist(), strict=True):
+            found |= {f"{joint}.{kind}velocity": value for kind in ("", "reference.", "command.")}
+        return found
 
 
 def _robot(scene: Scene) -> Robot:
@@ -125,23 +157,38 @@ def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[st
         rest = (np.array(data["rest"][0]), np.array(data["rest"][1]))
         a, b, c, d = (np.array(each) for each in data["matrices"])
         return LinearPlant(a, b, c, d, tuple(data["inputs"]), tuple(outputs), rest)
-    plant = linear_plant(scene, position, outputs)
+    # the robot alone, so that loops around it share its equations
+    alone = {"controller": (), "imperfection": (), "filter": (), "shaper": (), "disturbance": ()}
+    plant = linear_plant(scene.model_copy(update=alone), position, outputs)
     matrices = [each.tolist() for each in (plant.a, plant.b, plant.c, plant.d)]
     at_rest = [each.tolist() for each in plant.rest]
     store(file, json.dumps({"matrices": matrices, "inputs": plant.inputs, "rest": at_rest}).encode())
     return plant
 
 
-def _of_the_robot(scene: Scene, parameters: Mapping[str, float]) -> Scene:
-    """The scene of the real robot for small motions: with its own payload, and without Coulomb friction."""
-    return without_coulomb_friction(scene.replace(dict(parameters)) if parameters else scene)
-
-
 class _Linearised:
-    """Puts the linear loop together; arguments: the system, the robot's matrices, indices of the sampled slaves, and as for `at`."""
+    """Puts the linear loop together.
 
-    def __init__(self, system: System, plant: LinearPlant, sampled: list[int], identify: bool) -> None:
+    Args:
+        system: the system.
+        plant: the robot's matrices.
+        sampled: indices of the sampled slaves.
+        identify: as for `at`.
+        moving: signals with the values that they have in motion, instead of those at rest.
+        models: beginnings of the names of slaves that contain a model of the robot.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        plant: LinearPlant,
+        sampled: list[int],
+        identify: bool,
+        moving: Mapping[str, float],
+        models: tuple[str, ...],
+    ) -> None:
         self._system, self._plant, self._sampled, self._identify = system, plant, sampled, identify
+        self._moving, self._models = moving, models
         self._feeding: dict[tuple[int, str], Connection] = {
             (each.target, system.slaves[each.target].variables[each.input].name): each for each in system.connections
         }
@@ -180,17 +227,44 @@ class _Linearised:
             if (1, measured) in values:
                 values[0, reference] = values[1, measured]
         found: dict[int, LinearBlock] = {}
+        seen: dict[int, RealArray] = {}
         # twice, as torques may come from slaves further on
         for i in (*self._system.exchange_steps, *self._system.exchange_steps):
             slave = self._system.slaves[i]
             names = _names(slave, "input")
             at_rest = np.array([self._value(values, i, name) for name in names])
             if i in self._sampled:
-                found[i], outputs = _linearised(slave, at_rest, self._identify)
-                values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
+                if i not in found or not np.array_equal(at_rest, seen[i]):
+                    found[i], outputs = _linearised(slave, at_rest, self._identify)
+                    values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
+                seen[i] = at_rest
             elif isinstance(slave, Lag):
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))
+        if self._moving:
+            found |= {i: self._in_motion(i, found[i], seen[i]) for i in self._sampled}
         return [found[i].within(*self._in_the_loop(i)) for i in self._sampled]
+
+    def _in_motion(self, i: int, block: LinearBlock, at_rest: RealArray) -> LinearBlock:
+        """A block with the gains that it has in motion.
+
+        Models of the robot keep their terms at rest, since their derivatives by velocities belong to terms that the robot has in
+        motion. So do blocks of which an output no longer answers: a limit that is reached, as references and measurements alone
+        don't make a state of the motion.
+        """
+        slave = self._system.slaves[i]
+        inputs = at_rest.copy()
+        for k, name in enumerate(_names(slave, "input")):
+            feeding = self._feeding.get((i, name))
+            source = name if feeding is None else self._source(feeding)[1]
+            inputs[k] = self._moving.get(name, self._moving.get(source, at_rest[k]))
+        if np.array_equal(inputs, at_rest) or slave.name.startswith(self._models):
+            return block
+        try:
+            found, _ = _linearised(slave, inputs, self._identify)
+        except InputError:
+            return block
+        answers = [np.hstack([each.c, each.d]).any(axis=1) for each in (block, found)]
+        return block if (answers[0] & ~answers[1]).any() else found
 
     def _in_the_loop(self, i: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which inputs of a slave come from the loop, and which outputs lead on in it: references and monitors aren't in it."""

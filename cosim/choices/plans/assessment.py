@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from flexfmu.cosim.choices.plans.goals import UNITS, Goals, Limit, Variation
 from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
@@ -213,11 +214,14 @@ class Judge:
         Raises:
             TrajectoryError: the motion isn't feasible.
             ResultsError: a run failed.
+        KeyboardInterrupt: after Ctrl-C, which ends a run early.
         """
         prepared = candidate.prepared()
         found = []
         for variation in self.variations:
             run = prepared.run(variation.changes(self.goals.scene))
+            if run.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
             if not run.completed:
                 raise ResultsError(f"{candidate.label} with {variation}: {run.message}")
             found.append(self._peaks(run, variation))
@@ -237,7 +241,7 @@ class Judge:
         torques = [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
         moving = recording.time <= end
         points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
-        off, clear = self._off_path(points[moving]), self.goals.clearance.distance(points[moving])
+        off, clear = self._off_path(points[moving]), self._clear(points[moving])
         # from when on the vibration counts
         residual = float(metrics["residual_vibration_amplitude"])
         if wait := self.goals.wishes.settled_within:
@@ -257,6 +261,10 @@ class Judge:
             _largest_reaction(run) if "reaction" in limited else math.nan,
             _largest_stress(run) if "stress" in limited else math.nan,
         )
+
+    def _clear(self, points: RealArray) -> RealArray:
+        """Distances (N,) [m] on the way through points from what is kept clear."""
+        return self.goals.clearance.along(points, self.goals.wishes.margin)
 
     def _off_path(self, points: RealArray) -> RealArray:
         """Distances (N,) [m] of points from the given path."""

@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.choices.plans.assessment import MET, Assessment
 from flexfmu.cosim.choices.plans.goals import Goals, goals_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.schema import Scene
@@ -18,7 +19,7 @@ GRID = 160
 
 
 def checked_goals(scene: Scene) -> Goals:
-    """The wishes of a scene in numbers, checked before anything is simulated.
+    """The wishes of a scene in numbers, checked before anything is simulated; see `check_holding_torque` for ratios.
 
     Raises:
         TrajectoryError: the given motion isn't feasible.
@@ -27,7 +28,7 @@ def checked_goals(scene: Scene) -> Goals:
     goals = goals_of(scene)
     _check_ends(goals)
     _check_way(goals)
-    _check_holding_torque(goals)
+    check_holding_torque(goals)
     _check_duration(goals)
     return goals
 
@@ -85,23 +86,35 @@ def _connected(free: NDArray[np.bool_], start: tuple[int, int], end: tuple[int, 
     return False
 
 
-def _check_holding_torque(goals: Goals) -> None:
-    """The motors must be able to hold the heaviest payload at the places."""
+def check_holding_torque(goals: Goals, given: Assessment | None = None) -> None:
+    """The motors must be able to hold all robots of the bands at the places.
+
+    Args:
+        goals: the wishes.
+        given: the given motion, which a limit relative to its torques needs; None checks a limit in N.m alone.
+
+    Raises:
+        InputError: they can't; no motion keeps to the limit then.
+    """
     limit = goals.limits.get("torque")
-    if limit is None or limit.value is None:
+    if limit is None or (limit.value is None and given is None):
         return
-    low, high = goals.band
-    robots = [each for each in goals.variations(2) if each.payload in (low, high)]
+    robots = goals.variations(2) if given is None else [each.variation for each in given.peaks]
     motion = goals.given.once
     for name, instant in (("start", 0.0), ("end", motion.duration)):
         joints = motion.joints.evaluate([instant], 0, "left")[0, 0]
-        for robot in robots:
-            torque = float(np.abs(static_equilibrium(robot.of(goals.scene), joints).torque).max())
-            if torque > limit.value:
-                raise InputError(
-                    f"`plan.limits.torque` = {limit.value:g} N.m is below {torque:.4g} N.m, which hold {robot} at the {name} of the "
-                    f"motion against gravity: allow more, or carry less"
-                )
+        for k, robot in enumerate(robots):
+            torques = np.abs(static_equilibrium(robot.of(goals.scene), joints).torque)
+            for joint, torque in enumerate(torques.tolist()):
+                most, wish = limit.value or 0.0, f"{limit.value or 0.0:g} N.m"
+                if given is not None and limit.ratio is not None:
+                    most = limit.ratio * given.peaks[k].torque[joint]
+                    wish = f"{limit.ratio:g} of the given motion's, {most:.4g} N.m of joint {joint + 1},"
+                if torque > most * (1.0 + MET):
+                    raise InputError(
+                        f"`plan.limits.torque` = {wish} is below {torque:.4g} N.m, which hold {robot} at the {name} of the "
+                        f"motion against gravity: allow more, or carry less"
+                    )
 
 
 def _check_duration(goals: Goals) -> None:

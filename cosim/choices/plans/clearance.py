@@ -18,6 +18,27 @@ FEW = 50
 TOUCHING = 1e-9
 """Distance [m] below which a point lies on the outline."""
 
+ROUND = 10.0
+"""A way passes through a region where both ways round are further from it than this multiple of its depth: walls, not corners."""
+
+PARTS, REFINED, PEAKS = 8, 33, 4
+"""Parts of each segment at which the depth within a region is looked at; points about each of so many peaks, three times."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a way within a region.
+
+    Attributes:
+        deepest: where it is deepest, as a number of the way's points, with a fraction.
+        depth: that depth [m].
+        around: how far the way would have to move [m] to go around what it passes through; 0 where it only dips in.
+    """
+
+    deepest: float
+    depth: float
+    around: float
+
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
@@ -59,6 +80,66 @@ class Polygon:
         gradient = away * (sign / np.maximum(distance, TOUCHING))[:, None]
         return sign * distance, np.where((distance > TOUCHING)[:, None], gradient, normals[chosen])
 
+    def stretches(self, points: RealArray) -> list[Stretch]:
+        """Where a way, straight between points (N, 2), is within the polygon, however thin that is there."""
+        index, place = self._crossings(points)
+        bounds = np.concatenate([[0.0], index, [len(points) - 1.0]])
+        inside = self.distance(_at(points, 0.5 * (bounds[1:] + bounds[:-1])))[0] < -TOUCHING
+        # parts that follow each other are one stretch
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+        found = []
+        for first, last in edges.reshape(-1, 2):
+            low, high = bounds[first], bounds[last]
+            steps = np.arange(np.ceil(low * PARTS), np.floor(high * PARTS) + 1.0) / PARTS
+            where = np.unique(np.concatenate([np.linspace(low, high, REFINED), steps]))
+            for _ in range(4):
+                depth = -self.distance(_at(points, where))[0]
+                k = int(depth.argmax())
+                deepest, most = float(where[k]), float(depth[k])
+                # corners of the region bend the depth: what is nearly as deep may be deeper beside it
+                rise = np.diff(depth, prepend=-np.inf, append=-np.inf)
+                peaks = np.flatnonzero((rise[:-1] >= 0.0) & (rise[1:] <= 0.0))
+                peaks = peaks[np.argsort(-depth[peaks])][:PEAKS]
+                ends = where[np.maximum(peaks - 1, 0)], where[np.minimum(peaks + 1, len(where) - 1)]
+                where = np.unique(np.linspace(*ends, REFINED))
+            around = 0.0
+            if first > 0 and last < len(bounds) - 1:
+                way = _at(points, np.concatenate([[low], np.arange(np.floor(low) + 1.0, np.ceil(high)), [high]]))
+                around = self._around(way, place[first - 1], place[last - 1])
+            found.append(Stretch(deepest, most, around if around > ROUND * most else 0.0))
+        return found
+
+    def _crossings(self, points: RealArray) -> tuple[RealArray, RealArray]:
+        """Where a way crosses the outline: ascending numbers of its points, with fractions, and lengths along the outline [m]."""
+        # segments near the outline
+        ends = np.stack([points[:-1], points[1:]])
+        near = (ends.max(axis=0) >= self.corners.min(axis=0)) & (ends.min(axis=0) <= self.corners.max(axis=0))
+        number = np.flatnonzero(near.all(axis=1))
+        start, along = points[number, None], (points[number + 1] - points[number])[:, None]
+        side = np.roll(self.corners, -1, axis=0) - self.corners
+        away, turn = self.corners - start, _cross(along, side)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t, u = _cross(away, side) / turn, _cross(away, along) / turn
+        rows, sides = np.nonzero((turn != 0.0) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0))
+        index, first = np.unique(number[rows] + t[rows, sides], return_index=True)
+        rows, sides = rows[first], sides[first]
+        return index, self._lengths[sides] + u[rows, sides] * np.hypot(*side[sides].T)
+
+    @cached_property
+    def _lengths(self) -> RealArray:
+        """Lengths along the outline (N + 1,) of the corners, and of all of it [m]."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*(np.roll(self.corners, -1, axis=0) - self.corners).T))])
+
+    def _around(self, way: RealArray, enters: float, leaves: float) -> float:
+        """How far the nearer of both outlines between two of its places is from the way between them [m]."""
+        low, high = sorted((enters, leaves))
+        between = (self._lengths[:-1] > low) & (self._lengths[:-1] < high)
+        first, side = way[:-1], np.diff(way, axis=0)
+        away = self.corners[:, None] - first
+        along = np.einsum("nkj,kj->nk", away, side) / np.maximum(np.einsum("kj,kj->k", side, side), TOUCHING**2)
+        distance = np.hypot(*np.moveaxis(away - np.clip(along, 0.0, 1.0)[..., None] * side, -1, 0)).min(axis=1)
+        return min(float(distance[chosen].max(initial=0.0)) for chosen in (between, ~between))
+
     def _near(self, points: RealArray) -> NDArray[np.intp]:
         """Sides (N, k) of which one is the nearest to each point; few of many equal ones, otherwise all."""
         count = len(self.corners)
@@ -79,11 +160,13 @@ class Clearance:
     Attributes:
         regions: polygons.
         origins, normals: of lines, (L, 2) [m] and unit vectors; the side that the normal points to is allowed.
+        thin: whether regions may be thinner than the distance of a way's points.
     """
 
     regions: tuple[Polygon, ...]
     origins: RealArray
     normals: RealArray
+    thin: bool = False
 
     def distances(self, points: RealArray) -> tuple[RealArray, RealArray]:
         """Distances (K, N) [m] of points (N, 2) to each region and line, negative where the point must not be, and gradients (K, N, 2)."""
@@ -98,10 +181,40 @@ class Clearance:
         """The smallest of these distances (N,) [m]."""
         return np.asarray(self.distances(points)[0].min(axis=0))
 
+    def along(self, points: RealArray, margin: float) -> RealArray:
+        """The smallest of these distances (N,) [m] on a way, straight between points (N, 2).
+
+        Args:
+            points: of the way.
+            margin: depth [m] up to which a way may dip into a region; what it passes through counts by the way around it.
+        """
+        found = self.distance(points)
+        for each in self._stretches(points):
+            number = round(each.deepest)
+            found[number] = min(found[number], -each.depth if each.depth > margin else -max(each.depth, each.around))
+        return found
+
+    def passage(self, points: RealArray) -> float:
+        """How far a way would have to move to go around all regions that it passes through [m]; 0 if there are none."""
+        return max((each.around for each in self._stretches(points)), default=0.0)
+
+    def _stretches(self, points: RealArray) -> list[Stretch]:
+        return [each for region in self.regions for each in region.stretches(points)] if self.thin else []
+
     def normal(self, points: RealArray) -> RealArray:
         """Gradients (N, 2) of `distance`."""
         distance, gradient = self.distances(points)
         return np.asarray(gradient[distance.argmin(axis=0), np.arange(len(points))])
+
+
+def _cross(one: RealArray, other: RealArray) -> RealArray:
+    """Cross products of vectors in a plane, along the last axis."""
+    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+
+
+def _at(points: RealArray, index: RealArray) -> RealArray:
+    """Points between others, at numbers with fractions."""
+    return np.column_stack([np.interp(index, np.arange(len(points)), each) for each in points.T])
 
 
 def _evenly(corners: RealArray) -> RealArray:

@@ -67,7 +67,8 @@ class Variation:
 
     def changes(self, scene: Scene) -> dict[str, float]:
         """Parameters of the FMU that differ from the scene's."""
-        found = {"payload.mass": self.payload}
+        # an FMU without a payload has no parameter for it
+        found = {"payload.mass": self.payload} if scene.payload.mass else {}
         if self.stiffness != 1.0:
             found["material.youngs_modulus"] = self.stiffness * scene.mechanism.material.youngs_modulus
         if self.damping != 1.0:
@@ -99,16 +100,18 @@ class Goals:
     """What a plan shall reach, and what it must keep to.
 
     Attributes:
-        scene: the given scene, with a dwell that shows the residual vibration.
+        scene: the given scene, from a start at rest, with a dwell that shows the residual vibration.
         wishes: its section `plan`.
         limits: by name.
         clearance: where the end effector may go.
+        payload: mass that the planned scene has [kg]; None for that of `scene`.
     """
 
     scene: Scene
     wishes: PlanSection
     limits: Mapping[str, Limit]
     clearance: Clearance
+    payload: float | None = None
 
     @cached_property
     def trace(self) -> RealArray:
@@ -163,23 +166,34 @@ def goals_of(scene: Scene) -> Goals:
             f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
             f"leave the band out, or set `effects.damping`"
         )
-    changes: dict[str, Any] = {"trajectory.dwell": max(scene.trajectory.dwell, wishes.settled_within + LEAST_DWELL)}
-    if wishes.limits.reaction is not None:
-        changes["effects.reactions"] = True
-    longer = scene.replace(changes)
+    longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
     limits = {
         name: Limit(name, ratio=value.ratio) if isinstance(value, Ratio) else Limit(name, value=value)
         for name in type(wishes.limits).model_fields
         if (value := getattr(wishes.limits, name)) is not None
     }
-    return Goals(longer, wishes, limits, _clearance(longer, wishes))
+    return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None)
+
+
+def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
+    """The scene as its motions are judged: from rest, since a robot that starts undeformed swings whatever the motion does."""
+    changes: dict[str, Any] = {
+        "trajectory.dwell": max(scene.trajectory.dwell, wishes.settled_within + LEAST_DWELL),
+        "cosimulation.initial": "static",
+    }
+    if wishes.limits.reaction is not None:
+        changes["effects.reactions"] = True
+    # the payload is a parameter of the FMU if the scene has one
+    if not scene.payload.mass and (heaviest := payload_band(scene, wishes)[1]) > 0.0:
+        changes["payload.mass"] = heaviest
+    return scene.replace(changes)
 
 
 def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:
     """Regions that the scene names, or what its own motion clears."""
     if wishes.keep_out is not None:
         return Clearance(
-            tuple(Polygon.of(each.outline) for each in wishes.keep_out), np.empty((0, 2)), np.empty((0, 2))
+            tuple(Polygon.of(each.outline) for each in wishes.keep_out), np.empty((0, 2)), np.empty((0, 2)), thin=True
         )
     motion = plan(scene)
     trace = _trace(motion)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
+from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.choices.plans.clearance import Polygon
 from flexfmu.cosim.choices.plans.goals import Goals
 from flexfmu.cosim.choices.plans.planner import Show
-from flexfmu.cosim.choices.plans.robust_optimal import robust_optimal
+from flexfmu.cosim.choices.plans.robust_optimal import PAYLOADS, TRIES, excesses, robust_optimal
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.reference_design.control_limits import Area, ReferenceLimits, Robot
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
@@ -51,10 +52,21 @@ def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Sho
     start = fitted(goals.given.once.joints, COARSE.splines, COARSE.degree)
     limits, area = reference_limits(goals, given), area_of(goals)
     show("optimal control", None)
-    for motion in optimal_motions(robots, limits, area, start, wishes.minimise, wishes.duration):
-        show(f"optimal control: {motion.spline.duration:.4g} s, {motion.status}", None)
-        if motion.converged and motion.grid != COARSE:
-            yield candidate(goals, motion.spline, wishes.minimise)
+    judge = Judge(goals, PAYLOADS[0])
+    for _ in range(TRIES):
+        last: Candidate | None = None
+        for motion in optimal_motions(robots, limits, area, start, wishes.minimise, wishes.duration):
+            show(f"optimal control: {motion.spline.duration:.4g} s, {motion.status}", None)
+            if motion.converged and motion.grid != COARSE:
+                last, start = candidate(goals, motion.spline, wishes.minimise), motion.spline
+                yield last
+        if last is None or not (excess := excesses(judge.assess(last))):
+            return
+        # what the FMU finds beyond the limits is taken off them
+        torque, residual = (excess.get(name, 1.0) for name in ("torque", "residual"))
+        robots = [replace(each, torque=each.torque / torque, residual=each.residual / residual) for each in robots]
+        limits = limits.divided([excess.get(name, 1.0) for name in ("speed", "acceleration", "jerk")])
+        area = replace(area, margin=max(0.0, area.margin - excess.get("clearance", 0.0)))
 
 
 def candidate(goals: Goals, spline: JointSpline, kind: str) -> Candidate:

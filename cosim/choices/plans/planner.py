@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge, LimitUse
 from flexfmu.cosim.choices.plans.baselines import BASELINES, installed
 from flexfmu.cosim.choices.plans.called_effects import sturdier
-from flexfmu.cosim.choices.plans.checks import checked_goals
-from flexfmu.cosim.choices.plans.goals import Goals
+from flexfmu.cosim.choices.plans.checks import check_holding_torque, checked_goals
+from flexfmu.cosim.choices.plans.goals import Goals, judged_scene
 from flexfmu.cosim.choices.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.errors import TrajectoryError
 
 if TYPE_CHECKING:
@@ -44,6 +48,9 @@ FRONT: Mapping[str, str] = {"time": "s", "residual": "m", "torque": "N.m", "ener
 
 ALIKE = 1e-3
 """Relative difference of all figures of `FRONT` below which the front has one of two motions."""
+
+NO_SAG = 1e-12
+"""Sag [m] below which an undeformed start is at rest."""
 
 FAILURES = (CosimError, TrajectoryError, SceneError, EquilibriumError)
 """Errors of one candidate, which don't end the plan."""
@@ -85,7 +92,8 @@ class PlanResult:
     @property
     def scene(self) -> Scene:
         """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
-        return self.chosen.candidate.scene
+        scene, mass = self.chosen.candidate.scene, self.goals.payload
+        return scene if mass is None else scene.replace({"payload.mass": mass})
 
     @property
     def front(self) -> tuple[Assessment, ...]:
@@ -158,6 +166,7 @@ class PlanResult:
         return pandas.DataFrame(self.rows())
 
 
+@one_blas_thread()
 def plan_scene(
     scene: Scene,
     *,
@@ -192,7 +201,9 @@ def plan_scene(
     goals = checked_goals(scene)
     show("the given motion", None)
     judge = Judge(goals, SCREENED)
-    found, failures = [judge.given], list[str]()
+    check_holding_torque(goals, judge.given)
+    found, failures = [judge.given], list(_notes(scene, goals))
+    candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
     interrupted = False
     try:
         for candidate in _candidates(goals, found, methods, candidates, processes, show, failures):
@@ -213,7 +224,6 @@ def plan_scene(
     if robust and not interrupted:
         chosen, note = sturdier(chosen, _ranked(found, goals), final)
         failures += [note] if note else []
-    work = processor_time() - work
     lines = list[RobustnessLine]()
     try:
         for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
@@ -221,7 +231,19 @@ def plan_scene(
             lines.append(line)
     except KeyboardInterrupt:
         interrupted = True
+    work = processor_time() - work
     return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
+
+
+def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
+    """What is planned otherwise than the scene says."""
+    start = goals.given.once.joints.evaluate([0.0], 0, "right")[0, 0]
+    away = float(np.hypot(*(static_equilibrium(goals.scene, start).position - goals.trace[0])))
+    if scene.cosimulation.initial == "undeformed" and away > NO_SAG:
+        yield (
+            f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
+            f'whatever the motion: planned from rest, `initial = "static"`, which the planned scene has'
+        )
 
 
 def usual_methods() -> tuple[str, ...]:

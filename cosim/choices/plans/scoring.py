@@ -42,6 +42,7 @@ class Bounds:
         others: name → largest value, of `FIGURES`.
         distance: signed distances (N,) of positions (N, 2) [m] from what is kept clear, negative inside; None for nothing.
         margin: by how much the end effector may come nearer [m].
+        passage: how far a way through positions (N, 2) [m] would have to move to go around what it passes through [m].
     """
 
     minimise: str
@@ -51,6 +52,7 @@ class Bounds:
     others: Mapping[str, float] = field(default_factory=dict)
     distance: Callable[[RealArray], RealArray] | None = None
     margin: float = 0.0
+    passage: Callable[[RealArray], float] | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,8 @@ class Score:
             found["residual"] = (vibration @ DIRECTIONS).ravel() / bounds.residual
         if bounds.distance is not None:
             distances = bounds.distance(run.track.reshape(-1, 2))
+            if bounds.passage is not None:
+                distances = np.append(distances, -max(map(bounds.passage, run.track)))
             found[CLEARANCE] = 1.0 + (-bounds.margin - distances) / LENGTH
         return found
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf
@@ -24,6 +25,8 @@ from flexfmu.cosim.choices.plans.race import RADIUS, Member, Race, Study, Trial,
 from flexfmu.cosim.choices.plans.recipes import BLENDS, LAWS, Recipe, recipes, shaper_uses
 from flexfmu.cosim.choices.plans.scoring import CLEARANCE
 from flexfmu.cosim.choices.plans.studies import study_of
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.model.one_thread import keep_one_blas_thread
 from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
@@ -237,13 +240,17 @@ class _Processes:
 
     def map(self, function: Callable[[Study, S], T], tasks: Sequence[S]) -> Iterator[T]:
         if self._pool is None:
-            return (function(self._study, task) for task in tasks)
-        return self._pool.map(_worked, [function] * len(tasks), tasks)
+            yield from (function(self._study, task) for task in tasks)
+            return
+        try:
+            yield from self._pool.map(_worked, [function] * len(tasks), tasks)
+        except BrokenProcessPool:
+            raise ResultsError("a process ended before its work was done, for lack of memory for example") from None
 
 
 @contextmanager
 def _processes(study: Study, count: int) -> Iterator[_Processes]:
-    """Processes for a study; those that work end after their task when the search is left."""
+    """Processes for a study. When the search is left it waits for those that work, whose processor time counts."""
     if count == 1:
         yield _Processes(study, None)
         return
@@ -251,15 +258,17 @@ def _processes(study: Study, count: int) -> Iterator[_Processes]:
     try:
         yield _Processes(study, pool)
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(cancel_futures=True)
 
 
 _studies: list[Study] = []
 
 
 def _start(study: Study) -> None:
-    """Begin a process: Ctrl-C is for the parent."""
+    """Begin a process: Ctrl-C is for the parent, whose way to end by SIGTERM isn't this one's."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    keep_one_blas_thread()
     _studies[:] = [study]
 
 

@@ -94,7 +94,10 @@ def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:
     limits.pop("torque", None)
     bounded = bool(clearance.regions) or len(clearance.origins) > 0
     distance = clearance.distance if bounded else None
-    return Bounds(wishes.minimise, wishes.residual, wishes.settled_within, largest, limits, distance, wishes.margin)
+    return Bounds(
+        wishes.minimise, wishes.residual, wishes.settled_within, largest, limits, distance, wishes.margin,
+        clearance.passage if clearance.thin and bounded else None,
+    )  # fmt: skip
 
 
 def _limited(limit: Limit, usual: RealArray) -> RealArray:

@@ -38,6 +38,7 @@ from flexfmu.cosim.choices.shapers.table import (
 )
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
 
 COARSE, FINE = 5, 7
@@ -68,6 +69,7 @@ class ShaperStudy:
     vibrations: Vibrations
 
 
+@one_blas_thread()
 def examine(
     scene: Scene,
     band: float,

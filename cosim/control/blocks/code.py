@@ -21,7 +21,7 @@ from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.sources import Sources, elementary_sources
+from flexfmu.fmu_build.sources import Sources, runtime_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
 from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock
 
@@ -166,7 +166,7 @@ def library(
         c_files: further C files and headers, (name, text) each.
         libraries: shared libraries that these call, (name, library) each; they are stored beside the compiled one.
     """
-    runtime = elementary_sources() | dict(c_files)
+    runtime = runtime_sources("elementary") | dict(c_files)
     sources = Sources(name, "", "", {f"{name}.c": code}, runtime, {}, libraries=dict(libraries))
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from typing import Any
 
 import casadi
+import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import check_variables
 from flexfmu.cosim.engine.slave import check_sampling
@@ -27,6 +30,7 @@ def block(
     *,
     sample_time: float,
     offset: float = 0.0,
+    instants: Sequence[float] = (),
     inputs: Sequence[Variable],
     outputs: Sequence[Variable],
     parameters: Sequence[Variable] = (),
@@ -42,6 +46,7 @@ def block(
         name, description: of the block.
         equations: (x, u, p) → (y, next x); called once, with symbols.
         sample_time, offset: sample time and first sample instant [s].
+        instants: further sample instants [s]; with an infinite sample time there are no others.
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of x.
         symbol: `casadi.SX` for scalar operations; `casadi.MX` for operations on whole vectors.
@@ -53,7 +58,8 @@ def block(
         InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of
             range.
     """
-    check_sampling(sample_time, offset, name)
+    if sample_time < math.inf or not instants:
+        check_sampling(sample_time, offset, name)
     # CasADi functions of the equations
     arguments = [
         symbol.sym(letter, len(each)) for letter, each in zip("xup", (states, inputs, parameters), strict=True)
@@ -64,6 +70,7 @@ def block(
         description=description,
         sample_time=sample_time,
         offset=offset,
+        instants=tuple(instants),
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         parameters=tuple(parameters),
@@ -89,6 +96,18 @@ def split(vector: Vector, *sizes: int) -> list[Vector]:
         edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])
     pieces: list[Vector] = casadi.vertsplit(vector, edges)
     return pieces
+
+
+def rows_in_turn(rows: NDArray[np.float64], name: str) -> Equations:
+    """Return equations that output the rows (N, n) of a table one after the other, in MX; the last one holds on.
+
+    Their state, zero at first, counts the samples; the name is that of the table in C.
+    """
+    # a table that is read at its nodes; it needs one behind the last
+    nodes = np.arange(len(rows) + 1.0)
+    table = casadi.interpolant(name, "linear", [nodes], np.vstack([rows, rows[-1:]]).ravel())
+    last = float(len(rows) - 1)
+    return lambda x, u, p: (table(x), casadi.fmin(x + 1.0, last))
 
 
 def _with_feedthrough(block: SymbolicBlock) -> SymbolicBlock:

@@ -39,7 +39,7 @@ class BlockSlave:
         # the attributes that the master reads
         self.name = name or block.name
         self.block = block
-        self.sample_time, self.offset = block.sample_time, block.offset
+        self.sample_time, self.offset, self.instants = block.sample_time, block.offset, block.instants
         self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
         self.has_foreign_code = bool(block.c_files)
         known = (*block.inputs, *block.parameters)
@@ -56,6 +56,14 @@ class BlockSlave:
         self._sample = self._bound(function, output=True, update=True)
         self._output = self._bound(function, output=True, update=False)
         self._update = self._bound(function, output=False, update=True)
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether the outputs follow the inputs continuously as far as is known: no foreign code, and nothing is rounded."""
+        rounding = (casadi.OP_FLOOR, casadi.OP_CEIL)
+        functions = () if self.has_foreign_code else (self.block.output, self.block.update)
+        operations = (each.instruction_id(k) for each in functions for k in range(each.n_instructions()))
+        return bool(functions) and not any(operation in rounding for operation in operations)
 
     def _bound(self, function: casadi.Function, output: bool, update: bool) -> Call:
         """Bind the function (x, u, p) → (y, next x) to the slave's memory; the call writes the chosen results."""

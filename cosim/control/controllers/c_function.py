@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
-from ctypes import CDLL
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import CDLL, c_void_p
+from functools import lru_cache
 from pathlib import Path
+from time import monotonic
 
 import casadi
+import numpy as np
 
 from flexfmu.cosim.control.blocks.code import library
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters, named_signals
 from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import check_sampling
+from flexfmu.cosim.engine.slave import RealArray, check_sampling
 from flexfmu.fmu_build.cache import content_hash
 from flexfmu.fmu_build.errors import CompileError
 from flexfmu.model.scene.controllers import CFunctionSection
@@ -31,6 +35,12 @@ SIGNATURE = "void {}(double t, const double *u, const double *p, const double *x
 
 LIBRARIES = (".so",)
 """Suffixes of shared libraries."""
+
+TRIED, LEAST_TRIED, TRYING = 2000, 4, 0.2
+"""Largest and smallest number of calls that try whether equal arguments give equal results, and time for them [s]."""
+
+BEYOND = 64
+"""Number of zeros behind the arguments of calls that try a function."""
 
 CALL = "user_function"
 """Name of the function that CasADi calls, and of its file."""
@@ -104,7 +114,8 @@ def c_function(
 
     Its signature is `SIGNATURE`: t is the instant of the sample [s], counted from the start; u, p and x have the inputs, parameters
     and states in their order; the function writes all of y and next_x. It must not keep values between calls: an importer may
-    repeat a sample; `static` and global variables that aren't `const` are refused. The file is C99.
+    repeat a sample; `static` and global variables that aren't `const` are refused, and so is a function, of a shared library for
+    example, that gives other results for equal arguments when it is tried (on Linux). The file is C99.
 
     Args:
         source: the C file, or a list of C files and headers; on Linux a shared library (``.so``) too, which the FMU contains.
@@ -149,13 +160,13 @@ def c_function(
     libraries = _shared_libraries([path for path in paths if path.suffix in LIBRARIES], function)
     files = _user_files([path for path in paths if path.suffix not in LIBRARIES], facts["prototype"])
     caller = "".join(f"/* needs {each} */\n" for each in libraries) + _CALL_FILE.format(**facts)
-    call = _loaded(_LIBRARY_FILE.format(**facts) + caller, files, libraries, function)
+    call, compiled = _loaded(_LIBRARY_FILE.format(**facts) + caller, files, libraries, function)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         y, following = call(x, u, p)
         return y, following
 
-    return block(
+    built = block(
         name,
         f"The function {function} in C",
         equations,
@@ -169,6 +180,15 @@ def c_function(
         c_files={**files, f"{CALL}.c": caller},
         libraries=libraries,
     )
+    sizes = len(taken), len(given), len(states)
+    if (unlike := _unlike(compiled, sizes, tuple((parameters or {}).values()), tuple(states))) is not None:
+        place, one, other = unlike
+        what = given[place].name if place < len(given) else f"next_x[{place - len(given)}]"
+        raise InputError(
+            f"{', '.join(map(str, paths))}: {function} keeps values between calls: with equal arguments {what} was {one:.9g} in one "
+            f"order of calls and {other:.9g} in another, so that samples can't be repeated; make what it keeps one of `states`"
+        )
+    return built
 
 
 def _user_files(paths: Sequence[Path], prototype: object) -> dict[str, str]:
@@ -243,8 +263,8 @@ def _shared_libraries(paths: Sequence[Path], function: str) -> dict[str, SharedL
 
 def _loaded(
     code: str, c_files: Mapping[str, str], libraries: Mapping[str, SharedLibrary], function: str
-) -> casadi.Function:
-    """The compiled function, with derivatives by finite differences for whoever linearises it.
+) -> tuple[casadi.Function, Path]:
+    """The compiled function, with derivatives by finite differences for whoever linearises it, and its library.
 
     Raises:
         InputError: the files can't be compiled, or don't define the function.
@@ -255,8 +275,83 @@ def _loaded(
     except CompileError as error:
         if not libraries:
             _check_defined(function, c_files)
-        raise InputError(f"{error}; the function must be\n    {SIGNATURE.format(function)}") from None
-    return casadi.external(CALL, str(path), {"enable_fd": True, "fd_method": "central"})
+        if error.undefined:
+            raise InputError(f"{error}; add the C file or library that does to `source`") from None
+        wanted = "" if "linking" in str(error) else f"; the function must be\n    {SIGNATURE.format(function)}"
+        raise InputError(f"{error}{wanted}") from None
+    return casadi.external(CALL, str(path), {"enable_fd": True, "fd_method": "central"}), path
+
+
+@lru_cache(maxsize=64)
+def _unlike(
+    path: Path, sizes: tuple[int, int, int], parameters: tuple[float, ...], states: tuple[float, ...]
+) -> tuple[int, float, float] | None:
+    """A result that isn't a function of the arguments: its place among outputs and next states, and two values of it.
+
+    Two child processes call the function with the same arguments, one in the order of a run, the other in the reverse order: what
+    it keeps between calls differs. None where all results are equal to the last bit. Also where a child can't be had or crashes; the
+    run, which follows, tells that.
+
+    Args:
+        path: the compiled library.
+        sizes: numbers of inputs, outputs and states.
+        parameters: their values.
+        states: their start values.
+    """
+    inputs, outputs, _ = sizes
+    random = np.random.default_rng(1)
+    # some samples at rest, the others from small signals to saturated ones
+    signals = random.normal(size=(TRIED, inputs)) * 10.0 ** random.uniform(-3.0, 2.0, (TRIED, 1))
+    signals[::4] = 0.0
+
+    def forth() -> tuple[list[RealArray], list[RealArray]]:
+        call, end = _caller(path, sizes, parameters), monotonic() + TRYING
+        taken, found = [np.array([*states, 0.0])], list[RealArray]()
+        while len(found) < TRIED and (len(found) < LEAST_TRIED or monotonic() < end):
+            found.append(call(taken[-1], signals[len(found)]))
+            following = found[-1][outputs:]
+            # a run ends where a state is no number; here it begins again
+            taken.append(following if np.isfinite(following).all() else np.array([*states, following[-1]]))
+        return taken, found
+
+    def back() -> list[RealArray]:
+        call = _caller(path, sizes, parameters)
+        return [call(taken[k], signals[k]) for k in reversed(range(len(first)))]
+
+    if not AVAILABLE:
+        return None
+    try:
+        taken, first = in_child(forth, lambda: None, CALL_LIMIT)
+        second = in_child(back, lambda: None, CALL_LIMIT)[::-1]
+    except ChildLostError:
+        return None
+    ones, others = np.array(first), np.array(second)
+    different = np.argwhere((ones != others) & ~(np.isnan(ones) & np.isnan(others)))
+    if not different.size:
+        return None
+    k, place = different[0].tolist()
+    return place, float(ones[k, place]), float(others[k, place])
+
+
+def _caller(
+    path: Path, sizes: tuple[int, int, int], parameters: tuple[float, ...]
+) -> Callable[[RealArray, RealArray], RealArray]:
+    """The compiled function as (states with the number of the sample, inputs) → outputs and next states."""
+    inputs, outputs, states = sizes
+    function = CDLL(str(path))[CALL]
+    # zeros behind them, for a function that reads too far
+    x, u, p = (np.zeros(n + BEYOND) for n in (states + 1, inputs, len(parameters)))
+    p[: len(parameters)] = parameters
+    result, work = np.empty(outputs + states + 1), np.empty(outputs + states + 1)
+    given = (c_void_p * 3)(x.ctypes.data, u.ctypes.data)
+    found = (c_void_p * 2)(result.ctypes.data, result[outputs:].ctypes.data)
+
+    def call(state: RealArray, signals: RealArray) -> RealArray:
+        x[: states + 1], u[:inputs], given[2] = state, signals, p.ctypes.data
+        function(given, found, None, c_void_p(work.ctypes.data), 0)
+        return result.copy()
+
+    return call
 
 
 @builds(CFunctionSection)

@@ -293,6 +293,7 @@ def _from_section(section: CascadeSection, context: LoopContext) -> tuple[Symbol
         inertia=velocity.inertia,
         limits=limits,
         anti_windup=from_section(section.anti_windup),
+        initial_torque=velocity.initial_torque,
         commands_current=current is not None,
         **section.sampling(velocity),
     )

@@ -12,7 +12,7 @@ from math import ceil
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.blocks.equations import block, rows_in_turn
 from flexfmu.cosim.control.controllers.joints import JOINTS, feedforward_outputs
 from flexfmu.model.reference_design.elastic_response import TABLEAU, ElasticResponse
 from flexfmu.model.scene.schema import Scene
@@ -73,18 +73,10 @@ def tabulated_feedforward(
     Raises:
         InputError: the sample time isn't positive.
     """
-    last = len(torques) - 1
-    # a table that is read at its nodes
-    values = np.vstack([torques, torques[-1:]])
-    table = casadi.interpolant("torques", "linear", [np.arange(float(last + 2))], values.ravel())
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        return table(x), casadi.fmin(x + 1.0, float(last))
-
     return block(
         name,
         "Torques of the flexible robot in its motion",
-        equations,
+        rows_in_turn(torques, "torques"),
         sample_time=sample_time,
         offset=offset,
         inputs=(),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
@@ -15,11 +14,9 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.flat_values import SYMBOLS, as_column, as_elements
-from flexfmu.cosim.control.controllers.function_parameters import is_vector, like
 from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters
 from flexfmu.cosim.control.controllers.python_slave import FunctionSlave, described
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.engine.slave import RealArray, check_sampling
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
@@ -31,6 +28,17 @@ TRIALS = 8
 
 AGREEMENT = 1e-9
 """Relative difference from which traced and called function differ: NumPy and CasADi round elementary functions differently."""
+
+SYMBOLS = (casadi.SX, casadi.MX)
+"""Types of CasADi's symbols."""
+
+
+def as_elements(column: Vector) -> Any:
+    """The elements of a column of symbols as an array."""
+    found = np.empty(column.numel(), dtype=object)
+    found[:] = casadi.vertsplit(column)
+    return found
+
 
 KINDS: tuple[tuple[Any, Callable[[Vector], Any]], ...] = (
     (casadi.SX, lambda column: column),
@@ -104,8 +112,7 @@ class FunctionController:
                 timing[name] = like(0.0, value, f"{self.name}: {name}")
             else:
                 known = [*parameters, "sample_time", "offset"]
-                near = get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
+                hint = suggestion(name, known)
                 raise InputError(f"{self.name} has no parameter {name!r}; {hint}")
         return replace(self, parameters=parameters, **timing)
 
@@ -187,7 +194,8 @@ class FunctionController:
         if not self.states:
             return self._flat(result, len(self.outputs), "outputs"), as_column([])
         if not isinstance(result, tuple) or len(result) != 2:
-            raise InputError(f"{self.name} has states and must return two things: outputs, next states")
+            instead = "; it returns None" if result is None else ""
+            raise InputError(f"{self.name} has states and must return two things: outputs, next states{instead}")
         return (
             self._flat(result[0], len(self.outputs), "outputs"),
             self._flat(result[1], len(self.states), "states"),
@@ -217,6 +225,12 @@ class FunctionController:
         return values
 
     def _flat(self, values: Any, count: int, what: str) -> Any:
+        # NumPy would take None for NaN
+        if values is None or (isinstance(values, (list, tuple)) and any(each is None for each in values)):
+            raise InputError(
+                f"{self.name} returns None {'for' if values is None else 'among'} its {count} {what}: every way through it must end "
+                "with `return` and numbers"
+            )
         column = as_column(values)
         size = column.numel() if isinstance(column, SYMBOLS) else column.size
         if size != count:
@@ -286,3 +300,49 @@ def _compare(made: SymbolicBlock, trials: Sequence[tuple[RealArray, ...]]) -> No
             raise NotSymbolicError(
                 f"{made.name}: with CasADi's symbols the function calculates other values than with numbers"
             )
+
+
+def as_column(values: Any) -> Any:
+    """Nested sequences, arrays, numbers and symbols as one column of symbols, or one array of floats."""
+    if isinstance(values, np.ndarray) and values.dtype == float:
+        return values.ravel()
+    pieces = list(_pieces(values))
+    if any(isinstance(each, SYMBOLS) for each in pieces):
+        return casadi.vertcat(*pieces)
+    return np.concatenate([np.ravel(np.asarray(each, dtype=float)) for each in pieces]) if pieces else np.zeros(0)
+
+
+def _pieces(values: Any) -> Iterable[Any]:
+    """The numbers, arrays of numbers and symbols in nested sequences."""
+    if isinstance(values, SYMBOLS):
+        yield casadi.vec(values)
+    elif isinstance(values, (list, tuple)) or (isinstance(values, np.ndarray) and values.dtype == object):
+        for each in np.ravel(values) if isinstance(values, np.ndarray) else values:
+            yield from _pieces(each)
+    else:
+        yield values.full() if isinstance(values, casadi.DM) else values
+
+
+def is_vector(value: Any) -> bool:
+    """Whether a default is a tuple of floats, each of which is a tunable parameter."""
+    return isinstance(value, tuple) and len(value) > 0 and all(isinstance(each, float) for each in value)
+
+
+def like(default: Any, value: Any, where: str) -> Any:
+    """The value, as a float or a tuple of floats where the default is one.
+
+    Raises:
+        InputError: it can't be.
+    """
+    try:
+        if isinstance(default, float):
+            return float(value)
+        if is_vector(default):
+            found = tuple(float(each) for each in value)
+            if len(found) == len(default):
+                return found
+            raise ValueError
+    except (TypeError, ValueError):
+        what = "a number" if isinstance(default, float) else f"{len(default)} numbers"
+        raise InputError(f"{where} must be {what}, got {value!r}") from None
+    return value

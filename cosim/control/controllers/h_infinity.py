@@ -40,6 +40,7 @@ from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray, check_sampling
 from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.controllers import HInfinitySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -194,6 +195,7 @@ def _response(system: System, frequency: float) -> np.ndarray[tuple[int, ...], n
     return np.asarray(system.C @ resolvent + system.D, dtype=np.complex128)
 
 
+@one_blas_thread()
 def h_infinity(
     scene: Scene,
     position: tuple[float, float],

@@ -23,6 +23,7 @@ from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.controllers import StateFeedbackSection
 from flexfmu.model.scene.schema import Scene
@@ -53,6 +54,7 @@ class LqgWeights:
     measurement_noise: float = 1e-5
 
 
+@one_blas_thread()
 def lqg(
     scene: Scene,
     position: tuple[float, float],

@@ -12,15 +12,19 @@ numbers, and both must agree.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.control.controllers.function_controller import FunctionController
-from flexfmu.cosim.control.controllers.function_parameters import parameters_of
 from flexfmu.cosim.control.controllers.joints import JOINTS, measurements, references, torques
 from flexfmu.cosim.control.controllers.named_signals import named_signals
+from flexfmu.cosim.engine.errors import InputError
+
+ARGUMENTS = ("t", "reference", "measurement", "state")
+"""Arguments that a function may have, beside its parameters."""
 
 
 def controller(
@@ -77,3 +81,30 @@ def controller(
         )
 
     return decorate
+
+
+def parameters_of(function: Callable[..., Any], name: str) -> dict[str, Any]:
+    """The arguments of a function beside `ARGUMENTS`, with their defaults.
+
+    Raises:
+        InputError: one has no default.
+    """
+    found = {}
+    for key, argument in inspect.signature(function).parameters.items():
+        if key in ARGUMENTS or argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
+            continue
+        if argument.default is argument.empty:
+            raise InputError(
+                f"{name} has the argument {key!r} without a default: the arguments are {', '.join(ARGUMENTS)}, and parameters such as "
+                f"{key}=1.0"
+            )
+        found[key] = _tunable(argument.default)
+    return found
+
+
+def _tunable(value: Any) -> Any:
+    """A sequence of floats as a tuple; anything else as it is."""
+    is_sequence = isinstance(value, (list, tuple, np.ndarray)) and len(value) > 0
+    if is_sequence and all(isinstance(each, float) for each in value):
+        return tuple(float(each) for each in value)
+    return float(value) if isinstance(value, float) else value

@@ -9,7 +9,8 @@ Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, 
     D_k = a D_k-1 + K_d (1 - a) (d_k - d_k-1) / h
 
 Without a filter (T_f = 0, a = 0) D is the difference quotient. At the first sample the integral gets no increment and D
-is zero, since there is no sample before. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID
+is zero, since there is no sample before. It begins at I_0 = initial torque + (1 - b) K_p q_r, so that the torque there is the initial
+one for every b if the robot is at its reference: a bumpless start, section 3.6. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID
 Control, ISA 2006, sections 3.3 to 3.5.
 """
 
@@ -39,7 +40,7 @@ from flexfmu.cosim.control.controllers.joints import (
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.controllers import PidSection
+from flexfmu.model.scene.controllers import FeedforwardSection, GravityFeedforwardSection, PidSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
@@ -69,8 +70,11 @@ class PidLaw:
         q_r, q, feedforward = split(u, n)
         k_p, k_i, k_d, t_f, *bounds = split(p, n)
         e, d = q_r - q, self.derivative_weight * q_r - q
-        # integral and filtered derivative; both stay as they are at the first sample
+        # the weight acts on changes of the reference since the first sample: angles have any origin
         running = casadi.repmat(started, n, 1)
+        if self.setpoint_weight != 1.0:
+            carried = carried + casadi.if_else(running, 0.0, (1.0 - self.setpoint_weight) * k_p * q_r)
+        # integral and filtered derivative; both stay as they are at the first sample
         increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
         fading = casadi.exp(-h / t_f)
         slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
@@ -114,11 +118,12 @@ def pid(
         sample_time: time between samples [s].
         offset: first sample instant [s].
         filter_time: T_f [s] of the derivative.
-        setpoint_weight: b; below 1 it reduces the overshoot after a step of the reference.
+        setpoint_weight: b; below 1 it reduces the overshoot after a step of the reference. It counts from the first sample on.
         derivative_weight: c; with 0 only the measurement is differentiated.
         limits: torque limits; None for none.
         anti_windup: rule for the integral at the limits.
-        initial_torque: I at the start [N.m], for bumpless start.
+        initial_torque: torque at the first sample [N.m], without what an error there and the feedforward add: with that which
+            holds the robot nothing moves.
         joints: names of the joints.
         name: name of the block.
 
@@ -160,6 +165,20 @@ GAINS = {
 """Key of a schedule → gain."""
 
 
+def _initial_torque(section: PidSection, context: LoopContext) -> Sequence[float]:
+    """Torque [N.m] of a section at the first sample: where it has none, what holds the robot and no feedforward adds."""
+    if section.initial_torque is not None:
+        return section.initial_torque
+    is_held = any(
+        isinstance(each, (FeedforwardSection, GravityFeedforwardSection)) for each in context.scene.controller
+    )
+    if is_held or context.is_about_rest or not any(section.integral):
+        return (0.0, 0.0)
+    # without an integral it would stay for ever
+    holding = context.before("torque")
+    return [torque if gain else 0.0 for torque, gain in zip(holding, section.integral, strict=False)] or (0.0, 0.0)
+
+
 @builds(PidSection)
 def _from_section(section: PidSection, context: LoopContext) -> SymbolicBlock:
     controller = pid(
@@ -171,6 +190,7 @@ def _from_section(section: PidSection, context: LoopContext) -> SymbolicBlock:
         derivative_weight=section.derivative_weight,
         limits=torque_limits(section.torque_limit),
         anti_windup=from_section(section.anti_windup),
+        initial_torque=_initial_torque(section, context),
         sample_time=section.sample_time,
         offset=section.offset,
     )

@@ -125,7 +125,9 @@ class FunctionSlave:
 
 
 def described(error: BaseException | None) -> str:
-    """Type and first line of an error, and the last line of the user's code on the way to it."""
+    """Type and first line of an error, and the last line of the user's code on the way to it; of our own errors the sentence."""
+    if isinstance(error, InputError):
+        return str(error)
     frames = traceback.extract_tb(error.__traceback__) if error else []
     own = [each for each in frames if "/casadi/" not in each.filename and "/numpy/" not in each.filename]
     where = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""

@@ -14,19 +14,17 @@ from flexfmu.cosim.control.blocks.slave import slave_variable
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
-    empty,
-    recall,
-    remember,
-    sampling,
-    section_channels,
-)
-from flexfmu.cosim.control.imperfections.variables import (
     PerChannel,
+    empty,
     initial_parameters,
     inputs,
     outputs,
     parameters,
+    recall,
+    remember,
     require_initial,
+    sampling,
+    section_channels,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.binding import Copy, Take
@@ -72,7 +70,7 @@ class Lag:
         require_initial(channels, name)
         ports, ends = inputs(channels), outputs(channels)
         times = parameters(
-            channels, "time_constant", time_constant, ["s"] * len(ports), "the time constant", minimum=0.0
+            channels, "time_constant", time_constant, "the time constant", minimum=0.0, units=["s"] * len(ports)
         )
         self.name = name
         self.variables = tuple(slave_variable(each) for each in (*ports, *times, *ends))
@@ -267,7 +265,7 @@ def lag(
     ports = inputs(channels)
     require_initial(channels, name)
     n, h = len(channels), sample_time
-    times = parameters(channels, "time_constant", time_constant, ["s"] * n, "the time constant", minimum=0.0)
+    times = parameters(channels, "time_constant", time_constant, "the time constant", minimum=0.0, units=["s"] * n)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         time, initial = split(p, n)

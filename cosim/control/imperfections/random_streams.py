@@ -21,7 +21,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector
-from flexfmu.cosim.control.imperfections.variables import whole_number
+from flexfmu.cosim.control.imperfections.channels import whole_number
 from flexfmu.model.symbolic import Variable
 
 MODULI = (2147483563, 2147483399)

@@ -31,7 +31,7 @@ Flags = NDArray[np.bool_]
 
 
 class _Task(Structure):
-    """The structure `flex_batch_task` of ``c-runtime/batch.h``."""
+    """The structure `flex_batch_task` of ``c-runtime/batch/batch.h``."""
 
     _fields_ = (
         ("n_points", c_int),
@@ -140,15 +140,21 @@ class Lockstep:
             "changed": np.array([places[name] for name in changed], dtype=np.intc),
             "recorded": np.array([references[name] - first for name in outputs], dtype=np.intc),
         }
-        number = _number(variables, settings)
+
+        def number(name: str) -> int:
+            """The number of a named choice: in the settings, or the FMU's own start."""
+            value = settings.get(name, variables[name].start)
+            known = items(variables[name])
+            return known[value] if value in known else int(value)
+
         self._task = _Task(
             n_points=course.times.size,
             n_orders=course.polynomials.shape[1],
             n_motion=course.motion,
             tolerance=max(tolerance, LEAST_TOLERANCE),
             fixed_step=float(settings.get(FIXED_STEP, 0.0)),
-            method=number(INTEGRATOR.name, 1),
-            starts_static=int(number(INITIAL.name, 1) == 1),
+            method=number(INTEGRATOR.name),
+            starts_static=int(number(INITIAL.name) == INITIAL.items["static"][0]),
             n_changed=len(changed),
             n_recorded=len(outputs),
             order=order,
@@ -212,16 +218,6 @@ class Lockstep:
         function(self._task, memory, *further, len(values), _pointer(values), _pointer(results), _pointer(failed))
         lost: Flags = failed != 0
         return lost
-
-
-def _number(variables: Mapping[str, Any], settings: Mapping[str, Value]) -> Callable[[str, int], int]:
-    """The function from the name of a numbered choice to its number in the settings, or a default."""
-
-    def number(name: str, default: int) -> int:
-        value = settings.get(name, default)
-        return items(variables[name])[value] if isinstance(value, str) else int(value)
-
-    return number
 
 
 def _pointer(array: NDArray[Any]) -> Any:

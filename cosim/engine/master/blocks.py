@@ -19,6 +19,7 @@ from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import (
     COINCIDENT,
     HasBreakpoints,
+    HasInstants,
     LimitsStep,
     MayNeedRegularSteps,
     RealArray,
@@ -182,7 +183,11 @@ def system_grid(
         InputError: as `GridRules`; or a slave needs steps shorter than 1 / `MAXIMUM_RATIO` of the communication step.
     """
     # sample instants, breakpoints, and the period of a repeated motion
-    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
+    clocks = [
+        Clock(s.name, s.sample_time, offset(s), tuple(s.instants) if isinstance(s, HasInstants) else ())
+        for s in system.slaves
+        if isinstance(s, Sampled)
+    ]
     marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
     period = max((slave.period for slave in system.slaves if isinstance(slave, Repeats)), default=0.0)
     # divide the communication step for slaves that limit it

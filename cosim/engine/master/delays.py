@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from math import inf
 
 import numpy as np
 
@@ -94,8 +95,10 @@ def _delay(
     """The delay of one connection."""
     source, target = system.slaves[connection.source], system.slaves[connection.target]
     seconds, mean, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0, 0.0
-    # a sampled target may use an older sample; a stepped target sees it held
-    if isinstance(source, Sampled) and isinstance(target, Sampled):
+    # a source with given instants is never late; a sampled target may use an older sample; a stepped target sees it held
+    if isinstance(source, Sampled) and source.sample_time == inf:
+        pass
+    elif isinstance(source, Sampled) and isinstance(target, Sampled):
         sampled_later = in_one_call(source) and positions[connection.source] >= positions[connection.target]
         seconds, mean = _ages(source, target, sampled_later)
     elif isinstance(source, Sampled):

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from itertools import pairwise
 from math import lcm
 
 import numpy as np
@@ -40,17 +41,24 @@ NO_POINTS = np.empty(0)
 
 @dataclass(frozen=True)
 class Clock:
-    """Sample instants of a slave: start + offset + k * sample_time, k = 0, 1, ..
+    """Sample instants of a slave: start + offset + k * sample_time, k = 0, 1, .., and others.
 
     Attributes:
         name: the slave's name.
-        sample_time: [s], above zero.
+        sample_time: [s], above zero; infinite for `instants` alone.
         offset: first sample instant after the start [s], zero or positive.
+        instants: further sample instants after the start [s], ascending; they needn't fit any step.
     """
 
     name: str
     sample_time: float
     offset: float = 0.0
+    instants: tuple[float, ...] = ()
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether there are instants start + offset + k * sample_time."""
+        return self.sample_time < np.inf
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,7 @@ class GridRules:
                 f"a communication step of {step:g} s makes {(stop - start) / step:.3g} steps; take a larger one"
             )
         for clock in self.clocks:
-            _check_clock(clock, start, stop)
+            _check_clock(clock, start, stop, self.near)
         if self.record_step is not None:
             multiple = self.record_step / step
             if not 0.5 < multiple < np.inf or abs(multiple - round(multiple)) > RATIO_TOLERANCE * multiple:
@@ -139,15 +147,16 @@ class GridRules:
 
     @cached_property
     def inside(self) -> RealArray:
-        """The marks within the run, ascending [s]."""
-        marks = np.sort(np.fromiter(self.marks, dtype=np.float64))
+        """The marks and the further sample instants within the run, ascending [s]."""
+        further = (self.start + each for clock in self.clocks for each in clock.instants)
+        marks = np.sort(np.fromiter((*self.marks, *further), dtype=np.float64))
         return marks[(marks > self.start - self.near) & (marks < self.stop + self.near)]
 
     def between(self, low: float = -np.inf, high: float = np.inf) -> TimeGrid:
         """The points from ``low`` to before ``high`` [s]: the same as those of the whole run."""
         # with a step more on both sides, since coinciding instants may be on either side of the limits
         first, last = low - self.step, high + self.step
-        instants = [_instants(clock, self, first, last) for clock in self.clocks]
+        instants = [_instants(clock, self, first, last) for clock in self.clocks if clock.is_regular]
         further = self.points[self.points.searchsorted(first) : self.points.searchsorted(last)]
         regular = self._regular_points(instants, first, last)
         if instants or further.size:
@@ -164,7 +173,13 @@ class GridRules:
         others = regular[apart & (regular < self.stop)]
         times = np.insert(others, others.searchsorted(fixed), fixed)
         # where slaves sample, and where signals may jump
-        due = tuple(_nearest(times, times_due) for _, times_due in instants)
+        regularly = (times_due for _, times_due in instants)
+        due = tuple(
+            _nearest(
+                times, np.append(next(regularly) if clock.is_regular else NO_POINTS, self._further(clock, first, last))
+            )
+            for clock in self.clocks
+        )
         marked = _beside(times, marks, self.near)
         recorded = None
         if self.record_step is not None:
@@ -172,6 +187,11 @@ class GridRules:
             recorded = marked | (abs(times - nearest) <= self.near) | (times == self.stop)
         grid = TimeGrid(times, np.logical_or.reduce([marked, *due]), due, recorded)
         return grid if first == -np.inf and last == np.inf else grid.part((times >= low) & (times < high))
+
+    def _further(self, clock: Clock, first: float, last: float) -> RealArray:
+        """The further sample instants of a clock from ``first`` to ``last`` within the run [s]."""
+        instants = self.start + np.array(clock.instants, dtype=float)
+        return instants[(instants >= first) & (instants < last) & (instants < self.stop + self.near)]
 
     def _regular_points(self, instants: Sequence[tuple[Indices, RealArray]], first: float, last: float) -> RealArray:
         """Ticks and sample instants [s] without repetition; of coinciding ones the tick's time, or the first clock's."""
@@ -190,8 +210,8 @@ class GridRules:
 
     @cached_property
     def _ratios(self) -> tuple[int, list[tuple[Fraction, Fraction]]]:
-        """Common ticks in a communication step; sample time and offset of each clock in communication steps."""
-        clocks, step = self.clocks, self.step
+        """Common ticks in a communication step; sample time and offset of each regular clock in communication steps."""
+        clocks, step = [clock for clock in self.clocks if clock.is_regular], self.step
         ratios = [(_ratio(clock, "sample time", step), _ratio(clock, "offset", step)) for clock in clocks]
         per_step = lcm(*(ratio.denominator for pair in ratios for ratio in pair))
         if per_step > MAXIMUM_TICKS:
@@ -269,13 +289,21 @@ def _beside(times: RealArray, marks: RealArray, near: float) -> Flags:
     return beside
 
 
-def _check_clock(clock: Clock, start: float, stop: float) -> None:
+def _check_clock(clock: Clock, start: float, stop: float, near: float) -> None:
     """Check a clock.
 
     Raises:
-        InputError: the sample time isn't positive, the offset is negative or infinite, or there would be more than
-            `MAXIMUM_POINTS` instants.
+        InputError: the sample time isn't positive, the offset is negative or infinite, there would be more than
+            `MAXIMUM_POINTS` instants, or further instants are within ``near`` [s] of each other, one communication point.
     """
+    for one, other in pairwise(clock.instants):
+        if other - one <= near:
+            raise InputError(
+                f"{clock.name}: its instants {one!r} s and {other!r} s are one at this communication step, take instants more "
+                f"than {near:.3g} s apart or a smaller step"
+            )
+    if clock.instants and clock.sample_time == np.inf:
+        return
     if not 0.0 < clock.sample_time < np.inf or (stop - start) / clock.sample_time > MAXIMUM_POINTS:
         raise InputError(
             f"{clock.name}: a sample time of {clock.sample_time} s doesn't suit a run from {start} s to {stop} s"

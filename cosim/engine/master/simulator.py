@@ -1,23 +1,30 @@
-"""A system with its order of calls and its time grid, prepared for any number of runs."""
+"""A system with its order of calls and its time grid, prepared for any number of runs.
+
+Estimates computing time and memory of a long run before it starts.
+
+The computing time of a communication step is measured on the first steps, in a child process where the platform allows
+it, so that the slaves don't change. Memory follows from the number of values.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.child_process import ChildLostError, in_child, portable
+from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child, portable
 from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, SlaveError, SlaveWarning
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.c_library import load
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
-from flexfmu.cosim.engine.master.cost import cost, is_long
 from flexfmu.cosim.engine.master.coupling_error import CouplingError
 from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
@@ -27,20 +34,70 @@ from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
 from flexfmu.cosim.engine.master.program import can_compile
-from flexfmu.cosim.engine.master.recorder import Recorder
+from flexfmu.cosim.engine.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.simulation_loop import Progress, SimulationLoop, StepStatistics
 from flexfmu.cosim.engine.master.stability import find_alternation, find_instability
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.results import EVERYTHING, Column, Recording, Selection
-from flexfmu.cosim.engine.slave import (
-    TEXTS,
-    RealArray,
-    Reports,
-    Slave,
-    Terminates,
-)
+from flexfmu.cosim.engine.slave import TEXTS, RealArray, Reports, Slave, Terminates
+
+MANY_POINTS, MANY_VALUES = 10**7, 10**8
+"""Numbers of communication steps and of recorded values above which the user is warned of the cost."""
+
+FEW_STEPS, TRIED_STEPS = 500, 2500
+"""Numbers of steps of the two trials; the initialisation cancels in the difference of their times."""
+
+BYTES_PER_VALUE = 8.0
+"""Bytes per recorded value; the results use the recorder's memory (`benchmarks/long_runs.py`)."""
+
+
+def is_long(steps: int, values: int) -> bool:
+    """Whether a run of so many steps and recorded values is long enough for a warning of its cost."""
+    return steps > MANY_POINTS or values > MANY_VALUES
+
+
+def cost(steps: int, values: int, trial: Callable[[int], Simulation]) -> str:
+    """A sentence with a run's computing time and memory, and how to reduce them.
+
+    Args:
+        steps: communication steps.
+        values: recorded values.
+        trial: simulates the first steps, as many as its argument says.
+    """
+    seconds = None
+    # an error occurs again in the run, which reports it better; the sentence then leaves out the time
+    with suppress(Exception):
+        seconds = (
+            in_child(lambda: _seconds_per_step(trial), lambda: None, CALL_LIMIT)
+            if AVAILABLE
+            else _seconds_per_step(trial)
+        )
+    time = ""
+    if seconds is not None:
+        duration = seconds * steps
+        unit, size = ("h", 3600.0) if duration > 5400.0 else ("min", 60.0) if duration > 90.0 else ("s", 1.0)
+        time = f"{duration / size:.2g} {unit} and "
+    gigabytes = 1e-9 * BYTES_PER_VALUE * values
+    return (
+        f"this run makes {steps:.3g} communication steps and records {values:.3g} values: it takes about {time}"
+        f"{gigabytes:.2g} GB of memory or temporary files; to spend less, {SPEND_LESS}"
+    )
+
+
+def _seconds_per_step(trial: Callable[[int], Simulation]) -> float | None:
+    """Computing time per communication step, references included [s]; None if a trial ends early."""
+    taken = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # two trials, which take the same time to initialise
+        for steps in (FEW_STEPS, TRIED_STEPS):
+            begin = perf_counter()
+            if trial(steps).steps < steps:
+                return None
+            taken.append(perf_counter() - begin)
+    return max(taken[1] - taken[0], 0.0) / (TRIED_STEPS - FEW_STEPS)
 
 
 @dataclass(frozen=True)

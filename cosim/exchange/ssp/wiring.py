@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
+from flexfmu.cosim.engine.errors import suggestion
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap, TableMap
 from flexfmu.cosim.engine.master.system import Wire
@@ -191,7 +191,7 @@ class Network:
         elements |= {each.name: each.connectors for each in level.systems}
         if element is not None and element not in elements:
             raise SspError(
-                f"{connection.where} names the element {element!r}, which doesn't exist{_hint(element, [*elements])}"
+                f"{connection.where} names the element {element!r}, which doesn't exist; {suggestion(element, elements)}"
             )
         known = [each.name for each in (level.connectors if element is None else elements[element])]
         if name not in known:
@@ -200,7 +200,7 @@ class Network:
                 if element
                 else f"the system's connector {name!r}, which doesn't exist"
             )
-            raise SspError(f"{connection.where} names {owner}{_hint(name, known)}")
+            raise SspError(f"{connection.where} names {owner}; {suggestion(name, known)}")
         return (prefix[:-1] if element is None else prefix + element), name
 
 
@@ -246,9 +246,3 @@ def shown(structure: Structure, network: Network) -> dict[str, Origin]:
 def _full_name(node: ConnectorName) -> str:
     """``inner.first.x``."""
     return f"{node[0]}.{node[1]}" if node[0] else node[1]
-
-
-def _hint(name: str, known: list[str]) -> str:
-    """Return a hint with the nearest known name."""
-    near = get_close_matches(name, known, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; there are: {', '.join(known) or 'none'}"

@@ -7,13 +7,12 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Union
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.results import Column, Recording
 
 if TYPE_CHECKING:
@@ -198,10 +197,10 @@ def _meaning(
     found = dict[str, Mapped]()
     for column, each in mapping.items():
         if column not in table:
-            raise InputError(f"{path} has no column {column!r}; {_near(column, table)}")
+            raise InputError(f"{path} has no column {column!r}; {suggestion(column, table)}")
         if each.signal != "time" and each.signal not in signals:
             raise InputError(
-                f"column {column!r} can't be {each.signal!r}: there is no such signal; {_near(each.signal, signals)}"
+                f"column {column!r} can't be {each.signal!r}: there is no such signal; {suggestion(each.signal, signals)}"
             )
         found[column] = each
     taken = [each.signal for each in found.values()]
@@ -221,11 +220,6 @@ def _meaning(
             f"no column of {path} is a signal; map one, {example} for example; columns: {', '.join(table)}"
         )
     return found
-
-
-def _near(name: str, known: Mapping[str, object]) -> str:
-    near = get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
 
 
 def _converted(table: Mapping[str, np.ndarray], units: Mapping[str, str], name: str, each: Mapped) -> np.ndarray:

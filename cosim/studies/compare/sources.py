@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
-from flexfmu.cosim.choices.gains.trial import POSES, UnstableLoopError, loop_margins
+from flexfmu.cosim.choices.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
@@ -158,7 +158,7 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
     loop: dict[str, float | None] = {"cpu_time": taken}
     if reason := failure_of(run):
         return ComparedRun(scene.name, run.recording, {}, run.plan.duration, loop=loop, failure=reason)
-    margins, reason = _margins(scene)
+    margins, reason = _margins(scene, band)
     found = replace(_measured(run), loop=loop | margins, failure=reason)
     if band is None:
         return found
@@ -168,12 +168,13 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
     return replace(found, band=worst)
 
 
-def _margins(scene: Scene) -> tuple[dict[str, float | None], str]:
-    """The margins of a scene's loop, and a message if it is unstable about a pose; none without a loop, and where it can't be linearised."""
+def _margins(scene: Scene, band: PayloadBand | None) -> tuple[dict[str, float | None], str]:
+    """The worst margins of a scene's loop with its own payload, and a message if it is unstable about a pose, be it with another one; none
+    without a loop, and where it can't be linearised."""
     if scene.cosimulation.drive != "torque" or not scene.controller:
         return {}, ""
     try:
-        found = loop_margins(scene, POSES)
+        found = margin_figures(loop_margins(scene, band).own)
     except UnstableLoopError as error:
         return {}, str(error)
     except (CosimError, TrajectoryError, EquilibriumError):

@@ -15,7 +15,7 @@ import numpy as np
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.studies.hard.case import (
     ALLOWED,
     ERROR,
@@ -202,7 +202,7 @@ def controlled_robot(step: float) -> Scene:
 def _unstable() -> CaseReport:
     """The run reports an unstable coupling, and is stable with the shorter step that the message recommends."""
     run, cured = (
-        run_scene(controlled_robot(step), fmu_path=fmu_of(controlled_robot(STEP))) for step in STABILITY_STEPS
+        PreparedScene(controlled_robot(step), fmu_path=fmu_of(controlled_robot(STEP))).run() for step in STABILITY_STEPS
     )
     unnamed = sum(part not in run.message for part in NAMED)
     # largest tracking error of the joints with the short step [rad]; NaN for a run that didn't reach its end

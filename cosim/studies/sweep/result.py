@@ -13,7 +13,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError, extra
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.studies.sweep.cases import Cases
+from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.store import signal_file
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class SweepResult(Sequence[dict[str, Any]]):
         return draw_sweep(self)
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Smallest, median and largest value of each metric, the cases of the extremes, and the number of values."""
+        """Smallest, median and largest value of each metric, the cases of the extremes with their values, and the number of values."""
         found = {}
         for i, name in enumerate(self.metrics):
             column = self.values[:, i]
@@ -127,16 +127,22 @@ class SweepResult(Sequence[dict[str, Any]]):
                 "unit": self.units.get(name, ""),
                 "min": float(column[low]),
                 "min_case": low,
+                "min_values": changes_of(self.cases, low),
                 "median": float(np.median(column[there])),
                 "max": float(column[high]),
                 "max_case": high,
+                "max_values": changes_of(self.cases, high),
                 "count": int(there.size),
             }
         return found
 
+    def case_text(self, number: int) -> str:
+        """The values of a case, ``payload.mass=3.2, trajectory.duration=0.4``."""
+        return ", ".join(f"{key}={_value_text(value)}" for key, value in changes_of(self.cases, number).items())
+
     def __repr__(self) -> str:
         shown = ", ".join(self.metrics[:3]) + (f" and {len(self.metrics) - 3} more" if len(self.metrics) > 3 else "")
-        first = f", first case {min(self.messages)}" if self.messages else ""
+        first = f", first {self.case_text(min(self.messages))}" if self.messages else ""
         return (
             f"Sweep of {self.name}: {len(self)} cases, {len(self.messages)} failed{first}\n"
             f"  varied:  {', '.join(self.cases.keys)}\n"
@@ -159,6 +165,13 @@ class SweepResult(Sequence[dict[str, Any]]):
 def _titled(name: str, units: Mapping[str, str]) -> str:
     """A name with its unit."""
     return f"{name} [{units[name]}]" if units.get(name) else name
+
+
+def _value_text(value: Any) -> str:
+    """A value of a key in four digits; of a table its kind or name."""
+    if isinstance(value, Mapping) and ("kind" in value or "name" in value):
+        return str(value.get("kind", value.get("name")))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _shown(value: Any) -> str:

@@ -15,7 +15,9 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import islice
+from math import inf
 from multiprocessing.connection import Connection, wait
+from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from threading import Lock
 from time import monotonic
@@ -30,6 +32,9 @@ AHEAD, MOST_AHEAD = 0.05, 8
 
 PATIENCE = "10s"
 """How long a Dask scheduler may take to answer."""
+
+INTERVAL = 1.0
+"""How often a Dask scheduler is asked for workers that have come or gone [s]."""
 
 SMALL = 1_000_000
 """Bytes of a job that is sent with every share."""
@@ -204,7 +209,7 @@ def _end(workers: Iterable[_Process], idle: Iterable[_Process]) -> None:
 
 @dataclass
 class DaskWorkers:
-    """The workers of a Dask cluster, which begin shares of lost workers again themselves.
+    """The workers of a Dask cluster, also those that come later; shares of workers that leave, the cluster begins again itself.
 
     Attributes:
         address: of the cluster's scheduler.
@@ -219,42 +224,47 @@ class DaskWorkers:
             InputError: Dask isn't installed, or there is no scheduler at the address.
         """
         with extra("dask"):
-            from distributed import CancelledError, Client, as_completed
+            from distributed import CancelledError, Client
             from distributed.scheduler import KilledWorker
         try:
             client = Client(self.address, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"there is no Dask scheduler at {self.address}: {error}") from error
         with client:
-            left = iter(shares)
-            # small jobs travel with each share: nobody waits for a copy from a worker that is lost
+            left, waiting = iter(shares), deque[Share]()
+            # a small job travels with each share; a larger one is a task, which any worker repeats if those that have it leave
             text = pickle.dumps(job)
-            there = text if len(text) < SMALL else client.scatter(text, broadcast=True)
-            # a few shares for each thread are on their way
-            ahead = 2 * max(1, sum(client.nthreads().values()))
-            known: dict[str, Share] = {}
-
-            def submit(share: Share) -> Any:
-                future = client.submit(_rows, there, share, pure=False, retries=TRIALS)
-                known[future.key] = share
-                return future
-
-            going = as_completed([submit(share) for share in islice(left, ahead)], loop=client.loop)
-            for future in going:
-                share = known.pop(future.key)
-                try:
-                    yield future.result()
-                except CancelledError as error:
-                    raise ResultsError(f"the Dask scheduler at {self.address} is gone: {error}") from error
-                except KilledWorker:
-                    # side by side no more, or failed
-                    if len(share.numbers) == 1:
-                        yield [job.failed(share.numbers[0], "the Dask workers that simulated it ended")]
-                    for number in share.numbers if len(share.numbers) > 1 else ():
-                        going.add(submit(Share(share.group, (number,))))
-                following = next(left, None)
-                if following is not None:
-                    going.add(submit(following))
+            there = text if len(text) < SMALL else client.submit(bytes, text, pure=False)
+            going, finished = dict[str, tuple[Any, Share]](), SimpleQueue[Any]()
+            asked, threads = -inf, 0
+            try:
+                while True:
+                    # a few shares for each thread of the workers that are there now
+                    if monotonic() - asked > INTERVAL:
+                        asked = monotonic()
+                        with contextlib.suppress(OSError):  # it is gone, which shares on their way tell
+                            threads = sum(client.nthreads().values())
+                    while len(going) < max(1, 2 * threads):
+                        share = waiting.popleft() if waiting else next(left, None)
+                        if share is None:
+                            break
+                        future = client.submit(_rows, there, share, pure=False, retries=TRIALS)
+                        going[future.key] = future, share
+                        future.add_done_callback(finished.put)
+                    if not going:
+                        return
+                    with contextlib.suppress(Empty):
+                        future, share = going.pop(finished.get(timeout=INTERVAL).key)
+                        try:
+                            yield future.result()
+                        except KilledWorker:
+                            # side by side no more, or failed
+                            if len(share.numbers) == 1:
+                                yield [job.failed(share.numbers[0], "the Dask workers that simulated it ended")]
+                            else:
+                                waiting.extend(Share(share.group, (number,)) for number in share.numbers)
+            except CancelledError as error:
+                raise ResultsError(f"the Dask scheduler at {self.address} is gone: {error}") from error
 
 
 _one_at_a_time = Lock()

@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.file import load_scene, read_scene_text, scene_path, shipped_scenes
+from flexfmu.model.scene.file import basis_hint, load_scene, read_scene_text, scene_path, shipped_scenes
 from flexfmu.model.scene.keys import parse_setting
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.blends import BLENDS
@@ -80,6 +80,42 @@ def test_a_new_scene_runs_from_its_folder(tmp_path: Path, monkeypatch: pytest.Mo
     few = ("--set", "effects.proximal_bending=1", "--set", "effects.distal_axial=0")
     result = flexfmu("modes", "robot.toml", "--poses", "3", "--json", *few)
     assert json.loads(result.stdout)["scene"] == "robot"
+
+
+def test_a_new_scene_has_a_basis_for_any_robot(tmp_path: Path) -> None:
+    """One mode each of three families, Craig-Bampton; the paper's basis, asked for by name, is warned of once the robot is another one."""
+    path, paper = tmp_path / "robot.toml", tmp_path / "paper.toml"
+    assert flexfmu("new", str(path)).exit_code == 0
+    effects = load_scene(path).effects
+    assert effects.basis == "craig-bampton"
+    assert (effects.proximal_bending, effects.distal_axial, effects.distal_bending) == (1, 1, 1)
+    assert flexfmu("new", str(paper), "--from", "barnard2012-0.1kg").exit_code == 0
+    for file, changes, differs in (
+        (path, {"payload.mass": 3.0, "mechanism.proximal.length": 0.25}, ""),
+        (paper, {"trajectory.profile.kind": "poly5", "payload.mass": 6.0, "trajectory.duration": 0.43}, ""),
+        (paper, {"effects.distal_bending": 1, "payload.mass": 3.0}, ""),
+        (paper, {"effects.proximal_bending": 0, "effects.distal_axial": 0, "payload.mass": 3.0}, ""),
+        (paper, {"mechanism.proximal.length": 0.25}, "mechanism.proximal"),
+        (paper, {"mechanism.material.youngs_modulus": 210e9}, "mechanism.material.youngs_modulus"),
+        (paper, {"payload.mass": 3.0}, "payload.mass"),
+        (paper, {"trajectory.duration": 0.2}, "trajectory.duration"),
+    ):
+        hint = basis_hint(load_scene(file, changes))
+        assert (f"`{differs}`" in hint) if differs else hint == "", changes
+    # beside results; an error stays one line
+    few = (
+        "--set",
+        "effects.proximal_bending=1",
+        "--set",
+        "effects.distal_axial=0",
+        "--set",
+        "payload.mass=3",
+        "--json",
+    )
+    result = flexfmu("modes", str(paper), "--poses", "3", *few)
+    assert json.loads(result.stdout)["poses"]
+    assert "in `payload.mass`" in result.stderr
+    assert "payload.mass" not in flexfmu("modes", str(paper), "--set", "trajectory.width=2.0", *few).stderr
 
 
 def test_the_commands_of_the_page_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

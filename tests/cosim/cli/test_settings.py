@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from typer.testing import CliRunner, Result
 
 from flexfmu.cosim.choices.shapers.recommendation import write_shaped
 from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting
@@ -121,6 +123,37 @@ def test_an_ssp_file_and_the_hard_cases_have_no_scene_to_change() -> None:
         result = flexfmu(*arguments, "--set", "payload.mass=3")
         assert result.exit_code == 2
         assert "--set payload.mass=3" in result.stderr
+
+
+@pytest.mark.slow
+def test_results_of_a_changed_scene_leave_the_others_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each run has a folder of its own, and says in its titles what was changed."""
+    monkeypatch.chdir(tmp_path)
+    few = ("--no-verify", "--set", "trajectory.dwell=0")
+    for more in ((), ("--set", "payload.mass=3"), ("--set", "payload.mass=4")):
+        result = flexfmu("run", SCENE, *few, *more)
+        assert result.exit_code == 0, result.stderr
+        title = ", ".join([SCENE, "trajectory.dwell=0", *more[1:]])
+        assert title in " ".join(result.stdout.split())
+    folders = sorted((tmp_path / "results").iterdir())
+    ends = ["", "_payload.mass=3", "_payload.mass=4"]
+    assert [each.name for each in folders] == [f"{SCENE}-trajectory.dwell=0{end}" for end in ends]
+    summaries = [json.loads((each / "summary.json").read_text(encoding="utf-8")) for each in folders]
+    assert [each["scene"]["payload"]["mass"] for each in summaries] == [6.0, 3.0, 4.0]
+    assert summaries[1]["changes"] == ["trajectory.dwell=0", "payload.mass=3"]
+    assert "<h1>barnard2012-6kg, trajectory.dwell=0, payload.mass=3</h1>" in (folders[1] / "report.html").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_folders_of_changes() -> None:
+    """Without changes the name alone; texts, arrays and many changes give names that every system can have, different ones each."""
+    assert usual_folder("a", None) == usual_folder("a", ()) == Path("results/a")
+    assert usual_folder("a", ["payload.mass=3"], "-plan") == Path("results/a-plan-payload.mass=3")
+    many = [[f"effects.gravity=[{x},0]", f"trajectory.profile={{ kind = '{'poly7' * 20}' }}"] for x in range(20)]
+    names = {usual_folder("a", each).name for each in many}
+    assert len(names) == 20
+    assert all(re.fullmatch(r"[\w.+=-]{1,100}", name) for name in names)
 
 
 def test_a_written_shaped_scene_keeps_the_changes(tmp_path: Path) -> None:

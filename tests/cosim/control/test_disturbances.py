@@ -17,6 +17,7 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.fmu_build.regular_sampling import regular
 from flexfmu.model.rigid_inertia import load_mass_matrix
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -44,9 +45,11 @@ def samples(block: SymbolicBlock, count: int) -> tuple[Any, Any]:
     "instants", [(0.0,), (0.1,), (0.1003, 0.151), (0.0, 0.25), (0.02, 0.3), (0.1, 0.13, 0.2, 0.25)]
 )
 def test_steps_change_at_their_instants(instants: tuple[float, ...]) -> None:
-    """Zero before the first instant; each instant is a sample, at which the value changes."""
+    """Zero before the first instant; each instant is a sample, at which the value changes; so in an FMU with its sample time."""
     values = [float(1 + k) for k in range(len(instants))]
-    times, found = samples(steps("force.x", instants, values), 400)
+    block = steps("force.x", instants, values)
+    assert set(block.instants) == {0.0, *instants}
+    times, found = samples(regular(block), 2000)
     for at in instants:
         assert abs(times - at).min() < 1e-12
     wanted = np.concatenate([[0.0], values])[np.searchsorted(np.array(instants) - 1e-9, times, "right")]
@@ -62,6 +65,40 @@ def test_sine_has_its_closed_form(start: float, duration: float | None) -> None:
     wanted = np.where(acts, 3.0 * np.sin(2.0 * np.pi * 37.0 * (times - start) + 0.4), 0.0)
     np.testing.assert_allclose(found, wanted, **TIGHT)
     assert acts.sum() == (120 if duration is None else 50)
+
+
+@pytest.mark.parametrize("other", [None, {"kind": "pulse", "start": 0.02, "duration": 0.05, "amplitude": 7.0}, "sine"])
+def test_a_short_pulse_is_sampled_where_it_changes(other: Any) -> None:
+    """A pulse of 1 µs, of 1/3 µs, and 1 ms of the same impulse give the same velocity, for two communication points each,
+    whatever else acts on the signal."""
+    sine = {"kind": "sine", "amplitude": 5.0, "frequency": 10.0, "duration": 0.05, "sample_time": H}
+    others = [] if other is None else [{**(sine if other == "sine" else other), "signal": "force.x"}]
+    ends = []
+    for duration, start in ((1e-3, 0.1), (1e-6, 0.1), (1e-6 / 3.0, 0.1000123456)):
+        pulse = {
+            "kind": "pulse",
+            "signal": "force.x",
+            "amplitude": 0.3 / duration,
+            "start": start,
+            "duration": duration,
+        }
+        scene = load_scene("barnard2012-6kg").replace(
+            {**RIGID, "cosimulation.step": 2e-3, "disturbance": [pulse, *others]}
+        )
+        run = run_scene(scene)
+        assert run.completed, run.message
+        assert run.recording.time.size < 420
+        assert run.recording["force.x"].values[-1] == pytest.approx(0.0, abs=1e-12)
+        ends.append(run.recording["end_effector.velocity.x"].values[-1])
+    assert abs(ends[0]) > 0.01
+    np.testing.assert_allclose(ends, ends[0], rtol=1e-2)
+
+
+def test_instants_that_are_one_communication_point_are_refused() -> None:
+    """Otherwise a pulse that is too short would never end."""
+    pulse = {"kind": "pulse", "signal": "force.x", "amplitude": 1.0, "start": 0.1, "duration": 1e-10}
+    with pytest.raises(InputError, match=r"its instants 0\.1 s and 0\.1000000001 s are one at this communication step"):
+        run_scene(load_scene("barnard2012-6kg").replace({**RIGID, "disturbance": [pulse]}))
 
 
 def test_noise_is_limited_to_its_band() -> None:

@@ -16,12 +16,15 @@ from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.control.filters import biquad, filter_block, high_pass, lead_lag, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel
-from flexfmu.cosim.control.imperfections.dead_zone import backlash, dead_zone
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.quantisation import quantisation
-from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.control.imperfections.signal_blocks import (
+    backlash,
+    dead_zone,
+    quantisation,
+    rate_limit,
+    saturation,
+)
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable

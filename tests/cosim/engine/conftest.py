@@ -77,7 +77,7 @@ def c_compiler() -> str:
 def compiled(folder: Path, compiler: str, name: str = "decay", *flags: str) -> Path:
     """The foreign FMU's library."""
     library = folder / f"{name}{fmpy.sharedLibraryExtension}"
-    with as_file(files("flexfmu.fmu_build") / "c-runtime") as headers:
+    with as_file(files("flexfmu.fmu_build") / "c-runtime" / "fmi2") as headers:
         command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{headers}"]
         subprocess.run(
             [*command, *flags, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True

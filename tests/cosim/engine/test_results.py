@@ -131,6 +131,18 @@ def test_lengths_must_agree() -> None:
         Recording(np.zeros(2), {"x": Column("m", np.zeros(3))})
 
 
+def test_a_recording_is_a_mapping_from_names(recording: Recording) -> None:
+    """It iterates over names, as a dict does, and an unknown name isn't in it."""
+    assert list(recording) == [*recording.columns] == ["joint1.torque", "der(link11.bending[1],2)"]
+    assert len(recording) == 2
+    assert "joint1.torque" in recording
+    assert "joint2.torque" not in recording
+    assert 0 not in recording
+    assert dict(recording.items()) == recording.columns
+    assert recording.get("joint2.torque") is None
+    assert Recording(recording.time, {})
+
+
 def test_unknown_signals_are_named(recording: Recording) -> None:
     """Asking for a signal that wasn't recorded tells which there are."""
     with pytest.raises(KeyError, match=r"joint1\.torque"):

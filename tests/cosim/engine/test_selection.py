@@ -64,6 +64,12 @@ def test_a_signal_that_does_not_exist() -> None:
         PreparedScene(SCENE, record=Selection(["joint1.torqe"]))
     with pytest.raises(InputError, match=r"'nope' to record; there are: .*joint1.torque"):
         PreparedScene(SCENE, record=Selection(["nope"]))
+    recording = PreparedScene(SCENE).run().recording
+    with pytest.raises(KeyError, match=r"'joint1.torqe' was recorded; did you mean 'joint1.torque'"):
+        recording["joint1.torqe"]
+    with pytest.raises(KeyError, match=r"there are: .* and \d+ others") as caught:
+        recording["nope"]
+    assert len(str(caught.value)) < 200
     with pytest.raises(InputError, match="is empty"):
         PreparedScene(SCENE, record=Selection([]))
 

@@ -14,7 +14,7 @@ import pytest
 from flexfmu.cosim.cli.console import one_line_errors
 from flexfmu.cosim.engine.child_process import AVAILABLE
 from flexfmu.cosim.engine.errors import CostWarning, InputError
-from flexfmu.cosim.engine.master import controlled_steps, cost
+from flexfmu.cosim.engine.master import controlled_steps, simulator
 from flexfmu.cosim.engine.master.master import simulate
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.recorder import Recorder
@@ -64,7 +64,7 @@ def test_friction_that_hardly_slides_ends() -> None:
 
 def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that records very much says so with its numbers and the remedy; a smaller one doesn't."""
-    monkeypatch.setattr(cost, "MANY_VALUES", 10**4)
+    monkeypatch.setattr(simulator, "MANY_VALUES", 10**4)
     system = split_oscillator(0).system()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -76,8 +76,8 @@ def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.
     assert len(told) == 1
     assert "s and 0.00016 GB of memory or temporary files" in str(told[0].message)
     assert "take a larger communication step" in str(told[0].message)
-    monkeypatch.setattr(cost, "MANY_VALUES", 10**8)
-    monkeypatch.setattr(cost, "MANY_POINTS", 3000)
+    monkeypatch.setattr(simulator, "MANY_VALUES", 10**8)
+    monkeypatch.setattr(simulator, "MANY_POINTS", 3000)
     with pytest.warns(CostWarning):
         simulate(system, 2.0, 2.0 / 5000)
 
@@ -86,7 +86,7 @@ def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.
 def test_a_cost_is_told_before_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who waits has been warned. The trial for the time happens in a child process, so that the run's own slaves don't notice.
     References are calculated block by block."""
-    monkeypatch.setattr(cost, "MANY_POINTS", 10_000)
+    monkeypatch.setattr(simulator, "MANY_POINTS", 10_000)
     events: list[int | str] = []
     calculate = TrajectorySlave.prepare
 
@@ -116,10 +116,10 @@ def test_a_cost_is_as_said(split_oscillator: Factory) -> None:
         time.sleep(2e-4 * steps)
         return simulate(fast, 2.0, 2.0 / steps)
 
-    found = re.search(r"takes about (.*) min and 0.008 GB", cost.cost(10**6, 10**6, trial))
+    found = re.search(r"takes about (.*) min and 0.008 GB", simulator.cost(10**6, 10**6, trial))
     assert found is not None
     assert 3.0 < float(found[1]) < 20.0
-    assert "takes about 0.008 GB" in cost.cost(10**6, 10**6, lambda steps: simulate(fast, 2.0, 1.0))
+    assert "takes about 0.008 GB" in simulator.cost(10**6, 10**6, lambda steps: simulate(fast, 2.0, 1.0))
 
 
 def test_the_command_line_announces_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,15 +12,13 @@ import pytest
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import repeated
-from flexfmu.cosim.experiment.planning import plan, plan_rigid
-from flexfmu.cosim.reports.reference_facts import jerk_jump
-from flexfmu.cosim.reports.summary import summarise
+from flexfmu.cosim.experiment.planning import Standstill, plan, plan_rigid
+from flexfmu.cosim.reports.summary import jerk_jump, summarise
 from flexfmu.model.reference_design.inverse_dynamics import LEAD
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories import TrajectoryError
-from flexfmu.trajectories.standstill import Standstill
 
 FLEXIBLE: dict[str, Any] = {"trajectory.references": "flexible"}
 

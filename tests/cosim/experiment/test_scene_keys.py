@@ -15,6 +15,7 @@ from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.master.algorithms import GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
 from flexfmu.cosim.engine.slave import Slave
+from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import coupling_of, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -173,6 +174,32 @@ def test_a_scene_chooses_its_steps(robot: Scene) -> None:
     assert steps.max() > 3.0 * steps.min()
     angles = [np.interp(0.2, each.recording.time, each.recording["joint1.position"].values) for each in (fine, chosen)]
     assert angles[0] == pytest.approx(angles[1], abs=1e-5)
+
+
+PID = {"kind": "pid", "proportional": 1e4, "integral": 1e5, "derivative": 100.0, "sample_time": 1e-3}
+
+
+@pytest.mark.parametrize(
+    ("pid", "others", "first"),
+    [
+        ({"setpoint_weight": 0.5}, [], 1.0),
+        ({"setpoint_weight": 0.9, "torque_limit": 80.0, "anti_windup": "none"}, [], 1.0),
+        ({"setpoint_weight": 0.0}, [{"kind": "gravity-feedforward", "sample_time": 1e-3}], 1.0),
+        ({}, [], 1.0),
+        ({"setpoint_weight": 0.5, "initial_torque": 0.0}, [], 0.0),
+        ({"setpoint_weight": 0.5, "integral": 0.0}, [], 0.0),
+    ],
+)
+def test_pid_starts_without_a_bump(robot: Scene, pid: Any, others: list[Any], first: float) -> None:
+    """The torque begins at the static one, or where `initial_torque` says, and a weight only makes it smaller."""
+    torques = []
+    for controllers in ([PID | pid, *others], [PID]):
+        run = run_scene(robot.replace({"controller": controllers}))
+        assert run.completed, run.message
+        torques.append(np.array([run.recording[f"joint{i}.torque"].values for i in (1, 2)]))
+    static = np.array(list(holding_torques(robot).values()))
+    np.testing.assert_allclose(torques[0][:, 0], first * static, rtol=1e-3, atol=1e-9)
+    assert abs(torques[0]).max() < 1.1 * abs(torques[1]).max()
 
 
 LEARNING = {"kind": "learning", "gain": 4e3, "lead": 4, "cycles": 2, "sample_time": 1e-3}

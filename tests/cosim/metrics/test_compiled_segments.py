@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.metrics import compiled
-from flexfmu.cosim.metrics.analysis import NumpyAnalysis, analyse
-from flexfmu.cosim.metrics.compiled import CompiledAnalysis
+from flexfmu.cosim.metrics import analysis as compiled
+from flexfmu.cosim.metrics.analysis import CompiledAnalysis, NumpyAnalysis, analyse
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.toolchain import find_compiler

@@ -19,8 +19,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.bernstein import bernstein_basis
 from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
-from flexfmu.cosim.metrics.motors import MotorLoad, largest_load_inertia, motor_loads
-from flexfmu.cosim.metrics.pieces import divided, multiplied
+from flexfmu.cosim.metrics.motors import MotorLoad, divided, largest_load_inertia, motor_loads, multiplied
 from flexfmu.cosim.reports.motors import motor_plots, motor_rows
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.numeric import numeric_model

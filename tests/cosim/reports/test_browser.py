@@ -17,8 +17,7 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.reports.comparison import ComparedRun, render_comparison
-from flexfmu.cosim.reports.motion_picture import bent_robot
-from flexfmu.cosim.reports.plots import draw_plots
+from flexfmu.cosim.reports.plots import bent_robot, draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.compare.comparison import compare_runs

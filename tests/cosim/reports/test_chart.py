@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from flexfmu.cosim.reports.axis import Axis
-from flexfmu.cosim.reports.chart import Curve, Marker, Panel, draw_chart
+from flexfmu.cosim.reports.chart import Axis, Curve, Marker, Panel, draw_chart
 from flexfmu.cosim.reports.svg import path
 
 

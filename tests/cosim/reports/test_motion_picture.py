@@ -11,7 +11,7 @@ import pytest
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.reports.curve_data import unpacked
-from flexfmu.cosim.reports.motion_picture import LONGEST, bent_robot, path_panel
+from flexfmu.cosim.reports.plots import LONGEST, bent_robot, path_panel
 from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.scene.assembly import bases, elbows
 

@@ -79,6 +79,8 @@ def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:
         "effects",
         "metrics",
         "errors",
+        "own_metrics",
+        "own_errors",
         "health",
         "slaves",
         "delays",

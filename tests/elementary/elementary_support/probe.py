@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Call = tuple[str, float, float]
 Evaluate = Callable[[Sequence[Call]], Array]
 
-RUNTIME = Path(__file__).parents[3] / "fmu_build" / "c-runtime"
+RUNTIME = Path(__file__).parents[3] / "fmu_build" / "c-runtime" / "math"
 SOURCES = [Path(__file__).with_name("probe.c"), *sorted(RUNTIME.glob("elementary_*.c"))]
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off", "-fno-math-errno")
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
@@ -39,5 +39,8 @@ def build_probe(folder: Path, flags: Sequence[str]) -> Path:
     if COMPILER is None:
         pytest.skip("no C compiler")
     program = folder / "probe"
-    subprocess.run([COMPILER, *FLAGS, *flags, f"-I{RUNTIME}", *SOURCES, "-o", program, "-lm"], check=True)
+    subprocess.run(
+        [COMPILER, *FLAGS, *flags, f"-I{RUNTIME}", f"-I{RUNTIME.parent / 'lanes'}", *SOURCES, "-o", program, "-lm"],
+        check=True,
+    )
     return program

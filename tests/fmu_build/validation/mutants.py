@@ -27,7 +27,7 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-fPIC
 def compile_spring(folder: Path, *flags: str) -> bytes:
     """The library, with further compiler flags."""
     library = folder / "spring.so"
-    headers = str(files("flexfmu.fmu_build") / "c-runtime")
+    headers = str(files("flexfmu.fmu_build") / "c-runtime" / "fmi2")
     compiler = find_compiler(native_platform()).command
     source = [f"-I{headers}", str(SOURCES / "spring.c"), "-o", str(library), "-lm"]
     subprocess.run([*compiler, *STRICT, *source, *flags], check=True)

@@ -38,8 +38,8 @@ from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.process_state import disturbances
 from flexfmu.fmu_build.validation.validate import validate_fmu
+from flexfmu.fmu_build.validation.worker import disturbances
 from flexfmu.model.scene.file import load_scene
 
 pytestmark = pytest.mark.skipif(native_platform().name != "linux64", reason="compiles and reads ELF")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -88,3 +89,37 @@ def test_keys_that_do_not_exist(key: str, message: str) -> None:
     """The message says what there is."""
     with pytest.raises(SceneError, match=message):
         SCENE.replace({key: 1.0})
+
+
+@pytest.mark.parametrize(
+    ("key", "section", "unknown"),
+    [
+        ("imperfection", [{"kind": "delay", "delay": 2e-3}], "imperfection[0].delay"),
+        ("imperfection", [{"kind": "noise", "half_width": 1e-5, "noise": 1.0}], "imperfection[0].noise"),
+        ("shaper", [{"kind": "zv", "zv": 3}], "shaper[0].zv"),
+        ("trajectory.references", {"kind": "flexible", "flexible": 1}, "trajectory.references.flexible"),
+        ("trajectory.blend", {"kind": "lame", "lame": 1, "height": 0.02, "width": 0.02}, "trajectory.blend.lame"),
+    ],
+)
+def test_a_key_that_is_called_like_its_kind(key: str, section: object, unknown: str) -> None:
+    """The message blames the key, not the section that it is in."""
+    with pytest.raises(SceneError, match=re.escape(f"`{unknown}` is not a known key")):
+        load_scene("barnard2012-6kg", {key: section})
+
+
+def test_keys_of_another_kind_have_one_remedy() -> None:
+    """Another kind of motion leaves six keys behind: one sentence says so, and what to do."""
+    with pytest.raises(SceneError) as caught:
+        load_scene("barnard2012-6kg", {"trajectory.kind": "table"})
+    message = str(caught.value)
+    assert "`trajectory.file` is missing" in message
+    assert (
+        "they belong to kind 'pick-and-place', not to 'table'; remove them, or set `trajectory` as a whole" in message
+    )
+    assert len(message) < 400
+    with pytest.raises(SceneError, match=r"`effects\.damping\.ratio` is not a known key: it belongs to kind 'modal'"):
+        load_scene("barnard2012-6kg", {"effects.damping": {"kind": "stiffness", "time": 1e-4, "ratio": 0.1}})
+    with pytest.raises(
+        SceneError, match=r"`payload.one` and `payload.two` are not known keys: known keys here: `mass`"
+    ):
+        load_scene("barnard2012-6kg", {"payload.one": 1, "payload.two": 2})

@@ -195,6 +195,24 @@ def test_what_the_robot_gives_is_told_too_and_what_it_lacks(heavy: Estimator) ->
     assert absent_effects(HEAVY) == tuple(key for key in LOADS if key not in shares)
 
 
+def test_loads_of_a_robot_that_torques_drive_are_those_along_its_motion() -> None:
+    """A motor without inertia in front of a transmission has no equation of motion under torques, but it has a share: that of the same
+    robot driven by motion. The search passes such robots too."""
+    scene = with_set(HEAVY, {}).replace(
+        {"effects.motor_inertia": 0.1, "effects.transmission": {"stiffness": 2e4, "damping": 5.0}}
+    )
+    force = {"kind": "step", "signal": "force.x", "amplitude": 1.0}
+    driven = scene.replace({"cosimulation.drive": "torque", "disturbance": [force]})
+    shares = []
+    for each in (scene, driven):
+        motion = plan(each).joints
+        estimates = Estimator(each, motion, ("peak_torque_1",), most=each)
+        shares.append({one.effect: one.contribution for _, one in effects_of_loads(estimates, each, motion)})
+        assert not list(poorer(each))
+    assert shares[0] == shares[1]
+    assert shares[1]["motor_inertia"][0] > 0.1
+
+
 def test_families_that_deflect_statically_follow_the_model_of_their_own(heavy: Estimator) -> None:
     """An axial family without its own dynamics is between rigid and vibrating: its static part of the position is there."""
     errors = [

@@ -21,7 +21,7 @@ from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.control.imperfections.delay import whole_delay
-from flexfmu.cosim.control.imperfections.quantisation import quantisation
+from flexfmu.cosim.control.imperfections.signal_blocks import quantisation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene.file import load_scene

@@ -13,7 +13,10 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 import flexfmu
+from flexfmu.cosim.choices.margins.course import Course, Place
 from flexfmu.cosim.choices.margins.linear_blocks import linear_block
+from flexfmu.cosim.choices.margins.margins import growth
+from flexfmu.cosim.choices.margins.scene_loop import WiredLoop
 from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 from flexfmu.cosim.choices.margins.warning import stability_warning
 from flexfmu.cosim.cli.main import app
@@ -23,6 +26,7 @@ from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import inline_block
 from flexfmu.model.scene.file import load_scene
@@ -210,6 +214,7 @@ TRACKING: dict[str, Any] = {"kind": "computed-torque", "proportional": 3600.0, "
     ],
     ids=["computed torque", "friction compensation", "learning", "references"],
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LearningWarning")
 def test_what_is_not_in_the_loop_leaves_the_margins_as_they_are(
     controllers: list[dict[str, Any]], other: dict[str, Any]
 ) -> None:
@@ -226,3 +231,83 @@ def test_jitter_counts_with_its_mean() -> None:
         for each in ({"kind": "jitter", "time": 1e-3}, {"kind": "delay", "time": 5e-4})
     )
     assert jitter == pytest.approx(delay, rel=0.02)
+
+
+def lqg(position_error: float, measurement_noise: float, **other: Any) -> Scene:
+    """A regulator that is designed at the start, stable there and at the end, but not everywhere in between."""
+    design = {"position_error": position_error, "measurement_noise": measurement_noise, **other}
+    return robot({"kind": "state-feedback", "pose": "start", "torque_deviation": 10.0, "sample_time": 1e-3, **design})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [lqg(3e-5, 1e-4), lqg(1e-3, 1e-5)], ids=["a quarter of the path", "a hundredth"])
+def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
+    """As by a sweep over 41 poses; the command fails, and the run warns."""
+    found = scene_margins(scene, poses=2)
+    ends = [pose for pose in found.poses if pose.s in (0.0, 1.0)]
+    assert all(pose.is_stable for pose in ends)
+    assert not found.is_stable
+    assert found.worst.gain_margin == 1.0
+    loop = loop_of(scene, about_rest=True)
+    course = Course(WiredLoop(scene, loop), loop.motion)
+    swept = [growth(next(course.loops(Place(s, course.payload)))[0]).real for s in np.linspace(0.0, 1.0, 41)]
+    worst = max(found.poses, key=lambda pose: pose.radius)
+    assert worst.poles[0].real == pytest.approx(max(swept), rel=0.02, abs=0.01)
+    warning = stability_warning(flexfmu.run(scene))
+    assert warning is not None
+    assert f"the loop is unstable about the pose at {100.0 * worst.s:.2g}"[:-1] in warning
+
+
+@pytest.mark.slow
+def test_between_poses_the_worst_margins_are_those_of_a_sweep() -> None:
+    """With a long arm outside the middle of the path, nothing is worst at an end, nor in the middle."""
+    scene = robot(
+        {**PD, "schedule": {"over": "end_effector.position.x", "at": [-0.1, 0.03, 0.05], "derivative": [1.0, 1.7, 0.9]}}
+    )
+    found = scene_margins(scene, poses=2).worst
+    swept = scene_margins(scene, poses=25).worst
+    for name in ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak"):
+        assert getattr(found, name) == pytest.approx(getattr(swept, name), rel=0.01), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signal", ["joint1.velocity", "joint1.reference.velocity", "end_effector.velocity.x"])
+def test_gains_are_those_of_the_motion(signal: str) -> None:
+    """A gain that follows a velocity is the constant gain that it is at that velocity; the run of a too large one diverges."""
+    over = {"over": signal, "at": [-3.0, -0.5, 0.5, 3.0], "derivative": [4.0, 1.0, 1.0, 4.0]}
+    fast = scene_margins(robot({**PD, "schedule": over}).replace({"trajectory.duration": 0.1}), poses=2)
+    assert not fast.is_stable
+    assert all(pose.is_stable for pose in fast.poses if pose.s in (0.0, 1.0))
+    slow = scene_margins(robot({**PD, "schedule": over}).replace({"trajectory.duration": 50.0}), poses=2)
+    assert slow.is_stable
+    assert slow.worst.gain_margin == pytest.approx(scene_margins(robot(PD), poses=2).worst.gain_margin, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("signal", "at", "factors"),
+    [
+        ("end_effector.position.x", [0.0103, 0.0123, 0.0143], [1.0, 40.0, 1.0]),
+        ("joint2.velocity", [0.0, 8.0], [1.0, 60.0]),
+    ],
+)
+def test_narrow_peaks_of_schedules_are_found(signal: str, at: list[float], factors: list[float]) -> None:
+    """Between the places of equal intervals a gain can peak for a hundredth of the path; an unstable loop has no largest sensitivity."""
+    found = scene_margins(robot({**PD, "schedule": {"over": signal, "at": at, "derivative": factors}}), poses=2)
+    assert not found.is_stable
+    assert all(pose.is_stable for pose in found.poses if pose.s in (0.0, 1.0))
+    assert np.isnan(found.worst.sensitivity_peak)
+
+
+@pytest.mark.slow
+def test_the_worst_payload_of_a_band_is_found() -> None:
+    """A light payload is worst for a PD controller; what is worst over a band is worst with one of its payloads."""
+    scene = robot(PD)
+    found = flexfmu.margins(scene, poses=2, payload_band=(1.0, 8.0))
+    each = [
+        flexfmu.margins(robot(PD, {"kind": "payload-error", "relative": mass / 6.0 - 1.0}), poses=2).worst
+        for mass in (1.0, 6.0, 8.0)
+    ]
+    assert found.worst.gain_margin == pytest.approx(min(one.gain_margin for one in each), rel=1e-6)
+    assert found.worst.disk_margin == pytest.approx(min(one.disk_margin for one in each), rel=1e-6)
+    assert {pose.payload for pose in found.poses} >= {1.0, 6.0}

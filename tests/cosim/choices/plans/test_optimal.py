@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from flexfmu.cosim.choices.plans import robust_optimal
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.choices.plans.goals import Goals, goals_of
 from flexfmu.cosim.choices.plans.optimal import area_of, optimal, reference_limits, robots_of
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.joint_spline import JointSpline
+from flexfmu.model.reference_design.motion_limits import GROUPS, MotionLimits
+from flexfmu.model.reference_design.time_optimal import Improvement
 from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace(
@@ -100,3 +106,38 @@ def test_the_least_torque_in_a_shorter_time_leaves_no_vibration(assessed: Assess
     assert assessed.residual < 1e-6 < judge.given.residual
     assert assessed.torque_ratio < 1.0
     assert assessed.feasible, [use for use in assessed.uses if not use.met]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", [{"torque": {"ratio": 0.7}}, {"power": {"ratio": 0.5}}])
+def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
+    limits: dict[str, dict[str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Optimal control whose model finds torques a fifth too small, or that doesn't know a limit, still ends within it."""
+    wishes = {
+        "plan.minimise": "time",
+        "plan.duration": None,
+        "plan.payload_band": 0.3,
+        "plan.residual": 1e-3,
+        "plan.limits": limits,
+    }
+    goals = goals_of(SCENE.replace(wishes))
+    variants = [each.changes(goals.scene) for each in goals.variations(3)]
+
+    def optimistic(
+        robots: object, limits: MotionLimits, start: JointSpline, *_: object, **__: object
+    ) -> Iterator[Improvement]:
+        response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60)
+        for duration in np.arange(0.3, 1.2, 0.03):
+            torque = response.of_spline(motion := start.with_duration(float(duration)), derivatives=False).torque
+            if (np.abs(torque).max(axis=1) < 1.2 * limits.torque[[0, 1, 2]]).all():
+                yield Improvement(motion, dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
+                return
+
+    monkeypatch.setattr(robust_optimal, "fastest_motion", optimistic)
+    monkeypatch.setattr(robust_optimal, "PAYLOADS", (3, 1))
+    judge = Judge(goals, 3)
+    found = [judge.assess(each) for each in optimal(goals, [judge.given], 1, _silent)]
+    assert not found[0].feasible
+    assert found[-1].feasible
+    assert found[0].time < found[-1].time

@@ -5,18 +5,28 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given as drawn
+from hypothesis import settings
+from hypothesis import strategies as st
 
 import flexfmu
 from flexfmu.cosim.choices.plans import planner
 from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.choices.plans.checks import check_holding_torque
 from flexfmu.cosim.choices.plans.goals import Goals, goals_of
 from flexfmu.cosim.choices.plans.planned_files import write_plan, write_scene
 from flexfmu.cosim.choices.plans.planner import FRONT, PlanResult, plan_scene
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.scene.file import load_scene
 
@@ -163,6 +173,21 @@ def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.chosen.candidate.label == "stretched 1.3"
 
 
+def test_ctrl_c_within_a_run_ends_the_plan_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run ends early then, and isn't a motion that fails."""
+    usual, runs = PreparedScene.run, list[int]()
+
+    def run(self: PreparedScene, *arguments: Any) -> Run:
+        runs.append(0)
+        found = usual(self, *arguments)
+        return replace(found, outcome=Outcome.INTERRUPTED) if len(runs) == 4 else found
+
+    monkeypatch.setattr(PreparedScene, "run", run)
+    found = plan_scene(SCENE, methods=(), candidates=[stretched(1.2), stretched(1.3)], robust=False)
+    assert found.interrupted
+    assert found.failures == found.assessed == ()
+
+
 def test_a_motion_that_fails_does_not_end_the_plan() -> None:
     singular = Candidate(
         "too low",
@@ -187,3 +212,82 @@ def test_the_front_door_takes_wishes_and_motions() -> None:
     assert found.chosen.candidate.label == "mine"
     assert np.isclose(found.chosen.time, 0.5)
     assert found.to_pandas()["motion"].tolist() == [row["motion"] for row in found.rows()]
+
+
+@pytest.mark.slow
+def test_an_undeformed_start_is_planned_from_rest() -> None:
+    """What the robot swings from there is no motion's: figures are those of a static start, and a note says so."""
+    undeformed = SCENE.replace({"cosimulation.initial": "undeformed"})
+    given, chosen = (
+        plan_scene(each, methods=(), candidates=[Candidate("slower", "csv", each, stretched(1.2).trajectory)], robust=False)
+        for each in (SCENE, undeformed)
+    )  # fmt: skip
+    assert chosen.chosen.candidate.label == given.chosen.candidate.label == "slower"
+    assert [use.value for use in chosen.chosen.uses] == [use.value for use in given.chosen.uses]
+    assert given.failures == ()
+    (note,) = chosen.failures
+    assert "planned from rest" in note
+    # the planned scene runs to these figures
+    run = flexfmu.run(chosen.scene, trajectory=stretched(1.2).trajectory, tolerance=1e-8)
+    assert float(run.metrics["residual_vibration_amplitude"]) < 2.0 * chosen.chosen.residual
+    # without gravity there is nothing to swing from
+    weightless = undeformed.replace({"effects.gravity": [0.0, 0.0]})
+    assert plan_scene(weightless, methods=(), robust=False).failures == ()
+
+
+@pytest.mark.parametrize(("band", "heaviest"), [(0.3, 0.0), ([0.0, 1.0], 1.0)])
+def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float) -> None:
+    """Without a payload the FMU has no parameter for it; the planned scene carries none either."""
+    scene = SCENE.replace({"payload.mass": 0.0, "plan.payload_band": band})
+    found = plan_scene(scene, methods=(), candidates=[stretched(1.2)], robust=False)
+    assert found.failures == ()
+    assert max(each.variation.payload for each in found.chosen.peaks) == heaviest
+    assert found.scene.payload.mass == 0.0
+    run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.peaks[0].torque[0], rel=1e-6)
+
+
+@pytest.mark.slow
+@settings(max_examples=12, deadline=None)
+@drawn(st.floats(-0.2, 0.2))
+def test_a_ratio_below_the_holding_torque_is_refused_at_once(shift: float) -> None:
+    """Exactly those below what the FMU needs at rest, relative to the given motion's peak, for any payload and joint."""
+    ratio = (1.0 + shift) * _resting_share()
+    goals = goals_of(SCENE.replace({"plan.limits.torque": {"ratio": ratio}}))
+    if abs(shift) < 1e-4:
+        return
+    if shift > 0.0:
+        check_holding_torque(goals, _given())
+        return
+    with pytest.raises(InputError, match="against gravity: allow more, or carry less"):
+        check_holding_torque(goals, _given())
+
+
+@cache
+def _given() -> Assessment:
+    return Judge(GOALS, 2).given
+
+
+@cache
+def _resting_share() -> float:
+    """The largest ratio of a torque at rest, before the motion or long after it, to the largest of the given motion, by the FMU."""
+    shares = list[float]()
+    scene = SCENE.replace({"trajectory.dwell": 1.5, "effects.damping": {"kind": "modal", "ratio": 0.3}})
+    for peaks in _given().peaks:
+        recording = flexfmu.run(scene.replace({"payload.mass": peaks.variation.payload}), tolerance=1e-8).recording
+        for joint, largest in enumerate(peaks.torque, 1):
+            torque = np.abs(recording[f"joint{joint}.torque"].values)
+            shares += [float(torque[k]) / largest for k in (0, -1)]
+    return max(shares)
+
+
+@settings(max_examples=8, deadline=None)
+@drawn(st.floats(-0.15, 0.15), st.floats(-5.5, -3.0), st.booleans())
+def test_a_thin_wall_across_the_path_is_not_kept(place: float, thickness: float, crossed: bool) -> None:
+    """Whatever lies between two instants of a run: the end effector, 25 mm above its start, passes it or goes by."""
+    low, high = (0.28, 0.31) if crossed else (0.20, 0.29)
+    wall = {"kind": "box", "corners": [[place, low], [place + 10.0**thickness, high]]}
+    found = Judge(goals_of(SCENE.replace({"plan.keep_out": [wall], "plan.payload_band": 0.0})), 1).given
+    (use,) = (each for each in found.uses if each.name == "clearance")
+    assert use.met is not crossed
+    assert found.clearance < 0.0 if crossed else found.clearance == pytest.approx(0.005, rel=0.1)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
+from subprocess import PIPE, Popen
+from time import process_time
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,9 +25,10 @@ from flexfmu.cosim.choices.plans.recipes import LAWS, Recipe
 from flexfmu.cosim.choices.plans.scoring import Figures
 from flexfmu.cosim.choices.plans.search import Search, search
 from flexfmu.cosim.choices.plans.studies import study_of
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
@@ -205,3 +211,58 @@ def test_a_search_needs_a_path() -> None:
     show: Callable[[str, float | None], None] = lambda text, fraction: None  # noqa: E731
     with pytest.raises(InputError, match="scene log has a motion from a table, and no path whose corners could change"):
         list(islice(search(Tabulated(), (), 1, show), 1))  # type: ignore[arg-type]
+
+
+def _busy(study: object, seconds: float) -> float:
+    """Work for some seconds of processor time."""
+    end = process_time() + seconds
+    while process_time() < end:
+        pass
+    return seconds
+
+
+def test_the_processor_time_of_all_processes_counts() -> None:
+    """What the processes of a search worked is there when it is left, by its end or before."""
+    before = processor_time()
+    with module._processes(None, 2) as pool:  # type: ignore[arg-type]
+        assert list(pool.map(_busy, [0.2] * 4)) == [0.2] * 4
+    assert processor_time() - before > 0.8
+    before = processor_time()
+    with module._processes(None, 2) as pool:  # type: ignore[arg-type]
+        next(iter(pool.map(_busy, [0.2] * 2)))
+    assert processor_time() - before > 0.4
+
+
+def test_a_process_that_is_killed_is_an_error_in_one_sentence() -> None:
+    """As when memory runs out: the plan goes on with what else it has."""
+    with module._processes(None, 2) as pool, pytest.raises(ResultsError, match="a process ended"):  # type: ignore[arg-type]
+        list(pool.map(_killed, [None] * 2))
+
+
+def _killed(study: object, task: None) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+STOPPED = """
+import time
+from contextlib import suppress
+from typer import Exit
+from flexfmu.cosim.choices.plans import search
+from flexfmu.cosim.cli.console import one_line_errors, orderly_termination
+with suppress(Exit), orderly_termination(), one_line_errors(), search._processes(None, 2) as pool:
+    list(pool.map(isinstance, [object] * 4))
+    print("started", flush=True)
+    time.sleep(20.0)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_processes_that_are_stopped_are_silent(number: signal.Signals) -> None:
+    """Ctrl-C and the end of a session reach all processes of a group: one line, and no traceback of a worker."""
+    process = Popen([sys.executable, "-c", STOPPED], stdout=PIPE, stderr=PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "started\n"
+    os.killpg(process.pid, number)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "flexfmu: interrupted\n"

@@ -228,6 +228,38 @@ def test_variables_that_outlive_a_call_are_refused(write: Write, front: str, bod
         c_function(path, **arguments)
 
 
+@pytest.mark.skipif("sys.platform != 'linux'", reason="shared libraries are taken on Linux")
+@pytest.mark.parametrize(
+    ("front", "body", "repeats"),
+    [
+        ("", "static double sum; sum += 1e-3 * u[0]; y[0] = u[0] + sum;", False),
+        ("", "static double sum; if (t == 0.0) sum = 0.0; sum += u[0]; y[0] = sum;", False),
+        ("", "static double last; y[0] = u[0] - last; last = u[0];", False),
+        ("", "static int fault; fault |= u[0] > 50.0; y[0] = fault ? 0.0 : u[0];", False),
+        ("", "static int samples; y[0] = ++samples > 1000 ? u[0] : 0.0;", False),
+        ("#include <stdlib.h>", "static double *sum; if (!sum) sum = calloc(1, 8); y[0] = u[0]; next_x[0] = *sum += u[0];", False),
+        ("", "static double table[2]; table[1] = 2.0; y[0] = table[1] * u[0];", True),
+        ("", "y[0] = x[0]; next_x[0] = x[0] + 1e-3 * u[0];", True),
+        ("", "y[0] = u[0]; next_x[0] = 0.0 / 0.0;", True),
+    ],
+    ids=["integral", "integral with a start", "difference", "latch", "counter", "heap", "scratch", "state", "nan"],
+)  # fmt: skip
+def test_a_library_with_memory_is_refused(write: Write, tmp_path: Path, front: str, body: str, repeats: bool) -> None:
+    """A static integral acts in no repeated sample and has no pole in the margins; scratch memory, which each call writes, and `states` do."""
+    path = tmp_path / "libkept.so"
+    source = write("kept", ("" if "next_x" in body else "next_x[0] = 0.0;") + body, front)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", path, source], check=True)
+    arguments: dict[str, Any] = {"inputs": ["in"], "outputs": ["out"], "sample_time": H, "states": [0.0]}
+    if repeats:
+        c_function(path, **arguments)
+    else:
+        with pytest.raises(
+            InputError,
+            match=r"libkept\.so: kept keeps values between calls: with equal arguments (out|next_x\[0\]) was",
+        ):
+            c_function(path, **arguments)
+
+
 def test_an_output_that_the_function_does_not_write_is_no_number(write: Write, robot: Scene) -> None:
     """A forgotten torque isn't a torque of zero."""
     run = run_scene(robot.replace({"controller": [section(write("half", "y[0] = 0.0;"), parameters={}, name="half")]}))
@@ -269,6 +301,22 @@ def test_another_signature_is_refused(tmp_path: Path) -> None:
     path.write_text("void short_one(double t, double *y) { y[0] = t; }\n")
     with pytest.raises(InputError, match=r"void short_one\(double t, const double \*u, const double \*p"):
         c_function(path, "short_one", inputs=["u"], outputs=["y"], sample_time=H)
+
+
+def test_a_missing_symbol_is_named(write: Write, tmp_path: Path) -> None:
+    """The linker's own lines say which; and what is defined twice."""
+    arguments: dict[str, Any] = {"inputs": ["in"], "outputs": ["out"], "sample_time": H}
+    path = write("uses", "y[0] = absent(u[0]) + gone();", "double absent(double x);\ndouble gone(void);")
+    with pytest.raises(
+        InputError, match="nothing defines absent, gone; add the C file or library that does to `source`"
+    ):
+        c_function(path, **arguments)
+    (tmp_path / "more.c").write_text("double half(double x);\ndouble half(double x) { return 0.5 * x; }\n")
+    first = write("doubled", "y[0] = half(u[0]);", "double half(double x) { return x; }")
+    with pytest.raises(InputError, match="half") as refused:
+        c_function([first, tmp_path / "more.c"], **arguments)
+    assert "exit status" not in str(refused.value)
+    assert SIGNATURE.format("doubled") not in str(refused.value)
 
 
 def test_a_file_of_the_runtime_keeps_its_name(write: Write, tmp_path: Path) -> None:

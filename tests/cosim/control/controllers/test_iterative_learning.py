@@ -8,11 +8,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
+from scipy.signal import butter, freqz
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning, norm_optimal_learning
+from flexfmu.cosim.control.controllers.learning_laws import (
+    LearningLaw,
+    norm_optimal_law,
+    proportional_law,
+    zero_phase,
+)
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.block_codegen import sample_function
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 
@@ -129,7 +137,112 @@ def test_long_tables_are_cheap() -> None:
     assert long.n_instructions() == short.n_instructions() < 100
 
 
+def by_weights(law: LearningLaw, errors: Array, gain: Array, places: Array) -> Array:
+    """Learned torques (samples, n) for given errors (samples, n): the sums over weights, sample by sample."""
+    cycle, (count, n) = len(places), errors.shape
+    w, m = np.zeros((count + cycle, n)), law.behind
+    ahead = max(law.ahead, m)
+    for k in range(-ahead, count - ahead):
+        at = np.clip(1.0 - abs(places[k % cycle] * (len(law.error) - 1) - np.arange(len(law.error))), 0.0, 1.0)
+        kernel = np.tensordot(at, law.error, 1)
+        torque = sum((law.torque[i + m] * w[k + i] for i in range(-m, m + 1) if k + i >= 0), start=np.zeros(n))
+        for v, weights in enumerate(kernel):
+            if (i := k + law.ahead - len(kernel) + 1 + v) >= 0:
+                torque = torque + gain * (weights @ errors[i])
+        if k + cycle >= 0:
+            w[k + cycle] = torque
+    return w[:count]
+
+
+def answer(model: SymbolicBlock, errors: Array) -> Array:
+    """Learned torques (samples, n) of a block for given errors (samples, n)."""
+    slave, n = BlockSlave(model), errors.shape[1]
+    slave.initialize(0.0, 1.0, None)
+    torques = np.empty_like(errors)
+    for k, each in enumerate(errors):
+        slave.set(np.arange(n), each)
+        slave.sample(k * H)
+        slave.get(np.arange(len(slave.variables) - n, len(slave.variables)), torques[k])
+    return torques
+
+
+@pytest.mark.parametrize(("shift", "q_filter"), [(0, 200.0), (3, 120.0), (1, 90.0)])
+def test_q_filter_in_the_block(shift: int, q_filter: float) -> None:
+    """Samples that learn one after the other, from the torques of a cycle ago, give the weighted sums over the whole cycle."""
+    cycle, gain = 60, np.array([0.3, 0.7])
+    errors = np.random.default_rng(shift).normal(size=(4 * cycle, 2))
+    found = answer(
+        iterative_learning(gain, cycle, sample_time=H, shift=shift, forgetting=0.1, q_filter=q_filter), errors
+    )
+    law = proportional_law(shift, 0.1, zero_phase(q_filter, H, cycle), 2)
+    np.testing.assert_allclose(
+        found, by_weights(law, errors, gain, np.zeros(cycle)), rtol=0, atol=1e-12 * abs(found).max()
+    )
+
+
+def test_norm_optimal_block() -> None:
+    """Weights that change along the path, of both joints' errors, give the same sums."""
+    rng, cycle = np.random.default_rng(1), 80
+    decay = 0.7 ** np.arange(30)[:, np.newaxis, np.newaxis]
+    response = decay * (np.eye(2) + 0.2 * rng.normal(size=(3, 1, 2, 2)))
+    places = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(cycle) / cycle)
+    errors = rng.normal(size=(3 * cycle, 2))
+    found = answer(norm_optimal_learning(response, places, sample_time=H, forgetting=0.05, q_filter=150.0), errors)
+    law = norm_optimal_law(response, 1e-3, 0.05, zero_phase(150.0, H, 39), 39)
+    assert law.error.shape[0] == 3
+    np.testing.assert_allclose(
+        found, by_weights(law, errors, np.ones(2), places), rtol=0, atol=1e-12 * abs(found).max()
+    )
+
+
+@pytest.mark.parametrize("cut_off", [15.0, 60.0, 240.0, 480.0])
+def test_q_filter_is_a_butterworth_filter_without_phase(cut_off: float) -> None:
+    """Symmetric weights; the gain is that of SciPy's filter, forward and backward: 1/2 at the cut-off."""
+    taps = zero_phase(cut_off, H, 500)
+    np.testing.assert_allclose(taps, taps[::-1], rtol=0, atol=1e-15)
+    frequency = np.array([1e-3, 0.3 * cut_off, cut_off, 0.5 * (cut_off + 0.5 / H)])
+    i = np.arange(len(taps)) - len(taps) // 2
+    found = np.exp(2j * np.pi * H * np.outer(frequency, i)) @ taps
+    response = freqz(*butter(2, cut_off, fs=1.0 / H), worN=frequency, fs=1.0 / H)[1]
+    np.testing.assert_allclose(found, abs(response) ** 2, atol=5e-3)
+    assert found[2].real == pytest.approx(0.5, abs=5e-3)
+
+
+def test_contraction_bounds_what_errors_do() -> None:
+    """Over drawn gains, shifts, filters and plants: changes from cycle to cycle shrink by at most the contraction, and by nearly it."""
+    rng = np.random.default_rng(7)
+    tight = []
+    for _ in range(40):
+        pole, strength = rng.uniform(-0.3, 0.8), rng.uniform(0.2, 1.0)
+        gain, shift, forgetting = rng.uniform(0.1, 1.2), int(rng.integers(1, 4)), rng.choice([0.0, 0.1])
+        q = zero_phase(rng.choice([None, 100.0, 250.0]), H, 100)
+        law = proportional_law(shift, forgetting, q, 1)
+        impulse = np.concatenate([[0.0], strength * pole ** np.arange(200.0)])
+        kept, learned, _ = law.effects(impulse[:, np.newaxis, np.newaxis], 0.0, np.array([gain]), H)
+        contraction = abs(kept - learned[:, 0, 0]).max()
+        # what becomes of torques that are short against the cycle: convolutions, without its ends
+        size = 4096
+        change = np.zeros(size)
+        change[size // 2 : size // 2 + 20] = rng.normal(size=20)
+        weights = np.roll(np.pad(law.torque, (0, size - len(law.torque))), -law.behind)
+        errors = np.roll(
+            np.pad(gain * law.error[0, :, 0, 0], (0, size - law.error.shape[1])), law.ahead - law.error.shape[1] + 1
+        )
+        one, other, plant = (np.fft.rfft(each) for each in (weights, errors, np.pad(impulse, (0, size - len(impulse)))))
+        step = one.conj() - plant * other.conj()
+        sizes = []
+        for _ in range(60):
+            sizes.append(np.linalg.norm(change))
+            change = np.fft.irfft(step * np.fft.rfft(change), size)
+        ratios = np.array(sizes[1:]) / sizes[:-1]
+        assert (ratios <= contraction * (1.0 + 1e-3)).all()
+        tight.append(ratios[-1] / contraction)
+    assert min(tight) > 0.9
+
+
 @pytest.mark.parametrize(("change", "message"), [
+    ({"q_filter": 500.0}, "cut-off must be below half the sampling frequency of 1000 Hz, got 500 Hz"),
+    ({"q_filter": 20.0}, "needs [0-9]+ samples before and after each, and a cycle leaves 4"),
     ({"cycle": 0}, "a cycle must have 1 to 1000000 samples, got 0"),
     ({"cycle": 2.5}, "a cycle must have 1 to 1000000 samples, got 2.5"),
     ({"shift": -1}, "the shift must be 0 to 9 samples, less than a cycle, got -1"),

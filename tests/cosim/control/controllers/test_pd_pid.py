@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
+from flexfmu.cosim.control.controllers.gain_schedule import scheduled
 from flexfmu.cosim.control.controllers.joints import Limits, symmetric
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
@@ -110,6 +111,34 @@ def test_weights(respond: Respond) -> None:
     model = pid(10.0, 5.0, 3.0, sample_time=H, setpoint_weight=0.0, derivative_weight=0.0, joints=ONE)
     torque = respond(model, {"axis.reference.position": [0.0, 1.0, 1.0]})["axis.torque"]
     np.testing.assert_allclose(torque, [0.0, 2.5 * H, 7.5 * H], rtol=1e-14, atol=1e-17)
+
+
+def test_weights_know_no_origin_of_angles(respond: Respond) -> None:
+    """Angles that count from elsewhere change no torque, and at the reference the first one is the initial one: drawn laws."""
+    rng = np.random.default_rng(4)
+    rules = (Clamping(), BackCalculation(0.01), Unprotected())
+    for case in range(30):
+        law = {
+            "setpoint_weight": rng.choice([0.0, rng.uniform(0.0, 1.5)]),
+            "filter_time": rng.choice([0.0, 2e-3]),
+            "limits": symmetric(40.0) if case % 2 else None,
+            "anti_windup": rules[case % 3],
+            "initial_torque": rng.uniform(-30.0, 30.0),
+        }
+        model = pid(
+            rng.uniform(1.0, 1e3), rng.uniform(0.0, 1e3), rng.uniform(0.0, 5.0), sample_time=H, joints=ONE, **law
+        )
+        if case % 5 == 0:
+            model = scheduled(model, "payload.mass", [0.0, 1.0], {"proportional_gain": [0.5, 1.0]})
+        angles = rng.normal(scale=0.02, size=(2, 20)).cumsum(axis=1)
+        angles[:, 0] = 0.0
+        near, far = (
+            respond(model, {"axis.reference.position": angles[0] + origin, "axis.position": angles[1] + origin})
+            for origin in (0.0, rng.uniform(-4.0, 4.0))
+        )
+        assert far["axis.torque"][0] == pytest.approx(law["initial_torque"], abs=1e-9)
+        # where a torque is exactly at its limit, rounding decides whether the integral moves
+        np.testing.assert_allclose(far["axis.torque"], near["axis.torque"], rtol=1e-9, atol=1e-8)
 
 
 def test_without_integral_it_is_a_filtered_pd(respond: Respond) -> None:

@@ -10,16 +10,18 @@ import pytest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.control.imperfections.channels import Channel, chain, joint_channels
-from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
-from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.channels import Channel, chain, joint_channels, per_second
+from flexfmu.cosim.control.imperfections.delay import Lagrange, Thiran, delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
-from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisation
-from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.control.imperfections.saturation import saturation
-from flexfmu.cosim.control.imperfections.variables import per_second
+from flexfmu.cosim.control.imperfections.signal_blocks import (
+    encoder,
+    gaussian_noise,
+    jitter,
+    quantisation,
+    rate_limit,
+    saturation,
+    uniform_noise,
+)
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.model.symbolic import SymbolicBlock

@@ -12,8 +12,16 @@ from hypothesis import strategies as st
 from scipy.signal import group_delay, lfilter
 
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.control.imperfections.delay import VECTORISED_FROM, delay, whole_delay
-from flexfmu.cosim.control.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, Lagrange, Thiran
+from flexfmu.cosim.control.imperfections.delay import (
+    LINEAR,
+    VECTORISED_FROM,
+    DelayFilter,
+    Interpolation,
+    Lagrange,
+    Thiran,
+    delay,
+    whole_delay,
+)
 
 H = 1e-3
 SIGNAL = Channel("a", "rad", 0.7)

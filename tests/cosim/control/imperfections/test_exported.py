@@ -14,8 +14,7 @@ from fmpy.fmi2 import FMU2Slave
 
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import whole_delay
-from flexfmu.cosim.control.imperfections.jitter import jitter
-from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.control.imperfections.signal_blocks import gaussian_noise, jitter, uniform_noise
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.symbolic import SymbolicBlock
 

@@ -10,12 +10,14 @@ import pytest
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.channels import Channel, chain
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.control.imperfections.jitter import jitter
 from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.noise import gaussian_noise
-from flexfmu.cosim.control.imperfections.quantisation import quantisation
-from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.control.imperfections.signal_blocks import (
+    gaussian_noise,
+    jitter,
+    quantisation,
+    rate_limit,
+    saturation,
+)
 from flexfmu.cosim.engine.errors import AlgebraicLoopError
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import kstest
 
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.signal_blocks import jitter
 
 H = 1e-3
 SIX_SIGMA = 6.0

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.control.imperfections.signal_blocks import rate_limit, saturation
 
 H = 1e-3
 TORQUES = joint_channels("torque")

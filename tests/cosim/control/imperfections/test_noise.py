@@ -12,8 +12,8 @@ from scipy.stats import kstest, kurtosis, skew
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
 from flexfmu.cosim.control.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.cosim.control.imperfections.signal_blocks import gaussian_noise, uniform_noise
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.symbolic import SymbolicBlock
 

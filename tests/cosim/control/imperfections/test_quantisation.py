@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisation
+from flexfmu.cosim.control.imperfections.signal_blocks import encoder, quantisation
 
 H = 1e-3
 ANGLE = Channel("joint1.position", "rad")

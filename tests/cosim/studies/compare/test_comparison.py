@@ -21,6 +21,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.metric_table import display
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 
@@ -134,7 +135,9 @@ def test_no_figure_is_cut_off(run: Run, width: int) -> None:
     assert max(map(len, lines)) <= width
     assert "…" not in text.getvalue()
     for each in found.runs:
-        assert f"{each.metrics['peak_torque_1'].value:.5g}" in text.getvalue()
+        torque = each.metrics["peak_torque_1"]
+        digits = 5 if torque.error is None else None
+        assert display("peak_torque_1", torque.value, digits, torque.error).partition(" ")[0] in text.getvalue()
 
 
 def scaled(run: Run, factor: float) -> Column:

@@ -13,8 +13,14 @@ from rich.console import Console
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.studies.paper.comparison import Cell, ComparisonTable, compare, count_agreement
 from flexfmu.cosim.studies.paper.printed import Verdict, printed_table, source
-from flexfmu.cosim.studies.paper.report import PaperReport, print_report
-from flexfmu.cosim.studies.paper.tables import lay_out, percentage, table_to_csv, table_to_markdown
+from flexfmu.cosim.studies.paper.report import (
+    PaperReport,
+    lay_out,
+    percentage,
+    print_report,
+    table_to_csv,
+    table_to_markdown,
+)
 
 
 def compare_with_itself(key: str, factor: float = 1.0) -> ComparisonTable:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import warnings
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
@@ -41,6 +43,54 @@ def test_a_lost_worker_costs_nothing(tmp_path: Path) -> None:
         )
     assert killed
     assert not found.failed
+    assert (tmp_path / "there" / "sweep.csv").read_bytes() == (tmp_path / "here" / "sweep.csv").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("small", [workers.SMALL, 0], ids=["small job", "large job"])
+def test_workers_come_and_leave(small: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None is there at first; each that comes gets shares, and those that leave take nothing with them."""
+    monkeypatch.setattr(workers, "INTERVAL", 0.0 if small else 0.01)
+    monkeypatch.setattr(workers, "SMALL", small)
+    flexfmu.sweep(SCENE, CASES, metrics=METRICS, out=tmp_path / "here", processes=1)
+    cluster = distributed.LocalCluster(
+        n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=logging.CRITICAL
+    )
+    in_flight, first = list[int](), set[str]()
+
+    def scale(count: int) -> None:
+        cluster.scale(count)
+        cluster.sync(cluster._correct_state)
+        with distributed.Client(cluster, set_as_default=False) as client:
+            client.wait_for_workers(count)
+
+    def come_and_leave(fraction: float) -> None:
+        # one at first, four from a quarter on, then none of the first
+        there = cluster.scheduler.workers
+        in_flight.append(
+            sum(each.state in ("processing", "no-worker", "queued") for each in cluster.scheduler.tasks.values())
+        )
+        if 0.2 < fraction < 0.3 and len(there) == 1:
+            first.update(there)
+            scale(4)
+        if fraction > 0.6 and first & set(there):
+            cluster.sync(cluster.scheduler.retire_workers, workers=[*first], close_workers=True, remove=True)
+
+    with cluster:
+        joining = Timer(0.5, scale, [1])
+        joining.start()
+        found = flexfmu.sweep(
+            SCENE,
+            CASES,
+            metrics=METRICS,
+            out=tmp_path / "there",
+            dask=cluster.scheduler_address,
+            progress=come_and_leave,
+        )
+        joining.join()
+    assert not found.failed
+    assert max(in_flight) > 4
     assert (tmp_path / "there" / "sweep.csv").read_bytes() == (tmp_path / "here" / "sweep.csv").read_bytes()
 
 

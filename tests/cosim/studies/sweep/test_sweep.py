@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import flexfmu
+from flexfmu.cosim.cli.sweep import _print
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metrics import metrics_of
@@ -354,3 +355,20 @@ def test_without_a_compiler_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(work, "build_scene", no_compiler)
     with pytest.raises(MissingCompilerError, match="install one"):
         flexfmu.sweep(SCENE, {"payload.mass": [1.0, 2.0]}, metrics=PEAK, processes=1)
+
+
+def test_extremes_are_named_by_their_values(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Whoever reads the table sees with which values a metric is largest, and which case failed first."""
+    varied = {"payload.mass": [1.0, 2.0, 3.0], "trajectory.blend": [{"kind": "lame", "height": 0.02, "width": 0.02}]}
+    cases = Grid(tuple(varied), tuple(map(tuple, varied.values())))
+    found = SweepResult("a", cases, ("m",), np.array([[2.0], [5.0], [np.nan]]), {2: "too heavy"}, {}, {})
+    assert found.summary()["m"]["max_values"] == {
+        "payload.mass": 2.0,
+        "trajectory.blend": varied["trajectory.blend"][0],
+    }
+    assert "first payload.mass=3, trajectory.blend=lame" in repr(found)
+    _print(found, [tmp_path / "sweep.csv"], as_json=False)
+    printed = capsys.readouterr().out
+    assert "payload.mass=1, trajectory.blend=lame" in printed
+    assert "payload.mass=2, trajectory.blend=lame" in printed
+    assert "1 failed, the first with payload.mass=3, trajectory.blend=lame: too heavy" in printed

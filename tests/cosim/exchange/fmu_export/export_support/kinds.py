@@ -20,13 +20,12 @@ from flexfmu.cosim.control.controllers.cascade import current_loop, position_loo
 from flexfmu.cosim.control.controllers.compensation import friction_compensation, gravity_feedforward
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.disturbance_observer import disturbance_observer
-from flexfmu.cosim.control.controllers.feedforward_sum import feedforward_sum
 from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.control.controllers.function_controller import function_block
 from flexfmu.cosim.control.controllers.gain_schedule import scheduled
 from flexfmu.cosim.control.controllers.h_infinity import h_infinity
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning, norm_optimal_learning
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
 from flexfmu.cosim.control.controllers.lqg import lqg
@@ -34,19 +33,25 @@ from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
-from flexfmu.cosim.control.disturbances import band_noise, disturbance_sum, sine, steps, table
+from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import joint_channels
-from flexfmu.cosim.control.imperfections.dead_zone import backlash, dead_zone
-from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
-from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.delay import Lagrange, Thiran, delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
-from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisation
-from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.control.imperfections.signal_blocks import (
+    backlash,
+    dead_zone,
+    encoder,
+    gaussian_noise,
+    jitter,
+    quantisation,
+    rate_limit,
+    saturation,
+    uniform_noise,
+)
 from flexfmu.cosim.control.shaper_block import shaper_block
+from flexfmu.cosim.control.sums import disturbance_sum, feedforward_sum
+from flexfmu.fmu_build.regular_sampling import regular
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock, Variable
@@ -110,13 +115,23 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "scheduled": lambda: scheduled(pid(900.0, 4e4, 12.0, **TIME), "load", (-1.0, 0.0, 0.8), TABLES),
     "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
-    "steps": lambda: steps("payload.change", (SAMPLE_TIME, 9 * SAMPLE_TIME, 10 * SAMPLE_TIME), (1.5, 0.5, 0.0)),
+    "steps": lambda: regular(
+        steps("payload.change", (SAMPLE_TIME, 9 * SAMPLE_TIME, 10 * SAMPLE_TIME), (1.5, 0.5, 0.0))
+    ),
     "sine": lambda: sine("force.x", 3.0, 40.0, phase=0.3, duration=0.04, **TIME),
     "band_noise": lambda: band_noise("joint1.disturbance", 2.0, (5.0, 60.0), 3, components=8, **TIME),
     "table": lambda: table("force.y", np.array([0.0, 0.01, 0.05]), np.array([1.0, -2.0, 3.0]), **TIME),
     "disturbance_sum": lambda: disturbance_sum("force.x", ("a", "b"), **TIME),
     "tabulated_feedforward": lambda: tabulated_feedforward(np.linspace(-1.0, 2.0, 160).reshape(80, 2), **TIME),
     "iterative_learning": lambda: iterative_learning(100.0, 40, shift=2, forgetting=0.01, **TIME),
+    "iterative_learning:filtered": lambda: iterative_learning(100.0, 40, shift=2, q_filter=0.25 / SAMPLE_TIME, **TIME),
+    "norm_optimal_learning": lambda: norm_optimal_learning(
+        np.array([1.0, 1.5])[:, None, None, None]
+        * 0.5 ** np.arange(8.0)[:, None, None]
+        * np.array([[1.0, 0.2], [0.1, 0.8]]),
+        np.linspace(0.0, 1.0, 40),
+        **TIME,
+    ),
     "state_feedback": feedback,
     "lqg": lambda: lqg(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), **TIME),
     "h_infinity": lambda: h_infinity(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), 3.0, **TIME),

@@ -1,0 +1,53 @@
+/* Other names for the functions of the files that lanes_collocation.c compiles once more. */
+#ifndef FLEXFMU_LANES_NAMES_H
+#define FLEXFMU_LANES_NAMES_H
+
+#define flex_cholesky_factor flex_cholesky_factor_wide
+#define flex_cholesky_solve flex_cholesky_solve_wide
+#define flex_collocation_step flex_collocation_step_wide
+#define flex_combine flex_combine_wide
+#define flex_complex_invert flex_complex_invert_wide
+#define flex_complex_multiply flex_complex_multiply_wide
+#define flex_error_norm flex_error_norm_wide
+#define flex_inputs_clear flex_inputs_clear_wide
+#define flex_inputs_default flex_inputs_default_wide
+#define flex_inputs_evaluate flex_inputs_evaluate_wide
+#define flex_inputs_evaluate_lanes flex_inputs_evaluate_lanes_wide
+#define flex_inputs_expand flex_inputs_expand_wide
+#define flex_inputs_rates flex_inputs_rates_wide
+#define flex_inputs_set flex_inputs_set_wide
+#define flex_inputs_take flex_inputs_take_wide
+#define flex_invert flex_invert_wide
+#define flex_lu_factor flex_lu_factor_wide
+#define flex_lu_solve flex_lu_solve_wide
+#define flex_motion_norm flex_motion_norm_wide
+#define flex_multiply flex_multiply_wide
+#define flex_newton_clear flex_newton_clear_wide
+#define flex_newton_factor flex_newton_factor_wide
+#define flex_newton_filter flex_newton_filter_wide
+#define flex_newton_refresh flex_newton_refresh_wide
+#define flex_newton_renew_mass flex_newton_renew_mass_wide
+#define flex_newton_solve flex_newton_solve_wide
+#define flex_newton_solve_lanes flex_newton_solve_lanes_wide
+#define flex_newton_use flex_newton_use_wide
+#define flex_newton_take_scratch flex_newton_take_scratch_wide
+#define flex_newton_take_state flex_newton_take_state_wide
+#define flex_predict flex_predict_wide
+#define flex_prediction_reach flex_prediction_reach_wide
+#define flex_stages_clear flex_stages_clear_wide
+#define flex_stages_solve flex_stages_solve_wide
+#define flex_stages_take_scratch flex_stages_take_scratch_wide
+#define flex_stages_take_state flex_stages_take_state_wide
+#define flex_stages_use flex_stages_use_wide
+#define flex_step_accelerate flex_step_accelerate_wide
+#define flex_step_accelerate_present flex_step_accelerate_present_wide
+#define flex_step_check_margin flex_step_check_margin_wide
+#define flex_step_count flex_step_count_wide
+#define flex_step_factor flex_step_factor_wide
+#define flex_step_move flex_step_move_wide
+#define flex_step_reject flex_step_reject_wide
+#define flex_step_restart flex_step_restart_wide
+#define flex_step_rounding flex_step_rounding_wide
+#define flex_step_save flex_step_save_wide
+
+#endif
