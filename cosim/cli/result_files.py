@@ -6,9 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
-from flexfmu.cosim.engine.results import FORMATS, Recording, check_format
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.engine.results import Recording
 
 LONGEST = 80
 """Characters of a folder's name that are for changes of the scene."""
@@ -20,6 +23,8 @@ def check_formats(formats: Sequence[str]) -> None:
     Raises:
         InputError: there is no such format, or its library isn't installed.
     """
+    from flexfmu.cosim.engine.results import check_format  # numpy, which help doesn't load
+
     for name in formats:
         check_format(name)
 
@@ -32,6 +37,8 @@ def write_results(
     Raises:
         ResultsError: a file can't be written, with the system's reason.
     """
+    from flexfmu.cosim.engine.results import FORMATS
+
     for name in FORMATS:
         if name in formats:
             recording.write(folder.path / f"results.{name}", about)

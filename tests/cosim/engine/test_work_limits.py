@@ -58,7 +58,7 @@ def test_friction_that_hardly_slides_ends() -> None:
     endless = run_scene(scene.replace({"effects.joint_friction": friction | {"velocity": 1e-6}}))
     assert endless.outcome is Outcome.STEP_FAILED
     assert "more than 4e+07 times per second of motion" in endless.message
-    assert 'let it stick (joint_friction.kind = "stiction")' in endless.message
+    assert 'let it stick (`effects.joint_friction.kind` = "stiction")' in endless.message
     assert endless.health.statistics["evaluations"] < 1e6 + 1e3 * 430 + 4e7 * 0.43
 
 

@@ -196,7 +196,8 @@ def test_the_printed_number_is_within_its_bound(value: float, power: float, digi
 
 @pytest.mark.slow
 def test_companions_are_more_accurate_than_they_say(study: dict[str, Any]) -> None:
-    """Drawn scenes at the default tolerance: the printed values are within their errors, which are a tenth of the runs' own."""
+    """Drawn scenes at the default tolerance: the printed values are within their errors. In the median these are a
+    tenth of the runs' own where those are worth a word, above a fiftieth of the tolerance."""
     rng = np.random.default_rng(11)
     held, gains = [], list[float]()
     for scene in ("6 kg", "all families, Rayleigh, trapezoidal", "PD"):
@@ -213,7 +214,7 @@ def test_companions_are_more_accurate_than_they_say(study: dict[str, Any]) -> No
             if one.value is None or one.error is None or one.own_error is None:
                 continue
             held.append(abs(one.value - (exact[name].value or 0.0)) <= one.error + 1e-11 * abs(one.value))
-            gains.append(one.own_error / one.error)
+            gains += [one.own_error / one.error] if one.own_error > 2e-8 * abs(one.value) else []
     assert sum(held) >= 0.995 * len(held) - 1
     assert np.median(gains) > 10.0
 

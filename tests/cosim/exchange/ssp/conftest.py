@@ -211,7 +211,7 @@ def furnished_scene(drive_scene: Scene, tmp_path_factory: pytest.TempPathFactory
             {"kind": "delay", "signal": "position", "time": 1e-3, "known": True},
         ],
         "disturbance": [
-            {"kind": "step", "signal": "force.x", "amplitude": 5.0, "start": 0.0503},
+            {"kind": "step", "signal": "force.x", "amplitude": 5.0, "start": 0.1503},
             {
                 "kind": "noise",
                 "signal": "joint1.disturbance",
