@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 import flexfmu
-from flexfmu.cosim.choices.margins.linear_loop import Perturbation
-from flexfmu.cosim.choices.margins.margins import ALL
 from flexfmu.cosim.control.blocks.equations import block
+from flexfmu.cosim.design.margins.linear_loop import Perturbation
+from flexfmu.cosim.design.margins.margins import ALL
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave

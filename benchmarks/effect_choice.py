@@ -33,10 +33,10 @@ from statistics import median
 from effect_grid import GRID, Case, drawn
 from effect_search import FAMILIES, all_sets, set_size, smallest
 
-from flexfmu.cosim.choices.effects.choice import EXACT, MEASURED, choose_verified, followed, observe
-from flexfmu.cosim.choices.effects.estimator import scales
-from flexfmu.cosim.choices.effects.search import SAFETY, one_more
-from flexfmu.cosim.choices.effects.study import effectivity
+from flexfmu.cosim.design.effects.choice import EXACT, MEASURED, choose_verified, followed, observe
+from flexfmu.cosim.design.effects.estimator import scales
+from flexfmu.cosim.design.effects.search import SAFETY, one_more
+from flexfmu.cosim.design.effects.study import effectivity
 from flexfmu.model.choice_text import percent, set_text
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, MeasureName, integrator_tolerance
 from flexfmu.model.scene.schema import Scene

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from flexfmu.cosim.choices.effects.estimator import RICHEST, Estimator, with_set
+from flexfmu.cosim.design.effects.estimator import RICHEST, Estimator, with_set
 from flexfmu.model.scene.schema import Scene
 
 FAMILIES = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from flexfmu import load_scene
-from flexfmu.cosim.choices.plans.planned_files import summary, write_scene
-from flexfmu.cosim.choices.plans.planner import METHODS, PlanResult, plan_scene
+from flexfmu.cosim.design.plans.planned_files import summary, write_scene
+from flexfmu.cosim.design.plans.planner import METHODS, PlanResult, plan_scene
 from flexfmu.model.scene.schema import Scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexfmu import load_scene
-from flexfmu.cosim.choices.shapers.design import alternatives, design_modes
-from flexfmu.cosim.choices.shapers.study import Candidate, candidates, payload_errors, simulate
+from flexfmu.cosim.design.shapers.alternatives import alternatives, design_modes
+from flexfmu.cosim.design.shapers.study import Candidate, candidates, payload_errors, simulate
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.scene.schema import Scene

@@ -6,7 +6,7 @@ python effects_auto.py
 from pathlib import Path
 
 import flexfmu
-from flexfmu.cosim.choices.effects.study import study_effects
+from flexfmu.cosim.design.effects.study import study_effects
 from flexfmu.model.choice_text import choice_sentence, percent
 
 scene = flexfmu.load_scene(Path(__file__).with_name("effects_auto.toml"))

@@ -124,7 +124,7 @@ def assemble(scene: Scene) -> FiveBar:
     if scene.effects.select is not None:
         raise SceneError(
             f"scene {scene.name} leaves the choice of effects open (`effects.select`): resolve it first, with "
-            f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
+            f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
         )
     # parameters of the mechanism, then those of the effects that the scene chooses
     registry = ParameterRegistry()

@@ -26,7 +26,7 @@ ROOMS = (
     "cosim.experiment",
     "cosim.metrics",
     "cosim.reports",
-    "cosim.choices",
+    "cosim.design",
     "cosim.exchange",
     "cosim.studies",
     "cosim.cli",

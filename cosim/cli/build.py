@@ -47,7 +47,7 @@ def build(
     target = output or Path(f"{robot.name}.fmu")
     with progress() as show:
         if robot.effects.select is not None:
-            from flexfmu.cosim.choices.effects.choice import resolved
+            from flexfmu.cosim.design.effects.choice import resolved
 
             robot = resolved(robot, show)
         built = build_scene(

@@ -90,7 +90,7 @@ def compare(
     the worst over a band of payloads side by side, too. A measurement is aligned in time with it; RMS, mean and largest difference of each
     signal are those over the time that both have.
     """
-    from flexfmu.cosim.choices.gains.robustness import parse_band
+    from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.engine.files import OutputFolder
     from flexfmu.cosim.reports.text import to_json
     from flexfmu.cosim.studies.compare.comparison import compare_runs

@@ -25,7 +25,7 @@ from flexfmu.cosim.engine.errors import ResultsError
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from flexfmu.cosim.choices.effects.choice import ShowProgress
+    from flexfmu.cosim.design.effects.choice import ShowProgress
     from flexfmu.model.scene.schema import Scene
 
 
@@ -285,7 +285,7 @@ def load_resolved(source: str, settings: Sequence[str] | None = None) -> Scene:
     scene = load_changed(source, settings)
     if scene.effects.select is None and not scene.learners:
         return scene
-    from flexfmu.cosim.choices.effects.choice import resolved
+    from flexfmu.cosim.design.effects.choice import resolved
     from flexfmu.model.choice_text import choice_sentence
 
     with progress() as show:

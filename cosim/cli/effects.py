@@ -32,7 +32,7 @@ def effects(
     json: JsonOption = False,
 ) -> int:
     """Choose the cheapest elastic effects within a tolerance; shows what each is worth and what it costs."""
-    from flexfmu.cosim.choices.effects.study import check_choice, comparison_table, report, study_data, study_effects
+    from flexfmu.cosim.design.effects.study import check_choice, comparison_table, report, study_data, study_effects
 
     robot = load_changed(scene, settings)
     with progress() as show:

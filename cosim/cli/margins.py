@@ -42,9 +42,9 @@ def margins(
     The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays, encoders, lags and several sample rates count exactly;
     rounding and limits don't count. The exit status is 1 if the loop is unstable.
     """
-    from flexfmu.cosim.choices.gains.robustness import band_masses, parse_band
-    from flexfmu.cosim.choices.margins.pictures import margins_data, margins_table
-    from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+    from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
+    from flexfmu.cosim.design.margins.pictures import margins_data, margins_table
+    from flexfmu.cosim.design.margins.scene_margins import scene_margins
     from flexfmu.cosim.engine.files import OutputFolder
     from flexfmu.cosim.reports.text import to_json
 
@@ -58,7 +58,7 @@ def margins(
         )
         files: list[Path] = []
         if out is not None:
-            from flexfmu.cosim.choices.margins.pictures import write_margins
+            from flexfmu.cosim.design.margins.pictures import write_margins
 
             show("drawing", None)
             files = write_margins(result, out)

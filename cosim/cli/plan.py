@@ -15,8 +15,8 @@ from flexfmu.cosim.engine.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from flexfmu.cosim.choices.plans.assessment import Assessment
-    from flexfmu.cosim.choices.plans.planner import PlanResult
+    from flexfmu.cosim.design.plans.assessment import Assessment
+    from flexfmu.cosim.design.plans.planner import PlanResult
     from flexfmu.model.scene.schema import Scene
 
 
@@ -148,9 +148,9 @@ def plan(
     """
     import os
 
-    from flexfmu.cosim.choices.plans.baselines import file_candidate
-    from flexfmu.cosim.choices.plans.planned_files import summary, write_plan, write_scene
-    from flexfmu.cosim.choices.plans.planner import plan_scene, usual_methods
+    from flexfmu.cosim.design.plans.baselines import file_candidate
+    from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
+    from flexfmu.cosim.design.plans.planner import plan_scene, usual_methods
     from flexfmu.cosim.engine.files import OutputFolder
     from flexfmu.cosim.reports.text import to_json
 
@@ -264,7 +264,7 @@ def _shown(result: PlanResult) -> list[Assessment]:
 
 def _front(result: PlanResult) -> Table:
     """The Pareto front."""
-    from flexfmu.cosim.choices.plans.plan_page import standing
+    from flexfmu.cosim.design.plans.plan_page import standing
     from flexfmu.cosim.reports.terminal import titled_table
 
     front, shown = result.table, _shown(result)
@@ -287,7 +287,7 @@ def _front(result: PlanResult) -> Table:
 
 def _robustness(result: PlanResult) -> Table:
     """The chosen motion in other models."""
-    from flexfmu.cosim.choices.plans.plan_page import robustness_table
+    from flexfmu.cosim.design.plans.plan_page import robustness_table
     from flexfmu.cosim.reports.terminal import titled_table
 
     lines = robustness_table(result)

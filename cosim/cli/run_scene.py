@@ -71,7 +71,7 @@ def run_command(
     folder.prepare()
     with progress() as show:
         if scene.effects.select is not None or scene.learners:
-            from flexfmu.cosim.choices.effects.choice import resolved
+            from flexfmu.cosim.design.effects.choice import resolved
 
             scene = resolved(scene, show)
         show("planning the motion, building the FMU", None)
@@ -99,7 +99,7 @@ def run_command(
             summary["changes"] = [*changes]
         summary["health"] |= _about_the_loop(run)
         if "learning" in summary and scene.learners:
-            from flexfmu.cosim.choices.learning import contraction_of
+            from flexfmu.cosim.design.learning import contraction_of
 
             contraction = contraction_of(scene)
             summary["learning"]["contraction"] = None if contraction is None else asdict(contraction)
@@ -154,7 +154,7 @@ def _about_the_loop(run: Run) -> dict[str, str | None]:
     """What there is to say of the stability of a scene's loop, and of its encoders."""
     if not run.scene.controller:
         return {"stability": None, "coarse_counts": None}
-    from flexfmu.cosim.choices.margins.resolution import coarse_counts_of
-    from flexfmu.cosim.choices.margins.warning import stability_warning
+    from flexfmu.cosim.design.margins.resolution import coarse_counts_of
+    from flexfmu.cosim.design.margins.warning import stability_warning
 
     return {"stability": stability_warning(run), "coarse_counts": coarse_counts_of(run)}

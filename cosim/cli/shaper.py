@@ -67,10 +67,10 @@ def shaper(
 
     Writes shapers.json, shapers.csv and the picture: sensitivity, and the vibration before and after.
     """
-    from flexfmu.cosim.choices.shapers.examination import COARSE, FINE, examine, report, study_data
-    from flexfmu.cosim.choices.shapers.figure import save_sensitivity
-    from flexfmu.cosim.choices.shapers.recommendation import ShaperLimits, write_shaped
-    from flexfmu.cosim.choices.shapers.table import markdown, to_csv
+    from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data
+    from flexfmu.cosim.design.shapers.figure import save_sensitivity
+    from flexfmu.cosim.design.shapers.recommendation import ShaperLimits, write_shaped
+    from flexfmu.cosim.design.shapers.table import markdown, to_csv
     from flexfmu.model.scene.keys import parse_setting
 
     # usage

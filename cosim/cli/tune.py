@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from flexfmu.cosim.choices.gains.tuner import TuneResult
+    from flexfmu.cosim.design.gains.tuner import TuneResult
     from flexfmu.model.scene.schema import Scene
 
 
@@ -108,10 +108,10 @@ def tune(
     """
     import os
 
-    from flexfmu.cosim.choices.gains.front import tune_scene
-    from flexfmu.cosim.choices.gains.goals import split
-    from flexfmu.cosim.choices.gains.robustness import parse_band
-    from flexfmu.cosim.choices.gains.tuned_files import summary, write_tuned, write_tuning
+    from flexfmu.cosim.design.gains.front import tune_scene
+    from flexfmu.cosim.design.gains.goals import split
+    from flexfmu.cosim.design.gains.robustness import parse_band
+    from flexfmu.cosim.design.gains.tuned_files import summary, write_tuned, write_tuning
     from flexfmu.cosim.reports.text import to_json
     from flexfmu.model.scene.keys import parse_setting
 
@@ -155,7 +155,7 @@ def _started(scene: Scene, text: str) -> Scene:
     Raises:
         InputError: it has another form.
     """
-    from flexfmu.cosim.choices.gains.starts import started
+    from flexfmu.cosim.design.gains.starts import started
 
     kind, _, number = text.partition(":")
     try:

@@ -223,7 +223,7 @@ class PreparedScene:
         if scene.effects.select is not None:
             raise InputError(
                 f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "
-                f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
+                f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
             )
         # plan the motion; make controllers, shapers and imperfections
         watch = Stopwatch()

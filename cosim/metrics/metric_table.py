@@ -1,7 +1,7 @@
 """Table of the metrics of a run: name, unit, description and computation of each.
 
 A metric is a function of a `Solution`, the signals of a motion from a recording (`flexfmu.cosim.metrics.metrics`) or
-from an estimate (`flexfmu.cosim.choices.effects.estimator`): a peak, a root mean square, a final value or a settling
+from an estimate (`flexfmu.cosim.design.effects.estimator`): a peak, a root mean square, a final value or a settling
 time.
 """
 

@@ -2,7 +2,7 @@
 
 The error of the path is estimated from the forces that the next order of the beam theory adds along the recorded
 motion: those of foreshortening where the scene leaves it out, and those of nonlinear bending. The linear response to
-them is one Newton iteration for the whole motion, as in `flexfmu.cosim.choices.effects.estimator`. The motors follow
+them is one Newton iteration for the whole motion, as in `flexfmu.cosim.design.effects.estimator`. The motors follow
 their recorded motion.
 """
 

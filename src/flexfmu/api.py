@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from flexfmu.cosim.choices.effects.choice import resolved
+from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
@@ -24,9 +24,9 @@ from flexfmu.model.scene.schema import Scene
 if TYPE_CHECKING:
     import control
 
-    from flexfmu.cosim.choices.gains.tuner import TuneResult
-    from flexfmu.cosim.choices.margins.scene_margins import MarginsResult
-    from flexfmu.cosim.choices.plans.planner import PlanResult
+    from flexfmu.cosim.design.gains.tuner import TuneResult
+    from flexfmu.cosim.design.margins.scene_margins import MarginsResult
+    from flexfmu.cosim.design.plans.planner import PlanResult
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
     from flexfmu.cosim.studies.sweep.result import SweepResult
@@ -105,7 +105,7 @@ def run(
     )
     if not found.scene.imperfection:
         return found
-    from flexfmu.cosim.choices.margins.resolution import coarse_counts_of  # which few runs need
+    from flexfmu.cosim.design.margins.resolution import coarse_counts_of  # which few runs need
 
     coarse = coarse_counts_of(found)
     health = found.health if coarse is None else replace(found.health, messages=(*found.health.messages, coarse))
@@ -239,7 +239,7 @@ def plan_motion(
         result = flexfmu.plan_motion("barnard2012-6kg", payload_band=0.2, limits={"torque": 80.0}, out="planned")
         result.chosen.time, result.to_pandas()
 
-    Calls `flexfmu.cosim.choices.plans.planner.plan_scene`.
+    Calls `flexfmu.cosim.design.plans.planner.plan_scene`.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
@@ -266,9 +266,9 @@ def plan_motion(
         ResultsError: the given motion can't be run, or a file can't be written.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.choices.plans.baselines import own_candidate
-    from flexfmu.cosim.choices.plans.planned_files import write_plan
-    from flexfmu.cosim.choices.plans.planner import plan_scene, usual_methods
+    from flexfmu.cosim.design.plans.baselines import own_candidate
+    from flexfmu.cosim.design.plans.planned_files import write_plan
+    from flexfmu.cosim.design.plans.planner import plan_scene, usual_methods
 
     robot = _scene(scene)
     if wishes:
@@ -353,7 +353,7 @@ def margins(
         result = flexfmu.margins("examples/controller_scene.toml")
         result.worst.gain_margin, result.to_pandas()
 
-    Calls `flexfmu.cosim.choices.margins.scene_margins.scene_margins`.
+    Calls `flexfmu.cosim.design.margins.scene_margins.scene_margins`.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive it, with controllers.
@@ -372,8 +372,8 @@ def margins(
         EquilibriumError: the robot has no static equilibrium at a pose.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.choices.gains.robustness import band_masses
-    from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+    from flexfmu.cosim.design.gains.robustness import band_masses
+    from flexfmu.cosim.design.margins.scene_margins import scene_margins
 
     robot = _scene(scene)
     return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
@@ -461,7 +461,7 @@ def start_gains(
 
         scene = scene.replace({"controller": [flexfmu.start_gains(scene, "cascade", 10.0)]})
 
-    Calls `flexfmu.cosim.choices.gains.starts.start_controller`, whose module has the formulas.
+    Calls `flexfmu.cosim.design.gains.starts.start_controller`, whose module has the formulas.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive the robot.
@@ -479,7 +479,7 @@ def start_gains(
         TrajectoryError: the motion is not feasible.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.choices.gains.starts import start_controller
+    from flexfmu.cosim.design.gains.starts import start_controller
 
     return start_controller(resolved(_scene(scene)), kind, bandwidth, pose, sample_time)
 
@@ -504,7 +504,7 @@ def tune(
         result = flexfmu.tune("loop.toml", {"pd.kp": (1e3, 1e5), "pd.kd": (10, 500)}, subject_to=["peak_torque < 80"])
         result.values, result.scene, result.to_pandas()
 
-    Calls `flexfmu.cosim.choices.gains.front.tune_scene`.
+    Calls `flexfmu.cosim.design.gains.front.tune_scene`.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
@@ -535,8 +535,8 @@ def tune(
         ResultsError: all trials failed, or a file can't be written.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.choices.gains.front import tune_scene
-    from flexfmu.cosim.choices.gains.tuned_files import write_tuned, write_tuning
+    from flexfmu.cosim.design.gains.front import tune_scene
+    from flexfmu.cosim.design.gains.tuned_files import write_tuned, write_tuning
 
     folder = None if out is None else Path(out)
     result = tune_scene(

@@ -14,7 +14,7 @@ import scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import flexfmu
-from flexfmu.cosim.choices.margins.scene_margins import scene_margins
+from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.model.one_thread import keep_one_blas_thread, one_blas_thread
 from flexfmu.model.scene.schema import Scene
 

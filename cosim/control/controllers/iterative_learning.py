@@ -282,7 +282,7 @@ def _from_section(section: LearningSection, context: LoopContext) -> SymbolicBlo
         what = "the cut-off of the Q-filter" if section.cut_off == "auto" else "the `response` of its law"
         raise InputError(
             f"{context.name} leaves {what} open: run the scene with `flexfmu.run`, or choose first, with "
-            f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
+            f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
         )
     if section.response is None:
         gain, cut_off = section.gain or (0.0, 0.0), section.cut_off

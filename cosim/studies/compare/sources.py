@@ -9,8 +9,8 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexfmu.cosim.choices.gains.robustness import PayloadBand, band_masses, failure_of, robustness
-from flexfmu.cosim.choices.gains.trial import UnstableLoopError, loop_margins, margin_figures
+from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
+from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
@@ -25,7 +25,7 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.choices.effects.choice import ShowProgress
+    from flexfmu.cosim.design.effects.choice import ShowProgress
 
 Source = Run | Scene | Path | str
 """A run, a scene, or what a path leads to: a folder or file of results, a scene file; or the name of a shipped scene."""
@@ -140,7 +140,7 @@ def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
             return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem)
         source = load_scene(source)
     if source.effects.select is not None:
-        from flexfmu.cosim.choices.effects.choice import resolved
+        from flexfmu.cosim.design.effects.choice import resolved
 
         source = resolved(source, show)
     return source

@@ -12,12 +12,12 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import flexfmu
-from flexfmu.cosim.choices.plans import planner
-from flexfmu.cosim.choices.plans.assessment import Assessment, Candidate
-from flexfmu.cosim.choices.plans.goals import Goals
-from flexfmu.cosim.choices.plans.planner import PlanResult, plan_scene
 from flexfmu.cosim.cli import plan as command
 from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.design.plans import planner
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
+from flexfmu.cosim.design.plans.goals import Goals
+from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
 from flexfmu.model.scene.file import load_scene
 
 SCENE = "barnard2012-6kg"

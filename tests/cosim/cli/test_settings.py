@@ -11,9 +11,9 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from flexfmu.cosim.choices.shapers.recommendation import write_shaped
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.cli.result_files import usual_folder
+from flexfmu.cosim.design.shapers.recommendation import write_shaped
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import flexfmu
-from flexfmu.cosim.choices.shapers.recommendation import write_shaped
-from flexfmu.cosim.choices.shapers.study import Alternative, candidates
+from flexfmu.cosim.design.shapers.recommendation import write_shaped
+from flexfmu.cosim.design.shapers.study import Alternative, candidates
 from flexfmu.cosim.experiment.planning import MotionPlan, deviation, shape_joints, shape_path
 from flexfmu.cosim.experiment.scene_build import scene_key
 from flexfmu.cosim.reports.modes_table import modes_along_path

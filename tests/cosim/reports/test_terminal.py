@@ -12,14 +12,14 @@ import pytest
 from rich.console import Console
 from rich.table import Column, Table
 
-from flexfmu.cosim.choices.effects.study import comparison_table, contribution_table, frequency_table
-from flexfmu.cosim.choices.shapers.table import terminal_table as shaper_table
 from flexfmu.cosim.cli.compare import _metrics_table as compare_table
 from flexfmu.cosim.cli.fmus import _table as fmus_table
 from flexfmu.cosim.cli.run_ssp import _ranges as ranges_table
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
 from flexfmu.cosim.cli.run_summary import _motors_table as motors_table
 from flexfmu.cosim.cli.scenes import _table as scenes_table
+from flexfmu.cosim.design.effects.study import comparison_table, contribution_table, frequency_table
+from flexfmu.cosim.design.shapers.table import terminal_table as shaper_table
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_table
 from flexfmu.cosim.reports.motors import VALUES

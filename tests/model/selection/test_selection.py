@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from flexfmu.cosim.choices.effects.estimator import RICHEST, Estimator, richest, scales, with_set
-from flexfmu.cosim.choices.effects.search import (
+from flexfmu.cosim.design.effects.estimator import RICHEST, Estimator, richest, scales, with_set
+from flexfmu.cosim.design.effects.search import (
     absent_effects,
     cheapest,
     choose_effects,
@@ -158,7 +158,7 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
     names = get_args(MeasureName)
     estimates = estimator(LIGHT, names)
     counts: dict[str, Any] = {key: value + 1 for key, value in RICHEST.items() if type(value) is int}
-    monkeypatch.setattr("flexfmu.cosim.choices.effects.estimator.RICHEST", {**RICHEST, **counts})
+    monkeypatch.setattr("flexfmu.cosim.design.effects.estimator.RICHEST", {**RICHEST, **counts})
     finer = estimator(LIGHT, names)
     for name in names:
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name

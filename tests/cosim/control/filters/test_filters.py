@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scipy import signal
 
 import flexfmu
-from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.filters import Section, biquad, filter_block, high_pass, lead_lag, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel
+from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene

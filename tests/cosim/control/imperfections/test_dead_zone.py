@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import flexfmu
-from flexfmu.cosim.choices.margins.scene_margins import scene_margins
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.control.imperfections.signal_blocks import backlash, dead_zone
+from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import flexfmu
-from flexfmu.cosim.choices.gains.robustness import band_masses, parse_band
 from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.studies.compare.comparison import Comparison

@@ -1,1 +1,0 @@
-"""Choice of elastic effects and of input shapers, verified by co-simulation."""

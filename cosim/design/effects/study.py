@@ -1,0 +1,348 @@
+"""Effect study: the choice of effects with contribution, cost and natural frequencies of each effect, and runs of the
+chosen set beside richer sets; as data and as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from rich.console import RenderableType
+from rich.table import Column, Table
+from rich.text import Text
+
+from flexfmu.cosim.design.effects.choice import (
+    EXACT,
+    Observed,
+    ShowProgress,
+    choose_verified,
+    followed,
+    named_metrics,
+    observe,
+    quiet,
+    requirements,
+)
+from flexfmu.cosim.design.effects.estimator import Estimator, scales
+from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.timing import fastest_in_turns
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
+from flexfmu.cosim.reports.summary import choice_summary
+from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.model.choice_text import percent, set_text
+from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.choice import (
+    INTEGRATOR_SHARE,
+    ChoiceSection,
+    EstimatedEffect,
+    MeasureName,
+    integrator_tolerance,
+)
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection.cost import Cost, costs
+from flexfmu.model.selection.motion_grid import JointMotion
+
+POSES = 3
+"""Number of poses for natural frequencies: start, middle and end of the path."""
+
+Place = Literal["in", "out", "given"]
+"""In the chosen set, out of it, or given: a load of the robot, which can't be chosen."""
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """An effect and the neighbouring set: the chosen set without the effect, or with it where it is out of the set.
+
+    Attributes:
+        place: in the chosen set, out of it, or given.
+        estimate: the effect and its contribution to each metric.
+        cost: of the neighbouring set.
+        poses: natural frequencies of the neighbouring set along the path.
+    """
+
+    place: Place
+    estimate: EstimatedEffect
+    cost: Cost
+    poses: list[ModalPose]
+
+
+@dataclass(frozen=True)
+class EffectStudy:
+    """A choice of effects, with contribution, cost and natural frequencies of each effect.
+
+    Attributes:
+        scene: with the chosen set; ``scene.effects.choice`` has the estimates.
+        estimator: of the scene.
+        cost: of the chosen set.
+        poses: natural frequencies of the chosen set along the path.
+        rows: every effect: those in the set, those out of it, then the loads.
+    """
+
+    scene: Scene
+    estimator: Estimator
+    cost: Cost
+    poses: list[ModalPose]
+    rows: tuple[EffectRow, ...]
+
+    @property
+    def choice(self) -> ChoiceSection:
+        """How the effects were chosen: tolerance, metrics, estimated errors and contributions."""
+        choice = self.scene.effects.choice
+        assert choice is not None  # `choose_effects` sets it
+        return choice
+
+
+@one_blas_thread()
+def study_effects(
+    scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: ShowProgress = quiet
+) -> EffectStudy:
+    """Choose a scene's effects and study each of them.
+
+    Args:
+        scene: any scene; its own elastic effects are ignored.
+        tolerance: relative tolerance; default as for `requirements`.
+        of: metrics; default as for `requirements`.
+        show: called with the current activity and the finished fraction.
+
+    Raises:
+        BuildError, ResultsError: as for `resolved`.
+        SceneError: the tolerance or a metric is impossible.
+        TrajectoryError: the motion isn't feasible.
+    """
+    limit, names = requirements(scene, tolerance, of)
+    stated = scene.effects.tolerance
+    if stated is None or scene.cosimulation.tolerance == integrator_tolerance(stated):
+        # an integrator's tolerance that belongs to another choice, or to none, is replaced
+        scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
+    # the choice, and every set that differs by one effect or load
+    motion, joints = plan(scene), followed(scene)
+    chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show)
+    show("looking at what the robot gives", None)
+    found = _changes(estimator, chosen, joints)
+    # their costs and natural frequencies
+    show("timing the equations", None)
+    own, *theirs = costs((chosen, *(other for _, other, _ in found)))
+    rows: list[EffectRow] = []
+    for (place, other, estimate), cost in zip(found, theirs, strict=True):
+        show(f"frequencies: {estimate.effect}", len(rows) / len(found))
+        rows.append(EffectRow(place, estimate, cost, _frequencies(motion, other)))
+    return EffectStudy(chosen, estimator, own, _frequencies(motion, chosen), tuple(rows))
+
+
+def _changes(
+    estimator: Estimator, chosen: Scene, motion: JointMotion
+) -> tuple[tuple[Place, Scene, EstimatedEffect], ...]:
+    """Return the scenes that differ from the chosen one by one effect or load, with their estimates."""
+    assert chosen.effects.choice is not None  # `choose_effects` sets it
+    elastic = zip(neighbours(estimator, chosen), chosen.effects.choice.effects, strict=True)
+    loads = effects_of_loads(estimator, chosen, motion)
+    return (
+        *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
+        *(("given", each.scene, estimate) for each, estimate in loads),
+    )
+
+
+def _frequencies(motion: MotionPlan, scene: Scene) -> list[ModalPose]:
+    """Return a scene's natural frequencies at `POSES` poses along the path."""
+    return modes_along_path(replace(motion, scene=scene), POSES)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The chosen set compared with a richer one; changes of the metrics are relative to their scales.
+
+    Attributes:
+        effect, change: effect that the richer set adds, and how.
+        estimated: estimated change of each metric.
+        observed: change of each metric between the two runs.
+        slower: processor time of the richer set's run divided by that of the chosen set's.
+    """
+
+    effect: str
+    change: str
+    estimated: Mapping[MeasureName, float]
+    observed: Mapping[MeasureName, float]
+    slower: float
+
+    @property
+    def effectivity(self) -> float | None:
+        """Largest estimated change divided by the largest observed one; None where none was observed."""
+        return effectivity(max(self.estimated.values()), max(self.observed.values()))
+
+
+def effectivity(estimated: float, observed: float) -> float | None:
+    """Return the effectivity index, estimated divided by observed change; None where the observed change is zero."""
+    return estimated / observed if observed else None
+
+
+EVERYTHING = "everything"
+"""Effect in the comparison with the richest set; its estimated change includes the safety factor."""
+
+
+def check_choice(study: EffectStudy, show: ShowProgress = quiet) -> tuple[Comparison, ...]:
+    """Return all `comparisons` at once."""
+    return tuple(comparisons(study, show))
+
+
+def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[Comparison]:
+    """Compare runs of the chosen set with the richest one, then with each next richer one; runs are made on demand.
+
+    Args:
+        study: the choice.
+        show: called with the current activity and the finished fraction.
+
+    Raises:
+        BuildError: an FMU can't be built.
+        ResultsError: a run failed.
+    """
+    # the runs to compare with
+    chosen, estimator = study.scene, study.estimator
+    names, is_alone = tuple(estimator.reference), study.choice.verified_in == "motion"
+    show("running the chosen set", None)
+    base = observe(chosen, names, EXACT, is_alone=is_alone)
+    show("running the richest set", None)
+    full = observe(estimator.richest, (*names, "peak_position_error"), EXACT, is_alone=is_alone)
+    units = scales(full.metrics, estimator.named)
+
+    def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
+        observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
+        own, longer = fastest_in_turns([base.run, other.run])
+        return Comparison(effect, change, estimated, observed, longer / own)
+
+    yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
+    # one more of each effect within the estimator's richest set
+    for each in richer(chosen):
+        if estimator.covers(each.scene.effects):
+            show(f"running with {each.effect}: {each.change}", None)
+            estimated = estimator.changes(chosen.effects, each.scene.effects)
+            yield compare(each.effect, each.change, estimated, observe(each.scene, names, EXACT, is_alone=is_alone))
+
+
+SHOWN_FREQUENCIES = 3
+"""Number of lowest frequencies of each pose in the table; the JSON file has all."""
+
+
+def contribution_table(study: EffectStudy) -> Table:
+    """Tabulate every effect with its contribution to each metric and its cost."""
+    metrics = [METRICS[name].label for name in study.choice.of]
+    table = _table(
+        f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
+        (" ", "Effect", "Change"),
+        (*metrics, "states", "operations", "time"),
+    )
+    # the chosen set, then the extra cost of each neighbouring set
+    cost = study.cost
+    own = f"{cost.states}", f"{cost.operations}", f"{1e6 * cost.time:.3g} µs"
+    table.add_row("", "the set itself", "", *("" for _ in metrics), *own)
+    for row in study.rows:
+        states, operations = row.cost.states - cost.states, row.cost.operations - cost.operations
+        slower = 100.0 * (row.cost.time / cost.time - 1.0)
+        more = f"{states:+d}" if states else "", f"{operations:+d}", f"{slower:+.0f} %"
+        table.add_row(*_named(row), *map(percent, row.estimate.contribution), *more)
+    return table
+
+
+def frequency_table(study: EffectStudy) -> Table:
+    """Tabulate the natural frequencies along the path of the chosen set and of each neighbouring set."""
+    # a column for each pose
+    places = [f"s = {pose.s:g}" for pose in study.poses]
+    table = _table(
+        f"lowest {SHOWN_FREQUENCIES} natural frequencies along the path [Hz], motors locked",
+        (" ", "Effect", "Change"),
+        places,
+    )
+    # the chosen set, then each neighbouring set
+    table.add_row("", "the set itself", "", *_lowest(study.poses))
+    for row in study.rows:
+        table.add_row(*_named(row), *_lowest(row.poses))
+    return table
+
+
+def comparison_table(comparisons: Iterable[Comparison]) -> Table:
+    """Tabulate estimated and observed changes of the metrics."""
+    table = _table(
+        "the chosen set beside richer ones: largest change over the metrics",
+        ("Effect", "Change"),
+        ("estimated", "observed", "effectivity", "time of a run"),
+    )
+    # the largest change over the metrics of each comparison
+    for each in comparisons:
+        estimated, observed = max(each.estimated.values()), max(each.observed.values())
+        ratio = "–" if each.effectivity is None else f"{each.effectivity:.2f}"
+        table.add_row(each.effect, each.change, percent(estimated), percent(observed), ratio, f"{each.slower:.2f} x")
+    return table
+
+
+def _named(row: EffectRow) -> tuple[str, str, str]:
+    return row.place, row.estimate.effect, row.estimate.change
+
+
+def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:
+    """Format the lowest frequencies of each pose [Hz]."""
+    for pose in poses:
+        yield "  ".join(f"{frequency:.1f}" for frequency in pose.frequencies[:SHOWN_FREQUENCIES]) or "–"
+
+
+def _table(title: str, texts: Sequence[str], numbers: Iterable[str]) -> Table:
+    return titled_table(title, *texts, *(Column(each, justify="right") for each in numbers), keys=len(texts))
+
+
+def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:
+    """Return study and comparisons as plain data in SI units; errors and contributions are relative to `scales`."""
+    choice = study.choice
+    data: dict[str, Any] = {
+        "scene": study.scene.name,
+        **choice_summary(study.scene),
+        "limit": (1.0 - INTEGRATOR_SHARE) * choice.tolerance,
+        "scales": dict(study.estimator.scales),
+        "cost": vars(study.cost),
+        "poses": [pose.to_dict() for pose in study.poses],
+        "absent": absent_effects(study.scene),
+        "effects": [
+            {
+                "effect": row.estimate.effect,
+                "change": row.estimate.change,
+                "place": row.place,
+                "contribution": dict(zip(choice.of, row.estimate.contribution, strict=True)),
+                "cost": vars(row.cost),
+                "poses": [pose.to_dict() for pose in row.poses],
+            }
+            for row in study.rows
+        ],
+    }
+    # comparisons with richer sets, where there are any
+    found = [
+        {
+            "effect": each.effect,
+            "change": each.change,
+            "estimated": dict(each.estimated),
+            "observed": dict(each.observed),
+            "effectivity": each.effectivity,
+            "slower": each.slower,
+        }
+        for each in comparisons
+    ]
+    return data | ({"check": found} if found else {})
+
+
+def report(study: EffectStudy) -> list[RenderableType]:
+    """Return the tables of all effects, and the choice in sentences."""
+    # values for the sentences
+    choice, absent = study.choice, ", ".join(absent_effects(study.scene))
+    worst, verified = (
+        ", ".join(
+            f"{METRICS[name].label.lower()} {percent(each)}" for name, each in zip(choice.of, values, strict=True)
+        )
+        for values in (choice.error, choice.verified or choice.error)
+    )
+    limit = (1.0 - INTEGRATOR_SHARE) * choice.tolerance
+    # tables, then sentences
+    lines = [
+        *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
+        f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",
+        f"estimated error of this set: {worst}; it may be {percent(limit)}",
+        f"error of its run beside the richest set, integration included: {verified}",
+        f"tolerance of the FMU: {study.scene.cosimulation.tolerance:g}",
+    ]
+    return [contribution_table(study), frequency_table(study), *map(Text, lines)]

@@ -1,0 +1,255 @@
+"""A trial of values: the scene with them, its run and those with other payloads, and its loop's margins."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from math import inf, isfinite, log10
+from typing import Any
+
+from flexfmu.cosim.design.gains.goals import MARGINS, Condition, Goal
+from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
+from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
+from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.fmu_build.errors import MissingCompilerError
+from flexfmu.model.one_thread import keep_one_blas_thread
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.keys import full_key, value_at
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+
+DIGITS = 5
+"""Significant digits of tried values: more than a run tells apart, and short enough for a scene file."""
+
+POSES = 2
+"""Number of poses at which margins are calculated, start and end of the path, beside the worst ones in between."""
+
+WIDE = 4.0
+"""Ratio of the ends of an interval from which its scale is logarithmic."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A key and the values that are tried.
+
+    Attributes:
+        key: of the scene.
+        low, high: ends, in the unit of the key.
+    """
+
+    key: str
+    low: float
+    high: float
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether equal factors count as equal steps: where the ends are positive and far apart."""
+        return self.low > 0.0 and self.high >= WIDE * self.low
+
+    def at(self, share: float) -> float:
+        """The value at a share of the interval, 0 to 1, rounded to `DIGITS`."""
+        if self.is_logarithmic:
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = self.low + share * (self.high - self.low)
+        return min(max(float(f"{value:.{DIGITS}g}"), self.low), self.high)
+
+    def share_of(self, value: float) -> float:
+        """The share of a value, 0 to 1; of the nearer end for values beyond."""
+        value = min(max(value, self.low), self.high)
+        if self.is_logarithmic:
+            return log10(value / self.low) / log10(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Values and what they are worth.
+
+    Attributes:
+        values: of the keys; empty for the scene as it is.
+        figures: metrics, the worst over the band of payloads, and margins in SI units; empty for a failed run.
+        message: why it failed; empty otherwise.
+    """
+
+    values: tuple[float, ...]
+    figures: Mapping[str, float | None] = field(default_factory=dict)
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is tuned, and for what.
+
+    Attributes:
+        scene: the scene, its effects chosen.
+        over: keys and intervals.
+        minimise: the figure to minimise.
+        conditions: limits of figures.
+        band: payloads that all figures hold for, the worst of them; None for the scene's alone.
+    """
+
+    scene: Scene
+    over: tuple[Interval, ...]
+    minimise: Goal
+    conditions: tuple[Condition, ...] = ()
+    band: PayloadBand | None = None
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """All figures that are needed."""
+        return (self.minimise, *(each.goal for each in self.conditions))
+
+    def changed(self, values: Sequence[float]) -> Scene:
+        """The scene with values of its keys.
+
+        Raises:
+            SceneError: a value is invalid.
+        """
+        return self.scene.replace({each.key: value for each, value in zip(self.over, values, strict=False)})
+
+    def given(self) -> tuple[float | None, ...]:
+        """The scene's own values; None for a key without a number: both joints have different ones, or it isn't set."""
+        data = self.scene.model_dump()
+        return tuple(_single(value_at(data, each.key, f"scene {self.scene.name}")) for each in self.over)
+
+    def tried(self, values: tuple[float, ...]) -> Trial:
+        """Run the scene with values; without any as it is. What fails has a message.
+
+        Raises:
+            MissingCompilerError: there is no C compiler.
+        """
+        try:
+            return self._tried(values)
+        except MissingCompilerError:
+            raise
+        except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
+            return Trial(values, {}, str(error))
+
+    def _tried(self, values: tuple[float, ...]) -> Trial:
+        scene = self.changed(values)
+        names = list(dict.fromkeys(part for goal in self.goals if not goal.is_margin for part in goal.parts))
+        prepared = PreparedScene(scene)
+        run = prepared.run()
+        if reason := failure_of(run):
+            return Trial(values, {}, reason)
+        found = dict(metrics_of(run, names))
+        if self.band is not None:
+            # the worst of the scene's payload and both ends
+            worst = robustness(prepared, band_masses(scene, self.band), names)
+            for mass, reason in worst.failures.items():
+                return Trial(values, {}, f"with {mass:g} kg: {reason}")
+            for name in names:
+                both = found[name], worst.worst[name]
+                found[name] = None if None in both else max(each for each in both if each is not None)
+        # margins take longer than runs
+        if any(goal.is_margin for goal in self.goals):
+            found |= margin_figures(loop_margins(scene, self.band))
+        return Trial(values, found)
+
+    def rank(self, trial: Trial) -> tuple[int, float]:
+        """What a trial is sorted by: within all limits by the figure, beyond them by the largest excess, failed ones last."""
+        value = self.minimise.of(trial.figures)
+        if trial.message or value is None:
+            return 2, inf
+        excess = max([0.0, *(one for each in self.conditions for one in each.excesses(trial.figures))])
+        return (0, value) if excess <= 0.0 else (1, excess)
+
+
+class UnstableLoopError(InputError):
+    """The loop of a scene is unstable about a pose of its path."""
+
+
+def loop_margins(scene: Scene, band: PayloadBand | None = None) -> MarginsResult:
+    """Return the margins of a scene's loop along its path, and over a band of payloads.
+
+    Raises:
+        UnstableLoopError: the loop is unstable about a pose.
+        InputError: it can't be linearised.
+        TrajectoryError, EquilibriumError: as for `flexfmu.margins`.
+    """
+    found = scene_margins(scene, poses=POSES, payloads=() if band is None else band_masses(scene, band))
+    worst = max(found.poses, key=lambda pose: pose.radius)
+    if not worst.is_stable:
+        payload = "" if band is None else f" with {worst.payload:.4g} kg"
+        raise UnstableLoopError(f"the loop is unstable about the pose at {100.0 * worst.s:.3g} % of the path{payload}")
+    return found
+
+
+def margin_figures(found: MarginsResult) -> dict[str, float | None]:
+    """Return the worst of each margin."""
+    return {name: float(getattr(found.worst, name)) for name in MARGINS}
+
+
+def _single(value: Any) -> float | None:
+    """One number for a value, or for both joints."""
+    if isinstance(value, tuple | list) and value and all(each == value[0] for each in value):
+        value = value[0]
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) else None
+
+
+@contextmanager
+def pool(study: Study, count: int) -> Iterator[Trials]:
+    """Processes that try values; those that work end after their trial when the context is left."""
+    if count == 1:
+        yield Trials(study, None)
+        return
+    processes = ProcessPoolExecutor(count, initializer=_start, initargs=(study,))
+    try:
+        yield Trials(study, processes)
+    finally:
+        processes.shutdown(wait=False, cancel_futures=True)
+
+
+class Trials:
+    """Processes that try values, or this process alone; results come in the order of the values."""
+
+    def __init__(self, study: Study, processes: ProcessPoolExecutor | None) -> None:
+        self._study, self._processes = study, processes
+
+    def of(self, values: Sequence[tuple[float, ...]]) -> Iterator[Trial]:
+        """Yield the trial of each tuple of values."""
+        if self._processes is None or len(values) == 1:
+            yield from map(self._study.tried, values)
+        else:
+            yield from self._processes.map(_try, values)
+
+
+_studies: list[Study] = []
+
+
+def _start(study: Study) -> None:
+    """Begin a process: Ctrl-C is for the parent, whose way to end by SIGTERM isn't this one's."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    keep_one_blas_thread()
+    _studies[:] = [study]
+
+
+def _try(values: tuple[float, ...]) -> Trial:
+    return _studies[0].tried(values)
+
+
+def check_keys(scene: Scene, over: Sequence[Interval]) -> None:
+    """Check keys and intervals.
+
+    Raises:
+        InputError: an interval isn't one, or a key is there twice.
+        SceneError: a key is unknown, or an end of its interval is invalid.
+    """
+    data = scene.model_dump(exclude_none=True)
+    full = [full_key(data, each.key) for each in over]
+    for each in over:
+        if not (isfinite(each.low) and isfinite(each.high) and each.low < each.high):
+            raise InputError(
+                f"`{each.key}` must go from a smaller to a larger number, got {each.low:g} to {each.high:g}"
+            )
+        if [*full].count(full_key(data, each.key)) > 1:
+            raise InputError(f"`{each.key}` is there twice: give one interval")
+        for value in (each.low, each.high):
+            scene.replace({each.key: value})

@@ -1,0 +1,172 @@
+"""The torque of one count: what an encoder's or converter's smallest step does to a robot at rest.
+
+At rest a coarse encoder switches between two counts. Each switch is a step of the measured position, and for one difference a step
+of the velocity, by the resolution over the window. The open loop's answer to it is a torque: of PD control kp q + kd q / (w h).
+The margins don't see it, since roundings are left out of the linear loop; where it is a considerable part of the torques that
+there are, the robot rattles. Source: R. C. Kavanagh and J. M. D. Murphy, "The effects of quantization noise and sensor nonideality
+on digital differentiator-based rate measurement", IEEE Trans. Instrumentation and Measurement 47 (1998), pp. 1457-1463.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import ceil, inf, pi
+from operator import mul
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
+from flexfmu.cosim.design.margins.scene_loop import WiredLoop
+from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.experiment.system import PLANT
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
+
+SHARE = 0.05
+"""Share of the torque limit from which the torque of one count is worth a warning."""
+
+SAMPLES = 20
+"""Number of samples within which the torque of one count is largest, beside those that blocks remember."""
+
+INSTANTS = 100
+"""Number of instants searched for the largest torque that the motion needs."""
+
+KINDS = ("encoder", "quantisation")
+"""Kinds of imperfections that round."""
+
+TORQUES = ("joint1.torque", "joint2.torque")
+
+Step = tuple[int, int, float, str]
+"""Index of a sampled block, of its input, the smallest step of that, and what it is."""
+
+
+def coarse_counts_of(run: Run) -> str | None:
+    """What there is to say of the resolution of a run's loop, see `coarse_counts`; None also for a loop that can't be linearised."""
+    scene = run.scene
+    if scene.cosimulation.drive != "torque" or not any(each.kind in KINDS for each in scene.imperfection):
+        return None
+    try:
+        loop = loop_of(scene, run.plan, about_rest=True)
+        return coarse_counts(scene, loop, WiredLoop(scene, loop, FmuSlave(run.fmu_path, PLANT, {}, None)))
+    except (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueError):
+        return None
+
+
+def coarse_counts(scene: Scene, loop: Loop, wired: WiredLoop) -> str | None:
+    """A sentence on the largest torque of one count, about rest at both ends of the path; None below `SHARE` of the limits.
+
+    Where a joint has no torque limit, the largest torque that the motion needs stands for it.
+
+    Raises:
+        InputError, ValueError, EquilibriumError: as for `WiredLoop.at`.
+    """
+    steps = [*_steps(wired)]
+    if not steps:
+        return None
+    limits = _limits(wired, scene)
+    needed = dict.fromkeys(TORQUES, inf) if limits.keys() >= {*TORQUES} else _needed(loop.motion)
+    worst, message = SHARE, None
+    task = loop.motion.once.task
+    for x, y in task.evaluate([0.0, loop.motion.once.duration], 0)[0].tolist():
+        linear, names = wired.at((x, y))
+        for block, row, size, what in steps:
+            for name, torque in zip(names, torque_of_step(linear, block, row, size).tolist(), strict=True):
+                limit = limits.get(name, needed.get(name, inf))
+                if torque > worst * limit:
+                    worst = torque / limit
+                    text = "the torque limit" if name in limits else "the largest torque that the motion needs"
+                    message = (
+                        f"{what} is {torque:.3g} N.m of {name}, {100.0 * worst:.0f} % of {text}, {limit:.3g} N.m: the robot may "
+                        "rattle at rest; take a finer resolution, velocities over a longer window or through a filter, or lower gains"
+                    )
+    return message
+
+
+def torque_of_step(loop: LinearLoop, block: int, row: int, size: float) -> RealArray:
+    """The largest torque (channels,) [N.m] after a step of one input of a block, with a robot that doesn't move.
+
+    Args:
+        loop: the linear loop.
+        block, row: index of the block, and of its input.
+        size: of the step, in the input's unit.
+    """
+    # a constant state beside those of robot and lags is the step; the loop is cut at the robot
+    x, n, signals = loop.continuous, len(loop.continuous.a), len(loop.continuous.c)
+
+    def wider(pair: tuple[RealArray, RealArray]) -> tuple[RealArray, RealArray]:
+        one, other = (np.vstack([each, np.zeros((1, each.shape[1]))]) for each in pair)
+        return one, other
+
+    constant = Continuous(
+        block_diag(x.a, np.zeros((1, 1))), block_diag(x.c, np.ones((1, 1))), wider(x.held), wider(x.channels)
+    )
+    inputs = [np.insert(each, signals, 0.0, axis=1) for each in loop.inputs]
+    inputs[block][row, signals] = size
+    cut = replace(loop, continuous=constant, inputs=tuple(inputs)).opened(range(len(loop.channels)))
+    # period after period
+    state, found = np.zeros(len(cut.a)), np.zeros(len(loop.channels))
+    state[n] = 1.0
+    samples = SAMPLES + sum(len(each.a) for each in loop.blocks)
+    places = [i for i, _ in cut.times]
+    for _ in range(ceil(samples * max(each.sample_time for each in loop.blocks) / float(loop.period))):
+        np.maximum.at(found, places, abs(np.real(cut.c @ state)))
+        state = np.real(cut.a @ state)
+    return found
+
+
+def _steps(wired: WiredLoop) -> Iterator[Step]:
+    """The smallest steps of a loop's encoders and quantisers."""
+    for k, i in enumerate(wired.sampled):
+        slave = wired.system.slaves[i]
+        if not isinstance(slave, BlockSlave):
+            continue
+        rows = [each.name for each in slave.block.inputs]
+        for each in slave.block.parameters:
+            channel, _, key = each.name.rpartition(".")
+            value = each.start or 0.0
+            if f"{channel}.input" not in rows or value <= 0.0:
+                continue
+            row = rows.index(f"{channel}.input")
+            if key == "counts_per_turn":
+                size = 2.0 * pi / value
+                yield k, row, size, f"one count of {slave.name} ({1e3 * size:.3g} mrad, {value:g} counts per turn)"
+            elif key == "resolution":
+                yield k, row, value, f"one step of {slave.name} ({value:g} {slave.block.inputs[row].unit} of {channel})"
+
+
+def _limits(wired: WiredLoop, scene: Scene) -> dict[str, float]:
+    """Torque limit of each joint that has one [N.m]: of its motor, of saturations, and the largest one of its controllers."""
+    motor, largest = scene.motor, dict[str, float]()
+    found = {} if motor is None else dict(zip(TORQUES, map(mul, motor.peak_torque, motor.gear_ratio), strict=True))
+    for slave in wired.system.slaves:
+        if not isinstance(slave, BlockSlave):
+            continue
+        inputs = [each.name for each in slave.block.inputs]
+        for each in slave.block.parameters:
+            name, _, key = each.name.rpartition(".")
+            if key not in ("minimum", "maximum") or name not in TORQUES or each.start is None:
+                continue
+            if f"{name}.input" in inputs:  # a saturation
+                found[name] = min(found.get(name, inf), abs(each.start))
+            else:
+                largest[name] = max(largest.get(name, 0.0), abs(each.start))
+    return {name: min(found.get(name, inf), largest.get(name, inf)) for name in {*found, *largest}}
+
+
+def _needed(motion: MotionPlan) -> dict[str, float]:
+    """Largest torque of each joint that the rigid robot needs for a motion [N.m]."""
+    joints = motion.once.joints
+    course = joints.evaluate(np.linspace(0.0, joints.duration, INSTANTS), 2)
+    torques = np.asarray(inverse_dynamics(motion.scene).map(INSTANTS)(*(each.T for each in course)).full())
+    return dict(zip(TORQUES, abs(torques).max(axis=1).tolist(), strict=True))

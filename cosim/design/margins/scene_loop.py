@@ -1,0 +1,397 @@
+"""The linear loop of a scene: its controllers, imperfections and filters, wired as for a run, about an equilibrium on its path."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.imperfections.lag import Lag
+from flexfmu.cosim.design.margins.identified import identified_block
+from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
+from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
+from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.dependencies import Connection
+from flexfmu.cosim.engine.master.isolation import is_foreign
+from flexfmu.cosim.engine.master.system import AlgebraicLoop, System, connect
+from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.system import PLANT, REFERENCES
+from flexfmu.cosim.experiment.wiring import wire
+from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store
+from flexfmu.model.linear import LinearPlant, linear_plant, without_coulomb_friction
+from flexfmu.model.plants import torque_driven_plant
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+
+MODEL_BASED = ("computed-torque", "disturbance-observer")
+"""Kinds of controllers with a model of the robot's motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """Stands for the robot's FMU where only its variables matter."""
+
+    name: str
+    variables: tuple[SlaveVariable, ...]
+    feedthrough: Mapping[str, Sequence[str]]
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Do nothing."""
+
+    def set(self, indices: object, values: RealArray) -> None:
+        """Do nothing."""
+
+    def get(self, indices: object, values: RealArray) -> None:
+        """Do nothing."""
+
+    def step(self, time: float, step: float) -> None:
+        """Do nothing."""
+
+
+class WiredLoop:
+    """The slaves of a scene's loop and their connections; `at` linearises them at a pose.
+
+    Args:
+        scene: the scene, driven by torques.
+        loop: its planned motion, controllers, shapers and imperfections.
+        robot: the robot's FMU, if there is one; otherwise its variables are those of its model.
+
+    Raises:
+        InputError: no controller feeds the robot, or slaves can't be connected.
+    """
+
+    def __init__(self, scene: Scene, loop: Loop, robot: Slave | None = None) -> None:
+        if scene.cosimulation.drive != "torque" or not loop.controllers:
+            raise InputError(
+                f'scene {scene.name} has no loop: margins need `cosimulation.drive = "torque"` and a [[controller]]'
+            )
+        # disturbances come from outside of the loop
+        scene = scene.model_copy(update={"disturbance": ()})
+        robot = robot or _robot(scene)
+        references = TrajectorySlave(loop.driving, name=REFERENCES)
+        wiring = wire(references, robot, loop.controllers, loop.inline_blocks, loop.connect)
+        slaves: list[Slave] = [references, robot, *loop.controllers, *(each.slave for each in loop.inline_blocks)]
+        self.system: System = connect(slaves, wiring.connections)
+        # the real robot for small motions: with its own payload, and without Coulomb friction
+        self._scene = without_coulomb_friction(scene.replace(dict(loop.parameters)) if loop.parameters else scene)
+        sections = [each for each in scene.controller if each.kind in MODEL_BASED]
+        self._models = tuple(each.name or each.kind.replace("-", "_") for each in sections)
+        if any(isinstance(each, AlgebraicLoop) for each in self.system.exchange_order):
+            raise InputError(f"scene {scene.name} has an algebraic loop, which can't be linearised")
+
+    @property
+    def payload(self) -> float:
+        """The robot's own payload [kg]."""
+        return self._scene.payload.mass
+
+    @property
+    def sampled(self) -> list[int]:
+        """Indices of the sampled slaves."""
+        return [i for i, slave in enumerate(self.system.slaves) if isinstance(slave, Sampled)]
+
+    @property
+    def measured(self) -> list[str]:
+        """Outputs of the robot that something takes."""
+        slaves = self.system.slaves
+        taken = {each.output for each in self.system.connections if slaves[each.source].name == PLANT}
+        return [slaves[1].variables[i].name for i in sorted(taken)]
+
+    def at(
+        self,
+        position: tuple[float, float],
+        identify: bool = True,
+        velocity: RealArray | None = None,
+        payload: float | None = None,
+    ) -> tuple[LinearLoop, tuple[str, ...]]:
+        """The linear loop about the equilibrium at a place of the end effector [m], and the names of its channels.
+
+        Args:
+            position: the place.
+            identify: whether Python functions and FMUs are called to find their linear blocks.
+            velocity: of the joints (2,) [rad/s], at which controllers have the gains that they have there; the robot stands still.
+            payload: mass [kg] of the robot's payload instead of its own; controllers assume what they did.
+
+        Raises:
+            InputError: a slave can't be linearised, or the loop isn't closed.
+            ValueError, EquilibriumError: see `linear_plant`.
+        """
+        scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
+        plant = kept_plant(scene, position, self.measured)
+        moving = self._moving(plant, velocity)
+        return _Linearised(self.system, plant, self.sampled, identify, moving, self._models).loop()
+
+    def _moving(self, plant: LinearPlant, velocity: RealArray | None) -> dict[str, float]:
+        """Signals that a velocity of the joints changes, and their values; empty for standstill."""
+        if velocity is None or not velocity.any():
+            return {}
+        n = len(plant.a) // 2
+        found = dict(zip(plant.outputs, (plant.rest[1] + plant.c[:, n : n + 2] @ velocity).tolist(), strict=True))
+        found = {name: value for name, value in found.items() if ".velocity" in name}
+        for joint, value in zip(("joint1", "joint2"), velocity.tolist(), strict=True):
+            found |= {f"{joint}.{kind}velocity": value for kind in ("", "reference.", "command.")}
+        return found
+
+
+def _robot(scene: Scene) -> Robot:
+    """The robot's variables."""
+    plant = torque_driven_plant(scene)
+    variables = [SlaveVariable(each.name, each.causality, each.unit) for each in (*plant.inputs, *plant.outputs)]
+    return Robot(PLANT, tuple(variables), plant.feedthrough)
+
+
+def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
+    """The linear robot, which the cache keeps: gains change more often than robots; see `linear_plant`."""
+    robot = scene.model_dump_json(include={"mechanism", "payload", "effects"})
+    key = content_hash(text.encode() for text in (package_fingerprint(), robot, repr(position), *outputs))
+    file = f"plants/{key}.json"
+    if (known := cached(file)) is not None:
+        data = json.loads(known.read_text(encoding="utf-8"))
+        rest = (np.array(data["rest"][0]), np.array(data["rest"][1]))
+        a, b, c, d = (np.array(each) for each in data["matrices"])
+        return LinearPlant(a, b, c, d, tuple(data["inputs"]), tuple(outputs), rest)
+    # the robot alone, so that loops around it share its equations
+    alone = {"controller": (), "imperfection": (), "filter": (), "shaper": (), "disturbance": ()}
+    plant = linear_plant(scene.model_copy(update=alone), position, outputs)
+    matrices = [each.tolist() for each in (plant.a, plant.b, plant.c, plant.d)]
+    at_rest = [each.tolist() for each in plant.rest]
+    store(file, json.dumps({"matrices": matrices, "inputs": plant.inputs, "rest": at_rest}).encode())
+    return plant
+
+
+class _Linearised:
+    """Puts the linear loop together.
+
+    Args:
+        system: the system.
+        plant: the robot's matrices.
+        sampled: indices of the sampled slaves.
+        identify: as for `at`.
+        moving: signals with the values that they have in motion, instead of those at rest.
+        models: beginnings of the names of slaves that contain a model of the robot.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        plant: LinearPlant,
+        sampled: list[int],
+        identify: bool,
+        moving: Mapping[str, float],
+        models: tuple[str, ...],
+    ) -> None:
+        self._system, self._plant, self._sampled, self._identify = system, plant, sampled, identify
+        self._moving, self._models = moving, models
+        self._feeding: dict[tuple[int, str], Connection] = {
+            (each.target, system.slaves[each.target].variables[each.input].name): each for each in system.connections
+        }
+        self._lags = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Lag)]
+        for i, slave in enumerate(system.slaves):
+            if i > 1 and i not in sampled and not isinstance(slave, Lag):
+                raise InputError(f"{slave.name} can't be linearised: it is neither sampled nor a lag")
+        # signals: outputs of the robot, then of lags; outputs of sampled slaves
+        self._signals = {(1, name): k for k, name in enumerate(plant.outputs)}
+        for i, lag in self._lags:
+            for name in _names(lag, "output"):
+                self._signals[i, name] = len(self._signals)
+        self._outputs: dict[tuple[int, str], int] = {}
+        for i in sampled:
+            for name in _names(system.slaves[i], "output"):
+                self._outputs[i, name] = len(self._outputs)
+
+    def loop(self) -> tuple[LinearLoop, tuple[str, ...]]:
+        """The loop, and the names of the robot's inputs that its channels feed."""
+        channels = self._channels()
+        if not channels:
+            raise InputError("no torque of the robot comes from a sampled controller: there is no loop with margins")
+        blocks = self._blocks()
+        order = [i for i in self._system.exchange_steps if i in self._sampled]
+        calls = tuple(self._sampled.index(i) for i in order)
+        loop = LinearLoop(
+            self._continuous(list(channels.values())), tuple(blocks), calls, self._inputs(), tuple(channels.values())
+        )
+        return loop, tuple(channels)
+
+    def _blocks(self) -> list[LinearBlock]:
+        """The sampled slaves, linearised at the values that their inputs have at rest."""
+        values = dict(zip(((1, name) for name in self._plant.outputs), self._plant.rest[1].tolist(), strict=True))
+        positions = {f"{joint}.reference.position": f"{joint}.position" for joint in ("joint1", "joint2")}
+        for reference, measured in positions.items():
+            if (1, measured) in values:
+                values[0, reference] = values[1, measured]
+        found: dict[int, LinearBlock] = {}
+        seen: dict[int, RealArray] = {}
+        # twice, as torques may come from slaves further on
+        for i in (*self._system.exchange_steps, *self._system.exchange_steps):
+            slave = self._system.slaves[i]
+            names = _names(slave, "input")
+            at_rest = np.array([self._value(values, i, name) for name in names])
+            if i in self._sampled:
+                if i not in found or not np.array_equal(at_rest, seen[i]):
+                    found[i], outputs = _linearised(slave, at_rest, self._identify)
+                    values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
+                seen[i] = at_rest
+            elif isinstance(slave, Lag):
+                values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))
+        if self._moving:
+            found |= {i: self._in_motion(i, found[i], seen[i]) for i in self._sampled}
+        return [found[i].within(*self._in_the_loop(i)) for i in self._sampled]
+
+    def _in_motion(self, i: int, block: LinearBlock, at_rest: RealArray) -> LinearBlock:
+        """A block with the gains that it has in motion.
+
+        Models of the robot keep their terms at rest, since their derivatives by velocities belong to terms that the robot has in
+        motion. So do blocks of which an output no longer answers: a limit that is reached, as references and measurements alone
+        don't make a state of the motion.
+        """
+        slave = self._system.slaves[i]
+        inputs = at_rest.copy()
+        for k, name in enumerate(_names(slave, "input")):
+            feeding = self._feeding.get((i, name))
+            source = name if feeding is None else self._source(feeding)[1]
+            inputs[k] = self._moving.get(name, self._moving.get(source, at_rest[k]))
+        if np.array_equal(inputs, at_rest) or slave.name.startswith(self._models):
+            return block
+        try:
+            found, _ = _linearised(slave, inputs, self._identify)
+        except InputError:
+            return block
+        answers = [np.hstack([each.c, each.d]).any(axis=1) for each in (block, found)]
+        return block if (answers[0] & ~answers[1]).any() else found
+
+    def _in_the_loop(self, i: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which inputs of a slave come from the loop, and which outputs lead on in it: references and monitors aren't in it."""
+        slave, connections = self._system.slaves[i], self._system.connections
+        incoming = [
+            (feeding := self._feeding.get((i, name))) is not None and feeding.source in self._looped
+            for name in _names(slave, "input")
+        ]
+        leading = {
+            slave.variables[each.output].name
+            for each in connections
+            if each.source == i and each.target in self._looped
+        }
+        outgoing = [name in leading for name in _names(slave, "output")]
+        return np.array(incoming, bool), np.array(outgoing, bool)
+
+    @cached_property
+    def _looped(self) -> set[int]:
+        """Slaves that the robot reaches and that reach it."""
+        pairs = {(each.source, each.target) for each in self._system.connections}
+        return _reachable(pairs) & _reachable({(target, source) for source, target in pairs})
+
+    def _value(self, values: Mapping[tuple[int, str], float], slave: int, name: str) -> float:
+        """The value of an input at rest."""
+        feeding = self._feeding.get((slave, name))
+        if feeding is None:
+            return next(each.start or 0.0 for each in self._system.slaves[slave].variables if each.name == name)
+        return values.get(self._source(feeding), 0.0)
+
+    def _source(self, connection: Connection) -> tuple[int, str]:
+        return connection.source, self._system.slaves[connection.source].variables[connection.output].name
+
+    def _inputs(self) -> tuple[RealArray, ...]:
+        """For each sampled slave its inputs from [signals, outputs]; references don't move."""
+        found = []
+        for i in self._sampled:
+            names = _names(self._system.slaves[i], "input")
+            matrix = np.zeros((len(names), len(self._signals) + len(self._outputs)))
+            for row, name in enumerate(names):
+                feeding = self._feeding.get((i, name))
+                source = None if feeding is None else self._source(feeding)
+                if source in self._signals:
+                    matrix[row, self._signals[source]] = 1.0
+                elif source in self._outputs:
+                    matrix[row, len(self._signals) + self._outputs[source]] = 1.0
+            found.append(matrix)
+        return tuple(found)
+
+    def _channels(self) -> dict[str, int]:
+        """Input of the robot → index of the sampled output that feeds it, through lags if there are some."""
+        found = {}
+        for name in self._plant.inputs:
+            feeding = self._feeding.get((1, name))
+            while feeding is not None and isinstance(self._system.slaves[feeding.source], Lag):
+                slave, output = self._source(feeding)
+                lag = self._system.slaves[slave]
+                feeding = self._feeding.get((slave, _names(lag, "input")[_names(lag, "output").index(output)]))
+            if feeding is not None and (source := self._source(feeding)) in self._outputs:
+                found[name] = self._outputs[source]
+        return found
+
+    def _continuous(self, channels: list[int]) -> Continuous:
+        """Robot and lags: states [x, outputs of lags]."""
+        plant, n = self._plant, len(self._plant.a)
+        lags = [(i, lag, k) for i, lag in self._lags for k in range(len(_names(lag, "output")))]
+        size, outputs, signals = n + len(lags), len(self._outputs), len(self._signals)
+        a, held, by_channel = np.zeros((size, size)), np.zeros((size, outputs)), np.zeros((size, len(channels)))
+        c, c_held, c_channel = (
+            np.zeros((signals, size)),
+            np.zeros((signals, outputs)),
+            np.zeros((signals, len(channels))),
+        )
+        a[:n, :n], c[: len(plant.outputs), :n] = plant.a, plant.c
+        places = {(i, _names(lag, "output")[k]): n + j for j, (i, lag, k) in enumerate(lags)}
+
+        def feed(source: tuple[int, str], by_rate: RealArray, by_signal: RealArray, rows: slice, out: slice) -> None:
+            """What an input adds to rates in rows and to signals in out."""
+            if source in places:
+                a[rows, places[source]] += by_rate
+                c[out, places[source]] += by_signal
+            elif source in self._outputs and self._outputs[source] in channels:
+                by_channel[rows, channels.index(self._outputs[source])] += by_rate
+                c_channel[out, channels.index(self._outputs[source])] += by_signal
+            elif source in self._outputs:
+                held[rows, self._outputs[source]] += by_rate
+                c_held[out, self._outputs[source]] += by_signal
+            elif source[0] == 1:
+                raise InputError(
+                    "an output of the robot feeds the robot or a lag directly: margins need a sampled slave between"
+                )
+
+        for k, name in enumerate(plant.inputs):
+            if (feeding := self._feeding.get((1, name))) is not None:
+                feed(self._source(feeding), plant.b[:, k], plant.d[:, k], slice(0, n), slice(0, len(plant.outputs)))
+        for j, (i, lag, k) in enumerate(lags):
+            rate, row = 1.0 / _times(lag)[k], n + j
+            a[row, row] -= rate
+            c[self._signals[i, _names(lag, "output")[k]], row] = 1.0
+            if (feeding := self._feeding.get((i, _names(lag, "input")[k]))) is not None:
+                feed(self._source(feeding), np.array([rate]), np.zeros(0), slice(row, row + 1), slice(0, 0))
+        return Continuous(a, c, (held, c_held), (by_channel, c_channel))
+
+
+def _linearised(slave: Slave, inputs: RealArray, identify: bool) -> tuple[LinearBlock, RealArray]:
+    """A sampled slave at constant inputs, and its outputs; a user's code is called in a child process, which it may crash."""
+    linearise = linear_block if isinstance(slave, BlockSlave) or not identify else identified_block
+    if not (AVAILABLE and is_foreign(slave)):
+        return linearise(slave, inputs)
+    try:
+        found: tuple[LinearBlock, RealArray] = in_child(lambda: linearise(slave, inputs), lambda: None, CALL_LIMIT)
+    except ChildLostError as error:
+        raise InputError(f"{slave.name} can't be linearised about standstill: {error}") from None
+    return found
+
+
+def _reachable(pairs: set[tuple[int, int]]) -> set[int]:
+    """What the robot reaches by pairs from one slave to another."""
+    found = {1}
+    while more := {target for source, target in pairs if source in found} - found:
+        found |= more
+    return found
+
+
+def _names(slave: Slave, causality: str) -> list[str]:
+    return [each.name for each in slave.variables if each.causality == causality]
+
+
+def _times(lag: Lag) -> list[float]:
+    """Time constants [s] of a lag's channels."""
+    return [lag.latency[name] for name in _names(lag, "output")]

@@ -1,0 +1,342 @@
+"""What a planned motion is worth: the FMU's runs over the bands, against the limits and the given motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from flexfmu.cosim.design.plans.goals import UNITS, Goals, Limit, Variation
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.own_motion import own_loop
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.stress import link_stresses
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
+
+Method = Literal["given", "search", "flexible references", "optimal control", "ruckig", "toppra", "csv"]
+"""Where a candidate comes from."""
+
+STEP, TOLERANCE = 2e-4, 1e-8
+"""Communication step [s] and tolerance of the runs that judge."""
+
+INSTANTS = 4001
+"""Instants at which references are examined."""
+
+MET = 1e-5
+"""Relative excess over a limit that counts as rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A motion that a plan could choose.
+
+    Attributes:
+        label: what it is, in a few words.
+        method: where it comes from.
+        scene: the scene with this motion's keys.
+        trajectory: motion of the joints q11, q21 [rad], in place of the scene's; None for the scene's own motion.
+    """
+
+    label: str
+    method: Method
+    scene: Scene
+    trajectory: Trajectory | None = None
+
+    def prepared(self, *, tolerance: float = TOLERANCE, step: float = STEP) -> PreparedScene:
+        """The candidate, ready for runs.
+
+        Raises:
+            TrajectoryError: the motion isn't feasible.
+        """
+        loop = None if self.trajectory is None else own_loop(self.scene, self.trajectory)
+        scene = self.scene if loop is None else loop.motion.scene
+        return PreparedScene(scene, loop=loop, communication_step=step, tolerance=tolerance)
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How close a motion comes to a limit.
+
+    Attributes:
+        name: what is limited.
+        value: what the motion needs, in the unit; a ratio for limits relative to the given motion.
+        limit: the limit in the same unit.
+        unit: SI unit, or 1 for a ratio.
+        where: time, joint, payload.
+    """
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+    where: str
+
+    @property
+    def share(self) -> float:
+        """Used share of the limit: 1 at the limit."""
+        return self.value / self.limit
+
+    @property
+    def met(self) -> bool:
+        """Whether the motion keeps to the limit."""
+        return self.value <= self.limit * (1.0 + MET)
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """What a run of one robot needs; pairs are joints.
+
+    Attributes:
+        variation: the robot.
+        torque, rms_torque, power: largest magnitudes [N.m], [N.m], [W].
+        torque_time: instants of the largest torques [s].
+        residual: largest distance from the rest position after the motion [m].
+        energy: mechanical energy that the motors give, without what they take back [J].
+        off_path: largest distance of the end effector from the given path [m], and when [s].
+        clearance: smallest distance to what is kept clear [m], and when [s].
+        reaction: largest force in a joint [N]; NaN if it isn't limited.
+        stress: largest stress of a link [Pa]; NaN if it isn't limited.
+    """
+
+    variation: Variation
+    torque: tuple[float, float]
+    torque_time: tuple[float, float]
+    rms_torque: tuple[float, float]
+    power: tuple[float, float]
+    residual: float
+    energy: float
+    off_path: tuple[float, float]
+    clearance: tuple[float, float]
+    reaction: float
+    stress: float
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """A candidate's figures, and its use of each limit.
+
+    Attributes:
+        candidate: the motion.
+        time: duration with shapers, without the dwell [s].
+        peaks: what each robot within the bands needs.
+        references: largest speed, acceleration and jerk of the joint references [rad/s, rad/s2, rad/s3].
+        uses: of every limit, the residual and the clearance included.
+    """
+
+    candidate: Candidate
+    time: float
+    peaks: tuple[Peaks, ...]
+    references: tuple[float, float, float]
+    uses: tuple[LimitUse, ...] = field(default=())
+
+    @property
+    def feasible(self) -> bool:
+        """Whether it keeps to all limits."""
+        return all(use.met for use in self.uses)
+
+    @property
+    def residual(self) -> float:
+        """Worst residual vibration [m]."""
+        return max(each.residual for each in self.peaks)
+
+    @property
+    def energy(self) -> float:
+        """Largest energy of a run [J]."""
+        return max(each.energy for each in self.peaks)
+
+    @property
+    def torque(self) -> float:
+        """Largest torque [N.m]."""
+        return max(max(each.torque) for each in self.peaks)
+
+    @property
+    def rms_torque(self) -> float:
+        """Largest root mean square of a torque [N.m]."""
+        return max(max(each.rms_torque) for each in self.peaks)
+
+    @property
+    def off_path(self) -> float:
+        """Largest distance of the end effector from the given path [m]."""
+        return max(each.off_path[0] for each in self.peaks)
+
+    @property
+    def clearance(self) -> float:
+        """Smallest distance to what is kept clear [m], negative within it."""
+        return min(each.clearance[0] for each in self.peaks)
+
+    @cached_property
+    def torque_ratio(self) -> float:
+        """Worst ratio of peak torques to the given motion's; NaN for the given motion itself."""
+        return next((use.value for use in self.uses if use.name == "torque ratio"), math.nan)
+
+    @property
+    def objective(self) -> Mapping[str, float]:
+        """What a plan may minimise → value."""
+        return {
+            "time": self.time,
+            "torque": self.torque,
+            "rms_torque": self.rms_torque,
+            "energy": self.energy,
+            "residual": self.residual,
+        }
+
+
+class Judge:
+    """Assesses candidates of the same goals by runs of the FMU.
+
+    Args:
+        goals: limits, bands and clearance.
+        payloads: number of payloads within their band.
+    """
+
+    def __init__(self, goals: Goals, payloads: int = 7) -> None:
+        self.goals, self.variations = goals, goals.variations(payloads)
+        self._path = goals.trace
+        self._tree = cKDTree(self._path)
+
+    @cached_property
+    def given(self) -> Assessment:
+        """The given motion."""
+        return self.assess(Candidate("given", "given", self.goals.scene), given=True)
+
+    def assess(self, candidate: Candidate, *, given: bool = False) -> Assessment:
+        """Run a candidate over the bands.
+
+        Raises:
+            TrajectoryError: the motion isn't feasible.
+            ResultsError: a run failed.
+        KeyboardInterrupt: after Ctrl-C, which ends a run early.
+        """
+        prepared = candidate.prepared()
+        found = []
+        for variation in self.variations:
+            run = prepared.run(variation.changes(self.goals.scene))
+            if run.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
+            if not run.completed:
+                raise ResultsError(f"{candidate.label} with {variation}: {run.message}")
+            found.append(self._peaks(run, variation))
+        joints = run.plan.joints
+        instants = np.linspace(0.0, joints.duration, INSTANTS)
+        moving = np.abs(joints.evaluate(instants, 3, "left")[1:]).max(axis=(1, 2))
+        assessment = Assessment(
+            candidate, joints.duration, tuple(found), (float(moving[0]), float(moving[1]), float(moving[2]))
+        )
+        return Assessment(
+            candidate, assessment.time, assessment.peaks, assessment.references,
+            tuple(self._uses(assessment, assessment if given else self.given)),
+        )  # fmt: skip
+
+    def _peaks(self, run: Run, variation: Variation) -> Peaks:
+        metrics, recording, end = run.metrics, run.recording, run.plan.duration
+        torques = [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
+        moving = recording.time <= end
+        points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+        off, clear = self._off_path(points[moving]), self._clear(points[moving])
+        # from when on the vibration counts
+        residual = float(metrics["residual_vibration_amplitude"])
+        if wait := self.goals.wishes.settled_within:
+            rest = points[-1]
+            residual = float(np.hypot(*(points[recording.time >= end + wait] - rest).T).max())
+        limited = self.goals.limits
+        return Peaks(
+            variation,
+            (float(metrics["peak_torque_1"]), float(metrics["peak_torque_2"])),
+            tuple(float(recording.time[np.abs(each).argmax()]) for each in torques),  # type: ignore[arg-type]
+            (float(metrics["rms_torque_1"]), float(metrics["rms_torque_2"])),
+            (float(metrics["peak_power_1"]), float(metrics["peak_power_2"])),
+            residual,
+            float(metrics["positive_energy_1"]) + float(metrics["positive_energy_2"]),
+            (float(off.max()), float(recording.time[off.argmax()])),
+            (float(clear.min()), float(recording.time[clear.argmin()])),
+            _largest_reaction(run) if "reaction" in limited else math.nan,
+            _largest_stress(run) if "stress" in limited else math.nan,
+        )
+
+    def _clear(self, points: RealArray) -> RealArray:
+        """Distances (N,) [m] on the way through points from what is kept clear."""
+        return self.goals.clearance.along(points, self.goals.wishes.margin)
+
+    def _off_path(self, points: RealArray) -> RealArray:
+        """Distances (N,) [m] of points from the given path."""
+        _, nearest = self._tree.query(points)
+        found = np.full(len(points), np.inf)
+        for shift in (-1, 0):
+            first = np.clip(nearest + shift, 0, len(self._path) - 2)
+            side = self._path[first + 1] - self._path[first]
+            away = points - self._path[first]
+            along = np.clip(np.einsum("nj,nj->n", away, side) / np.einsum("nj,nj->n", side, side), 0.0, 1.0)
+            found = np.minimum(found, np.hypot(*(away - along[:, None] * side).T))
+        return found
+
+    def _uses(self, found: Assessment, given: Assessment) -> Sequence[LimitUse]:
+        """How close the motion comes to each limit, and where."""
+        wishes, uses = self.goals.wishes, list[LimitUse]()
+        worst = max(found.peaks, key=lambda each: each.residual)
+        uses.append(LimitUse("residual", worst.residual, wishes.residual, "m", str(worst.variation)))
+        nearest = min(found.peaks, key=lambda each: each.clearance[0])
+        distance, instant = nearest.clearance
+        if math.isfinite(distance):
+            # as a depth: 0 on the outline
+            uses.append(
+                LimitUse("clearance", max(-distance, 0.0), wishes.margin, "m", f"{instant:.4g} s, {nearest.variation}")
+            )
+        for limit in self.goals.limits.values():
+            uses.append(self._use(limit, found, given))
+        if wishes.duration is not None:
+            uses.append(LimitUse("time", found.time, wishes.duration, "s", "whole motion"))
+        return uses
+
+    def _use(self, limit: Limit, found: Assessment, given: Assessment) -> LimitUse:
+        """The use of one limit: the worst of all robots and joints."""
+        name = limit.name
+        if name in ("speed", "acceleration", "jerk"):
+            k = ("speed", "acceleration", "jerk").index(name)
+            rows = [(found.references[k], given.references[k], "references")]
+        elif name in ("torque", "rms_torque", "power"):
+            rows = [
+                (getattr(each, name)[joint], getattr(own, name)[joint], f"joint {joint + 1}, {each.variation}{self._when(each, name, joint)}")
+                for each, own in zip(found.peaks, given.peaks, strict=True)
+                for joint in range(2)
+            ]  # fmt: skip
+        elif name == "off_path":
+            rows = [
+                (each.off_path[0], own.off_path[0], f"{each.off_path[1]:.4g} s, {each.variation}")
+                for each, own in zip(found.peaks, given.peaks, strict=True)
+            ]
+        else:
+            rows = [
+                (getattr(each, name), getattr(own, name), str(each.variation))
+                for each, own in zip(found.peaks, given.peaks, strict=True)
+            ]
+        if limit.ratio is not None:
+            value, where = max((value / usual, where) for value, usual, where in rows)
+            return LimitUse(f"{name} ratio", value, limit.ratio, "1", where)
+        assert limit.value is not None
+        value, where = max((value, where) for value, _, where in rows)
+        return LimitUse(name, value, limit.value, UNITS[name], where)
+
+    @staticmethod
+    def _when(peaks: Peaks, name: str, joint: int) -> str:
+        return f", {peaks.torque_time[joint]:.4g} s" if name == "torque" else ""
+
+
+def _largest_reaction(run: Run) -> float:
+    """The largest force in an elbow or between a leg and the end effector [N]."""
+    names = [f"{place}{leg}.reaction" for place in ("elbow", "leg") for leg in (1, 2)]
+    forces = [np.hypot(*(run.recording[f"{name}.{axis}"].values for axis in "xy")) for name in names]
+    return max(float(force.max()) for force in forces)
+
+
+def _largest_stress(run: Run) -> float:
+    """The largest stress of a link [Pa]; 0 for rigid links."""
+    return max((each.combined.value for each in link_stresses(run) if each.combined is not None), default=0.0)

@@ -1,0 +1,108 @@
+"""A candidate with references for the flexible robot on the given path, in the given time.
+
+The end effector of the flexible robot stays on the path. A correction makes the references hold over the bands of payload,
+stiffness and damping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.goals import Goals, Variation
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
+from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
+from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.table import TableSection
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
+
+Show = Callable[[str, float | None], None]
+
+PAYLOADS = 16
+"""Payloads of the correction: fewer are overfitted."""
+
+KEPT = 0.99
+"""Share of each limit that is used: the correction meets limits to half a percent, and the given torques vary between payloads."""
+
+
+def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: Show) -> Iterator[Candidate]:
+    """Yield motions with references for the flexible robot.
+
+    Args:
+        goals: what to reach.
+        found: the given motion, and what else was assessed.
+        processes: not used: a correction takes a few seconds.
+        show: is called with what is being done.
+
+    Raises:
+        InputError: the given motion is a table.
+        TrajectoryError: there are no such references.
+    """
+    if isinstance(goals.scene.trajectory, TableSection):
+        raise InputError(
+            f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
+        )
+    # the given motion's torques for each payload of the correction
+    given = Judge(goals, PAYLOADS).given
+    scene = _bare(goals.scene)
+    show("references for the flexible robot on the given path", None)
+    motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
+    design = flexible_references(scene, motion.task, motion.joints)
+    yield _candidate(goals, given, motion, design)
+
+
+def _bare(scene: Scene) -> Scene:
+    """The scene with its path alone."""
+    changes: dict[str, Any] = {"shaper": [], "trajectory.references": None}
+    changes |= (
+        {}
+        if scene.trajectory.way_back == "none"
+        else {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
+    )
+    return scene.replace(changes)
+
+
+def _candidate(goals: Goals, given: Assessment, motion: MotionPlan, design: FlexibleReferences) -> Candidate:
+    """The motion with references that hold over the bands."""
+    variations, label = goals.variations(PAYLOADS), "flexible references on the given path"
+    jerk = _bound(goals, "jerk", given.references[2])
+    tolerances = Tolerances(
+        residual=0.2 * goals.wishes.residual,
+        off_path=0.9 * goals.wishes.margin,
+        torque=_torques(goals, given, variations),
+        jerk=None if jerk is None else KEPT * jerk,
+    )
+    changes = [each.changes(goals.scene) for each in variations]
+    try:
+        motors = corrected(motion.scene, changes, design.motors, motion.task, tolerances).motors
+    except TrajectoryError:
+        # the FMU judges whether they do without a correction
+        motors, label = design.motors, f"{label}, for the nominal payload"
+    return Candidate(label, "flexible references", _bare(goals.scene), motors.trajectory())
+
+
+def _bound(goals: Goals, name: str, usual: float) -> float | None:
+    """A limit in its unit; None if there is none."""
+    limit = goals.limits.get(name)
+    if limit is None:
+        return None
+    return limit.value if limit.ratio is None else limit.ratio * usual
+
+
+def _torques(goals: Goals, given: Assessment, variations: Sequence[Variation]) -> RealArray | None:
+    """Largest torques (variations, 2) [N m] that are used; None without a limit."""
+    limit = goals.limits.get("torque")
+    if limit is None:
+        return None
+    if limit.ratio is None:
+        return np.full((len(variations), 2), KEPT * (limit.value or 0.0))
+    # relative to the given motion's, which was assessed with these robots
+    usual = {each.variation: each.torque for each in given.peaks}
+    nominal = min(usual, key=lambda each: abs(each.payload - goals.scene.payload.mass))
+    return KEPT * limit.ratio * np.array([usual.get(each, usual[nominal]) for each in variations])

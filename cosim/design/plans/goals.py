@@ -1,0 +1,219 @@
+"""The wishes for a planned motion, resolved for a scene: limits in SI units, bands and regions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.design.effects.choice import resolved
+from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.model.scene.plan import PlanSection, Ratio
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.trajectories.jets import RealArray
+
+LEAST_DWELL = 0.25
+"""Standstill after the motion and `settled_within` [s], at least, over which the residual vibration is judged."""
+
+TRACE = 601
+"""Points of the given motion's trace."""
+
+UNITS: Mapping[str, str] = {
+    "torque": "N.m", "speed": "rad/s", "acceleration": "rad/s2", "jerk": "rad/s3", "rms_torque": "N.m", "power": "W",
+    "reaction": "N", "stress": "Pa", "off_path": "m", "residual": "m", "clearance": "m",
+}  # fmt: skip
+"""Limit → unit."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of the planned motion.
+
+    Attributes:
+        name: what is limited, a key of `UNITS`.
+        value: limit in the SI unit; None if it is a multiple of what the given motion needs.
+        ratio: that multiple; None for a value.
+    """
+
+    name: str
+    value: float | None = None
+    ratio: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return UNITS[self.name]
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A robot within the bands.
+
+    Attributes:
+        payload: mass [kg].
+        stiffness, damping: factors of Young's modulus and of the damping.
+    """
+
+    payload: float
+    stiffness: float = 1.0
+    damping: float = 1.0
+
+    def changes(self, scene: Scene) -> dict[str, float]:
+        """Parameters of the FMU that differ from the scene's."""
+        # an FMU without a payload has no parameter for it
+        found = {"payload.mass": self.payload} if scene.payload.mass else {}
+        if self.stiffness != 1.0:
+            found["material.youngs_modulus"] = self.stiffness * scene.mechanism.material.youngs_modulus
+        if self.damping != 1.0:
+            found |= {f"damping.{key}": self.damping * value for key, value in _damping(scene).items()}
+        return found
+
+    def of(self, scene: Scene) -> Scene:
+        """The scene of this robot."""
+        keys = {"material.youngs_modulus": "mechanism.material.youngs_modulus"}
+        changes: dict[str, Any] = {}
+        for name, value in self.changes(scene).items():
+            changes[f"effects.{name}" if name.startswith("damping.") else keys.get(name, name)] = value
+        return scene.replace(changes)
+
+    def __str__(self) -> str:
+        text = f"{self.payload:g} kg"
+        text += f", {100 * (self.stiffness - 1):+.0f} % stiffness" if self.stiffness != 1.0 else ""
+        return text + (f", {100 * (self.damping - 1):+.0f} % damping" if self.damping != 1.0 else "")
+
+
+def _damping(scene: Scene) -> dict[str, float]:
+    """Keys and values of the damping's strength; none without damping."""
+    damping = scene.effects.damping
+    return {key: value for key in ("ratio", "rate", "time") if (value := getattr(damping, key, 0.0))}
+
+
+@dataclass(frozen=True)
+class Goals:
+    """What a plan shall reach, and what it must keep to.
+
+    Attributes:
+        scene: the given scene, from a start at rest, with a dwell that shows the residual vibration.
+        wishes: its section `plan`.
+        limits: by name.
+        clearance: where the end effector may go.
+        payload: mass that the planned scene has [kg]; None for that of `scene`.
+    """
+
+    scene: Scene
+    wishes: PlanSection
+    limits: Mapping[str, Limit]
+    clearance: Clearance
+    payload: float | None = None
+
+    @cached_property
+    def trace(self) -> RealArray:
+        """Points of the given motion's way, equally spaced by length, (N, 2) [m]."""
+        return _trace(self.given)
+
+    @cached_property
+    def given(self) -> MotionPlan:
+        """The scene's own motion."""
+        return plan(self.scene)
+
+    @cached_property
+    def band(self) -> tuple[float, float]:
+        """The lightest and the heaviest payload [kg]."""
+        return payload_band(self.scene, self.wishes)
+
+    def variations(self, payloads: int) -> tuple[Variation, ...]:
+        """Robots within the bands: a number of payloads, and the corners of the bands of stiffness and damping."""
+        low, high = self.band
+        masses = np.linspace(low, high, payloads).tolist() if high > low else [low]
+        found = [Variation(mass) for mass in masses]
+        stiffness, damping = (
+            (1 - x, 1.0, 1 + x) if x else (1.0,) for x in (self.wishes.stiffness_band, self.wishes.damping_band)
+        )
+        corners = product(sorted({low, 0.5 * (low + high), high}), stiffness, damping)
+        found += [Variation(m, k, c) for m, k, c in corners if (k, c) != (1.0, 1.0)]
+        return tuple(found)
+
+
+def payload_band(scene: Scene, wishes: PlanSection) -> tuple[float, float]:
+    """The lightest and the heaviest payload [kg]."""
+    band, mass = wishes.payload_band, scene.payload.mass
+    return band if isinstance(band, tuple) else ((1 - band) * mass, (1 + band) * mass)
+
+
+def goals_of(scene: Scene) -> Goals:
+    """The wishes of a scene's section `plan`, or the defaults, in numbers, checked against each other.
+
+    Raises:
+        TrajectoryError: the given motion isn't feasible.
+        InputError: wishes contradict each other or what the robot can do.
+    """
+    scene = resolved(scene)
+    wishes = scene.plan or PlanSection()
+    if scene.cosimulation.drive != "motion" or scene.controller:
+        raise InputError(
+            f'scene {scene.name} has a torque drive or controllers: plan with `cosimulation.drive = "motion"`, then run the '
+            f"planned motion with your controllers"
+        )
+    if wishes.damping_band and not _damping(scene):
+        raise InputError(
+            f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
+            f"leave the band out, or set `effects.damping`"
+        )
+    longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
+    limits = {
+        name: Limit(name, ratio=value.ratio) if isinstance(value, Ratio) else Limit(name, value=value)
+        for name in type(wishes.limits).model_fields
+        if (value := getattr(wishes.limits, name)) is not None
+    }
+    return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None)
+
+
+def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
+    """The scene as its motions are judged: from rest, since a robot that starts undeformed swings whatever the motion does."""
+    changes: dict[str, Any] = {
+        "trajectory.dwell": max(scene.trajectory.dwell, wishes.settled_within + LEAST_DWELL),
+        "cosimulation.initial": "static",
+    }
+    if wishes.limits.reaction is not None:
+        changes["effects.reactions"] = True
+    # the payload is a parameter of the FMU if the scene has one
+    if not scene.payload.mass and (heaviest := payload_band(scene, wishes)[1]) > 0.0:
+        changes["payload.mass"] = heaviest
+    return scene.replace(changes)
+
+
+def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:
+    """Regions that the scene names, or what its own motion clears."""
+    if wishes.keep_out is not None:
+        return Clearance(
+            tuple(Polygon.of(each.outline) for each in wishes.keep_out), np.empty((0, 2)), np.empty((0, 2)), thin=True
+        )
+    motion = plan(scene)
+    trace = _trace(motion)
+    return clearance_of_trace(trace, wishes.corridor, _sag(scene, wishes, motion, trace))
+
+
+def _trace(motion: MotionPlan) -> RealArray:
+    """Points of the motion's way, equally spaced by length, (TRACE, 2) [m]."""
+    instants = np.linspace(0.0, motion.once.duration, 20 * TRACE)
+    points = motion.once.along_path.evaluate(instants, 0, "left")[0]
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    even = np.linspace(0.0, length[-1], TRACE)
+    return np.column_stack([np.interp(even, length, points[:, k]) for k in range(2)])
+
+
+def _sag(scene: Scene, wishes: PlanSection, motion: MotionPlan, trace: RealArray) -> float:
+    """How far the heaviest payload sags at the ends of the motion, in any direction [m]."""
+    heavy = Variation(payload_band(scene, wishes)[1], 1 - wishes.stiffness_band).of(scene)
+    joints = motion.once.joints.evaluate([0.0, motion.once.duration], 0, "left")[0]
+    ends = trace[[0, -1]]
+    return max(
+        float(np.hypot(*(static_equilibrium(heavy, q).position - end))) for q, end in zip(joints, ends, strict=True)
+    )

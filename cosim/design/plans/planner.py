@@ -1,0 +1,313 @@
+"""Plans a motion: search, references for the flexible robot and optimal control, judged by the FMU, the best one chosen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, LimitUse
+from flexfmu.cosim.design.plans.baselines import BASELINES, installed
+from flexfmu.cosim.design.plans.called_effects import sturdier
+from flexfmu.cosim.design.plans.checks import check_holding_torque, checked_goals
+from flexfmu.cosim.design.plans.goals import Goals, judged_scene
+from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
+from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.trajectories.errors import TrajectoryError
+
+if TYPE_CHECKING:
+    import pandas
+
+Show = Callable[[str, float | None], None]
+"""Shows what is being done, and the finished fraction, 0 to 1, where it is known."""
+
+Stage = Callable[[Goals, Sequence[Assessment], int, Show], Iterator[Candidate]]
+"""A method: from the goals, what was assessed before, the number of processes and where to show progress to ever better candidates."""
+
+METHODS = ("search", "flexible", "optimal")
+"""Names of the methods, in the order in which they run: what one finds, the next can start from."""
+
+COMPARED = ("ruckig", "toppra", "csv")
+"""Methods whose motions stand beside the front even if others are better in every figure."""
+
+SCREENED, JUDGED = 7, 25
+"""Payloads within the band with which every candidate is assessed, and with which the chosen motion is judged."""
+
+FRONT: Mapping[str, str] = {"time": "s", "residual": "m", "torque": "N.m", "energy": "J", "off_path": "m"}
+"""Figures that the Pareto front weighs against each other, with their units."""
+
+ALIKE = 1e-3
+"""Relative difference of all figures of `FRONT` below which the front has one of two motions."""
+
+NO_SAG = 1e-12
+"""Sag [m] below which an undeformed start is at rest."""
+
+FAILURES = (CosimError, TrajectoryError, SceneError, EquilibriumError)
+"""Errors of one candidate, which don't end the plan."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """A planned motion, and what it was chosen from.
+
+    Attributes:
+        goals: what it was planned for.
+        given: the scene's own motion.
+        chosen: the best motion that keeps to all limits, judged with `JUDGED` payloads; the given one if none is better.
+        assessed: all candidates, in the order in which they were found.
+        failures: message of each candidate or method that failed.
+        interrupted: whether the plan ended before its methods did.
+        cpu_time: processor time of planning [s], of all processes.
+        robustness: what remains of the chosen motion's figures in richer models, beyond the bands, and in a loop.
+    """
+
+    goals: Goals
+    given: Assessment
+    chosen: Assessment
+    assessed: tuple[Assessment, ...]
+    failures: tuple[str, ...]
+    interrupted: bool
+    cpu_time: float
+    robustness: tuple[RobustnessLine, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the chosen motion beside the given one, in a few lines."""
+        lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
+        for name, unit in FRONT.items():
+            lines.append(
+                f"  {name}: {getattr(self.chosen, name):.4g} {unit} (given {getattr(self.given, name):.4g} {unit})"
+            )
+        return "\n".join([*lines, f"  {self.verdict}"])
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
+        scene, mass = self.chosen.candidate.scene, self.goals.payload
+        return scene if mass is None else scene.replace({"payload.mass": mass})
+
+    @property
+    def front(self) -> tuple[Assessment, ...]:
+        """The candidates, the given motion included, of which no other is better in every figure of `FRONT`; the fastest first.
+
+        A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
+        """
+        others = [each for each in self.assessed if each.candidate is not self.chosen.candidate]
+        everyone = [*([] if self.chosen is self.given else [self.chosen]), self.given, *others]
+        best = [
+            each for each in everyone if each is self.chosen or not any(_dominates(other, each) for other in everyone)
+        ]
+        # the chosen one first, so that none like it replaces it
+        kept = list[Assessment]()
+        for each in sorted(best, key=lambda each: (each is not self.chosen, each.time)):
+            if not any(_are_alike(each, other) for other in kept):
+                kept.append(each)
+        return tuple(sorted(kept, key=lambda each: each.time))
+
+    @property
+    def table(self) -> tuple[Assessment, ...]:
+        """The front and, to compare with, motions of other planners and of the user; the fastest first."""
+        front = self.front
+        there = {id(each.candidate) for each in front}
+        others = [
+            each for each in self.assessed if each.candidate.method in COMPARED and id(each.candidate) not in there
+        ]
+        return tuple(sorted([*front, *others], key=lambda each: each.time))
+
+    @property
+    def missed(self) -> tuple[LimitUse, ...]:
+        """The limits that the chosen motion doesn't keep to."""
+        return tuple(use for use in self.chosen.uses if not use.met)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the chosen motion keeps to all limits, in a sentence."""
+        if not self.missed:
+            closest = max(self.chosen.uses, key=lambda use: use.share)
+            return f"all limits are kept; the closest is {closest.name}: {closest.value:.4g} of {closest.limit:.4g}"
+        listed = ", ".join(
+            f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed
+        )
+        so_far = " so far" if self.interrupted else ""
+        return f"no motion found{so_far} keeps all limits; the nearest misses {listed}"
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
+        return [
+            {
+                "motion": each.candidate.label,
+                "method": each.candidate.method,
+                **{name: float(getattr(each, name)) for name in FRONT},
+                "torque_ratio": float(each.torque_ratio),
+                "feasible": each.feasible,
+            }
+            for each in self.table
+        ]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The front as a data frame.
+
+        Raises:
+            InputError: pandas isn't installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError('data frames need pandas: pip install "flexfmu[pandas]"') from None
+        return pandas.DataFrame(self.rows())
+
+
+@one_blas_thread()
+def plan_scene(
+    scene: Scene,
+    *,
+    methods: Sequence[str] = METHODS,
+    candidates: Sequence[Candidate] = (),
+    processes: int = 1,
+    budget: float | None = None,
+    robust: bool = True,
+    show: Show = lambda text, fraction: None,
+) -> PlanResult:
+    """Plan a motion for the wishes of a scene's section `plan`.
+
+    Args:
+        scene: the scene.
+        methods: which of `METHODS` and `BASELINES`, the planners to compare with.
+        candidates: further motions that are assessed beside those found.
+        processes: number of processes of the search.
+        budget: time [s] after which nothing new is begun; None for no limit.
+        robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
+        show: is called with what is being done.
+
+    Returns:
+        The result; after Ctrl-C that of what was assessed so far.
+
+    Raises:
+        InputError: wishes contradict each other, or a method is unknown.
+        TrajectoryError, SceneError, BuildError, ResultsError: the given motion can't be planned or run.
+    """
+    if unknown := [name for name in methods if name not in (*METHODS, *BASELINES)]:
+        raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join((*METHODS, *BASELINES))}")
+    work, clock = processor_time(), monotonic()
+    goals = checked_goals(scene)
+    show("the given motion", None)
+    judge = Judge(goals, SCREENED)
+    check_holding_torque(goals, judge.given)
+    found, failures = [judge.given], list(_notes(scene, goals))
+    candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
+    interrupted = False
+    try:
+        for candidate in _candidates(goals, found, methods, candidates, processes, show, failures):
+            try:
+                found.append(judge.assess(candidate))
+            except FAILURES as error:
+                failures.append(f"{candidate.label}: {error}")
+            best = _ranked(found, goals)[0]
+            show(f"{best.time:.4g} s, {1e6 * best.residual:.2g} µm: {best.candidate.label}", None)
+            if budget is not None and monotonic() - clock > budget:
+                interrupted = True
+                break
+    except KeyboardInterrupt:
+        interrupted = True
+    show("the chosen motion, with all payloads", None)
+    final = Judge(goals, JUDGED)
+    chosen = _chosen(found, goals, final)
+    if robust and not interrupted:
+        chosen, note = sturdier(chosen, _ranked(found, goals), final)
+        failures += [note] if note else []
+    lines = list[RobustnessLine]()
+    try:
+        for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
+            show(f"the chosen motion in other models: {line.model}", None)
+            lines.append(line)
+    except KeyboardInterrupt:
+        interrupted = True
+    work = processor_time() - work
+    return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
+
+
+def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
+    """What is planned otherwise than the scene says."""
+    start = goals.given.once.joints.evaluate([0.0], 0, "right")[0, 0]
+    away = float(np.hypot(*(static_equilibrium(goals.scene, start).position - goals.trace[0])))
+    if scene.cosimulation.initial == "undeformed" and away > NO_SAG:
+        yield (
+            f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
+            f'whatever the motion: planned from rest, `initial = "static"`, which the planned scene has'
+        )
+
+
+def usual_methods() -> tuple[str, ...]:
+    """All methods, and the planners to compare with that are installed."""
+    return (*METHODS, *installed())
+
+
+def _candidates(
+    goals: Goals,
+    found: Sequence[Assessment],
+    methods: Sequence[str],
+    given: Sequence[Candidate],
+    processes: int,
+    show: Show,
+    failures: list[str],
+) -> Iterator[Candidate]:
+    """The candidates of all methods; a method that fails doesn't end the plan."""
+    yield from given
+    for name in (*METHODS, *BASELINES):
+        if name not in methods:
+            continue
+        try:
+            yield from _stage(name)(goals, found, processes, show)
+        except (*FAILURES, ModuleNotFoundError) as error:
+            failures.append(f"{name}: {error}")
+
+
+def _stage(name: str) -> Stage:
+    """A method by its name: the function of this name in the module of this name, or in that of the baselines."""
+    module = "baselines" if name in BASELINES else name
+    stage: Stage = getattr(import_module(f"flexfmu.cosim.design.plans.{module}"), name)
+    return stage
+
+
+def _dominates(one: Assessment, other: Assessment) -> bool:
+    """Whether one is at least as good in every figure, and better in one; what misses a limit doesn't dominate what keeps all."""
+    if other.feasible and not one.feasible:
+        return False
+    pairs = [(getattr(one, name), getattr(other, name)) for name in FRONT]
+    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def _are_alike(one: Assessment, other: Assessment) -> bool:
+    """Whether two motions have the same figures for all purposes."""
+    return all(math.isclose(getattr(one, name), getattr(other, name), rel_tol=ALIKE) for name in FRONT)
+
+
+def _ranked(found: Sequence[Assessment], goals: Goals) -> list[Assessment]:
+    """The best first: those that keep to all limits by what is minimised, then the others by their worst excess."""
+
+    def rank(each: Assessment) -> tuple[float, float]:
+        excess = 0.0 if each.feasible else max(use.share for use in each.uses)
+        return excess, each.objective[goals.wishes.minimise]
+
+    return sorted(found, key=rank)
+
+
+def _chosen(found: Sequence[Assessment], goals: Goals, judge: Judge) -> Assessment:
+    """The best candidate that keeps to all limits with the judge's payloads too; the nearest one if there is none."""
+    judged = list[Assessment]()
+    for each in _ranked(found, goals):
+        if judged and not each.feasible:
+            break
+        judged.append(judge.assess(each.candidate) if each.candidate.method != "given" else judge.given)
+        if judged[-1].feasible:
+            break
+    return _ranked(judged, goals)[0]

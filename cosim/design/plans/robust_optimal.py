@@ -1,0 +1,176 @@
+"""Optimal control for the bands of a plan: the fastest motion whose limits hold for all robots within them.
+
+They hold in the scene's model and in a fuller one: shear, distal bending and foreshortening lower the lowest frequencies by up to
+2 %, and a motion that leaves no vibration in one model alone leaves up to 10 µm in the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.goals import Goals, Variation
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.joint_spline import fitted
+from flexfmu.model.reference_design.motion_limits import DEPTH, MotionLimits
+from flexfmu.model.reference_design.time_optimal import LOOSE, NODES, Improvement, fastest_motion, spread
+from flexfmu.model.reference_design.variants import Variant
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.design.plans.planner import Show
+
+INTERVALS = 40
+"""Intervals between the knots of the splines: 30 give motions that are 2 % slower."""
+
+PAYLOADS = 25, 13
+"""Payloads of the band for which the limits hold: in the scene's model, and in the fuller one."""
+
+FULLER_NODES = 4
+"""Payloads that the programmes have of the fuller model."""
+
+GIVEN_STEPS = 300
+"""Steps of the integration for the given motion's torques."""
+
+STARTS = (0.5, 0.65, 0.8)
+"""Durations of the first motions, relative to the given one: the next one serves where the one before finds nothing."""
+
+RESERVE = 0.9995, 0.8, 0.9
+"""Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest."""
+
+NEARLY = 0.03
+"""Violation of the limits up to which a motion is given to the FMU to judge; beyond it the next start is tried."""
+
+TRIES, SURE, SLOWER = 4, 1.02, 1.05
+"""Motions that are judged from one start, at most, the factor on what one exceeds limits by, and that on its time for the next
+start: a slower one has room to reach the limits."""
+
+WITH_TORQUE = ("rms_torque", "power", "reaction", "stress")
+"""Limits that the programmes don't know, which fall with the torques."""
+
+NO_LIMIT = 1e9
+"""Stands for a limit that isn't set."""
+
+
+def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Iterator[Candidate]:
+    """The fastest motions within the bands, from the given one on, each corrected until the FMU finds all limits kept."""
+    own, fuller = (goals.variations(count) for count in PAYLOADS)
+    groups, nodes = [(goals.scene, own)], _nodes(own, NODES)
+    if (scene := fuller_scene(goals.scene)) is not None:
+        groups.append((scene, fuller))
+        nodes += [len(own) + k for k in _nodes(fuller, FULLER_NODES)]
+    robots = [[Variant(scene, each.changes(scene)) for each in variations] for scene, variations in groups]
+    limits, joints = _limits(goals, found[0], robots), goals.given.once.joints
+    judge = Judge(goals, PAYLOADS[0])
+    for share in STARTS:
+        start = fitted(joints, INTERVALS, side="left").with_duration(share * joints.duration)
+        tight, loose, tried = limits, LOOSE, False
+        for _ in range(TRIES):
+            last: Improvement | None = None
+            try:
+                for last in fastest_motion([*chain(*robots)], tight, start, nodes, loose=loose):
+                    show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
+            except EquilibriumError:
+                # too fast for the links: a slower start may do
+                break
+            if last is None or max(last.violations.values()) >= NEARLY:
+                break
+            label, tried = f"optimal control, robust, {last.motion.duration:.4g} s", True
+            candidate = Candidate(label, "optimal control", goals.scene, last.motion.trajectory())
+            yield candidate
+            excess = excesses(judge.assess(candidate))
+            if not excess:
+                return
+            # what the FMU finds beyond the limits is taken off them, from this motion on
+            tight, loose = tightened(tight, excess), 0.0
+            start = last.motion.with_duration(SLOWER * last.motion.duration)
+        if tried:
+            return
+
+
+def excesses(judged: Assessment) -> Mapping[str, float]:
+    """Factors above 1 by which limits of the programmes have to be tighter, and by how much ``clearance`` [m], after a motion's runs.
+
+    Torques also stand for limits that the programmes don't know, of power, forces and stresses, which fall with them. None if the
+    motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
+    """
+    missed = {use.name.removesuffix(" ratio"): use for use in judged.uses if not use.met}
+    clearance = missed.pop("clearance", None)
+    if "off_path" in missed or (clearance is not None and clearance.value > DEPTH):
+        return {}
+    found = dict[str, float]()
+    for name, use in missed.items():
+        limit = "torque" if name in WITH_TORQUE else name
+        found[limit] = max(found.get(limit, 1.0), SURE * use.share)
+    return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
+
+
+def tightened(limits: MotionLimits, excess: Mapping[str, float]) -> MotionLimits:
+    """The limits, tighter by `excesses`."""
+
+    def distances(points: RealArray) -> tuple[RealArray, RealArray]:
+        distance, gradient = limits.distances(points)
+        return distance - excess.get("clearance", 0.0), gradient
+
+    names = ("torque", "speed", "acceleration", "jerk", "residual")
+    return replace(
+        limits, distances=distances, **{name: getattr(limits, name) / excess.get(name, 1.0) for name in names}
+    )
+
+
+def fuller_scene(scene: Scene) -> Scene | None:
+    """The scene with the effects that lower its lowest frequencies; None for a rigid robot, or if it has them all."""
+    effects = scene.effects
+    if not effects.proximal_bending + effects.proximal_axial + effects.distal_bending + effects.distal_axial:
+        return None
+    # one shape of the distal links' bending is all that the lowest modes see
+    changes = {"beam": "timoshenko", "foreshortening": True, "distal_bending": max(1, effects.distal_bending)}
+    fuller = scene.replace({f"effects.{key}": value for key, value in changes.items()})
+    return fuller if fuller.effects != effects else None
+
+
+def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
+    """Indices of a number of payloads, and of all robots with other stiffness or damping."""
+    payloads = sum(each.stiffness == each.damping == 1.0 for each in variations)
+    return [*spread(payloads, count), *range(payloads, len(variations))]
+
+
+def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[Variant]]) -> MotionLimits:
+    """The goals' limits in numbers, torques for each robot, relative to what the given motion needs in the same model."""
+    share, clear, quiet = RESERVE
+    speed, acceleration, jerk = (
+        _limit(goals, name, np.array(value)).item()
+        for name, value in zip(("speed", "acceleration", "jerk"), given.references, strict=True)
+    )
+
+    def distances(points: RealArray) -> tuple[RealArray, RealArray]:
+        distance, gradient = goals.clearance.distances(points)
+        return distance + clear * goals.wishes.margin, gradient
+
+    torque = share * _limit(goals, "torque", np.vstack([_given_torques(goals, each) for each in robots]))
+    return MotionLimits(torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances)
+
+
+def _limit(goals: Goals, name: str, given: RealArray) -> RealArray:
+    """A limit in the SI unit, from what the given motion needs."""
+    limit = goals.limits.get(name)
+    if limit is None:
+        return np.full_like(given, NO_LIMIT)
+    return given * limit.ratio if limit.ratio is not None else np.full_like(given, limit.value)
+
+
+def _given_torques(goals: Goals, robots: Sequence[Variant]) -> RealArray:
+    """The largest torques of the given motion (P, 2) [N m]."""
+    joints = goals.given.once.joints
+    start = joints.evaluate([0.0], 0, "right")[0, 0]
+    response = ElasticResponse(robots[0].scene, [each.changes for each in robots], start, GIVEN_STEPS)
+    references = joints.evaluate(response.fractions * joints.duration, 2, "left")
+    torque = response.respond(np.hstack(list(references)), joints.duration).torque
+    return np.asarray(np.abs(torque).max(axis=1))

@@ -1,0 +1,271 @@
+"""Whether what a plan promises holds beyond the model that it was planned with.
+
+The planned joint references drive richer models of the robot, robots at the corners of the bands, the finite elements, and a robot
+whose motors follow by a computed-torque loop with encoders. Limits relative to the given motion are those of the given motion
+in the same model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge, LimitUse
+from flexfmu.cosim.design.plans.goals import Goals, goals_of
+from flexfmu.cosim.engine.errors import CosimError, ResultsError
+from flexfmu.cosim.experiment.own_motion import own_loop
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.model.finite_elements.equilibrium import equilibrium
+from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.robot import finite_element_robot
+from flexfmu.model.modes import damped_modes
+from flexfmu.model.scene.effects import NoDampingSection
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
+
+RICHER: Mapping[str, Mapping[str, Any]] = {
+    "distal bending": {"effects.distal_bending": 3},
+    "shear": {"effects.beam": "timoshenko"},
+    "foreshortening": {"effects.foreshortening": True},
+}
+"""Effects beyond the usual ones → keys of the scene."""
+
+RICHEST = "richest model"
+"""Name of the model with all of these effects, and three shapes of every family."""
+
+BANDS = {
+    "stiffness -10 %": (0.9, 1.0),
+    "stiffness +10 %": (1.1, 1.0),
+    "half the damping": (1.0, 0.5),
+    "twice the damping": (1.0, 2.0),
+}
+"""Robots beyond the payload band → factors of stiffness and damping, in the richest model."""
+
+PAYLOADS = 7
+"""Payloads within the band for each model."""
+
+ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 2.5e-4, 0.06
+"""Elements of a link, step [s], and standstill after the motion [s] of the finite elements."""
+
+SAMPLE_TIME, COUNTS, MOTOR_INERTIA = 1e-3, 1e6, 0.1
+"""Of the loops: sample time [s], encoder counts a turn, and inertia of motors without one [kg.m2]."""
+
+LOOPS: Mapping[str, Sequence[Mapping[str, Any]]] = {
+    "computed torque at 1 kHz": ({"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0},),
+    "PD and elastic feedforward at 1 kHz": (
+        # its derivative is that of the error, so that references are as late as encoders
+        {"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0},
+        {"kind": "feedforward", "robot": "flexible"},
+    ),
+}
+"""Controllers of each loop; the computed torque has a bandwidth of 80 rad/s."""
+
+
+@dataclass(frozen=True)
+class RobustnessLine:
+    """What remains of a plan's promise in another model.
+
+    Attributes:
+        model: the model.
+        residual: worst residual vibration [m], and for which robot.
+        where: that robot.
+        torque_ratio: worst ratio of peak torques to the given motion's in the same model; None if it isn't compared.
+        off_path: largest distance of the end effector from the given path [m]; None if it isn't known.
+        uses: use of each limit; empty if the limits aren't judged here.
+        note: what else to know, in a few words.
+    """
+
+    model: str
+    residual: float
+    where: str
+    torque_ratio: float | None = None
+    off_path: float | None = None
+    uses: tuple[LimitUse, ...] = ()
+    note: str = ""
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Names of the limits that don't hold."""
+        return tuple(use.name for use in self.uses if not use.met)
+
+
+@dataclass(frozen=True, eq=False)
+class JointReferences:
+    """A planned motion of the joints, frozen: other models don't change shapers that belong to it.
+
+    Attributes:
+        planned: q11, q21 [rad].
+    """
+
+    planned: Trajectory
+    coordinates: str = "joints"
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return self.planned.duration
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times [s] at which a derivative may jump."""
+        return self.planned.breakpoints
+
+    def evaluate(self, time: Any, order: int = 2, side: Side = "right") -> RealArray:
+        """See `flexfmu.trajectories.trajectory.Trajectory`."""
+        return self.planned.evaluate(time, order, side)
+
+
+def frozen(candidate: Candidate) -> Candidate:
+    """The candidate as a motion of the joints.
+
+    Raises:
+        TrajectoryError: the motion isn't feasible.
+    """
+    planned = candidate.prepared().run().plan
+    return Candidate(
+        candidate.label, candidate.method, planned.scene.replace({"shaper": []}), JointReferences(planned.joints)
+    )
+
+
+def robustness(candidate: Candidate, goals: Goals, *, slow: bool = True) -> Iterator[RobustnessLine]:
+    """What remains of the candidate's figures in richer models, beyond the bands, and in a loop.
+
+    Args:
+        candidate: the motion.
+        goals: what it was planned for.
+        slow: whether the finite elements judge too: some ten seconds.
+
+    Raises:
+        BuildError: a model's FMU can't be built.
+    """
+    fixed = frozen(candidate)
+    yield _assessed("planned model", fixed, goals, {})
+    for name, changes in RICHER.items():
+        yield _assessed(name, fixed, goals, changes)
+    richest = {**richest_effects(goals.scene)}
+    yield _assessed(RICHEST, fixed, goals, richest)
+    for name, (stiffness, damping) in BANDS.items():
+        if damping == 1.0 or not isinstance(goals.scene.effects.damping, NoDampingSection):
+            yield _assessed(f"{RICHEST}, {name}", fixed, goals, richest, stiffness, damping)
+    if slow:
+        yield _attempted("finite elements", lambda: _by_elements(fixed, goals))
+    for name, controllers in LOOPS.items():
+        yield _attempted(name, lambda name=name, controllers=controllers: _in_a_loop(name, controllers, fixed, goals))
+
+
+def richest_effects(scene: Scene) -> Mapping[str, Any]:
+    """Keys of the richest model of a scene's robot."""
+    families = dict.fromkeys(("proximal_bending", "proximal_axial", "distal_bending", "distal_axial"), 3)
+    most = {f"effects.{key}": max(value, getattr(scene.effects, key)) for key, value in families.items()}
+    return most | {key: value for changes in RICHER.values() for key, value in changes.items() if key not in most}
+
+
+def _assessed(
+    name: str, fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float = 1.0, damping: float = 1.0
+) -> RobustnessLine:
+    """The line of another model of the robot."""
+
+    def line() -> RobustnessLine:
+        judge = judge_of(goals, changes, stiffness, damping)
+        found = judge.assess(in_robot(fixed, judge.goals.scene))
+        worst = max(found.peaks, key=lambda each: each.residual)
+        return RobustnessLine(name, found.residual, str(worst.variation), _ratio(found), found.off_path, found.uses)
+
+    return _attempted(name, line)
+
+
+def _attempted(name: str, line: Any) -> RobustnessLine:
+    """The line, or that there is none and why."""
+    try:
+        found: RobustnessLine = line()
+        return found
+    except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
+        return RobustnessLine(name, float("nan"), "", note=str(error))
+
+
+def judge_of(goals: Goals, changes: Mapping[str, Any], stiffness: float = 1.0, damping: float = 1.0) -> Judge:
+    """A judge with the same wishes and another model of the robot.
+
+    Args:
+        goals: the wishes.
+        changes: keys of the scene.
+        stiffness, damping: factors of Young's modulus and of the damping.
+    """
+    other = dict(changes)
+    material = goals.scene.mechanism.material
+    if stiffness != 1.0:
+        other["mechanism.material.youngs_modulus"] = stiffness * material.youngs_modulus
+    for key in ("ratio", "time"):
+        value = getattr(goals.scene.effects.damping, key, None)
+        if damping != 1.0 and value is not None:
+            other[f"effects.damping.{key}"] = damping * value
+    return Judge(goals_of(goals.scene.replace(other) if other else goals.scene), PAYLOADS)
+
+
+def in_robot(fixed: Candidate, scene: Scene) -> Candidate:
+    """The frozen motion for another model of the robot."""
+    keys = ("mechanism", "effects", "payload")
+    return Candidate(
+        fixed.label,
+        fixed.method,
+        fixed.scene.model_copy(update={key: getattr(scene, key) for key in keys}),
+        fixed.trajectory,
+    )
+
+
+def _ratio(found: Assessment) -> float | None:
+    return None if np.isnan(found.torque_ratio) else found.torque_ratio
+
+
+def _by_elements(fixed: Candidate, goals: Goals) -> RobustnessLine:
+    """The finite elements with the planned payload: as damped, at their lowest frequency, as the planned model."""
+    assert fixed.trajectory is not None
+    scene, motion = goals.scene, fixed.trajectory
+    end = motion.evaluate([motion.duration], 0, "left")[0, 0]
+    modes = damped_modes(scene, end)
+    time = 2.0 * float(modes.ratios[0]) / (2.0 * np.pi * float(modes.frequencies[0])) if len(modes.ratios) else 0.0
+    damping = {"kind": "stiffness", "time": time} if time > 0.0 else {"kind": "none"}
+    robot = finite_element_robot(scene.replace({"effects.damping": damping}), ELEMENTS)
+    count = round((motion.duration + ELEMENT_DWELL) / STEP)
+    instants = np.append(STEP * np.arange(1.0, count), motion.duration + ELEMENT_DWELL)
+    found = simulate(robot, motion, np.unique(np.append(instants, motion.duration)), ELEMENT_STEP)
+    after = found.time >= motion.duration - 1e-9
+    rest = equilibrium(robot, end).position
+    residual = float(np.hypot(*(found.position[after] - rest).T).max())
+    return RobustnessLine(
+        "finite elements",
+        residual,
+        f"{scene.payload.mass:g} kg",
+        note=f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N.m",
+    )
+
+
+def _in_a_loop(name: str, controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals) -> RobustnessLine:
+    """Motors that follow by a loop with encoders."""
+    assert fixed.trajectory is not None
+    scene = goals.scene.replace(
+        {
+            "cosimulation.drive": "torque",
+            "effects.motor_inertia": goals.scene.effects.motor_inertia or MOTOR_INERTIA,
+            "controller": [{"sample_time": SAMPLE_TIME, **each} for each in controllers],
+            "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}],
+            "shaper": [],
+            "filter": [],
+        }
+    )
+    loop = own_loop(scene, fixed.trajectory)
+    run = PreparedScene(loop.motion.scene, loop=loop).run()
+    if not run.completed:
+        raise ResultsError(run.message)
+    tracking = 1e3 * max(float(run.metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
+    return RobustnessLine(
+        name, float(run.metrics["residual_vibration_amplitude"]), f"{scene.payload.mass:g} kg",
+        note=f"encoders of {COUNTS:.0e} counts, tracking error {tracking:.3g} mrad",
+    )  # fmt: skip

@@ -1,0 +1,158 @@
+"""Shaper study of a scene: designs input shapers, co-simulates each and recommends one; as data and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from flexfmu.cosim.design.effects.choice import ShowProgress
+from flexfmu.cosim.design.shapers.alternatives import DesignModes, alternatives, design_modes
+from flexfmu.cosim.design.shapers.figure import Vibrations
+from flexfmu.cosim.design.shapers.recommendation import (
+    Recommendation,
+    ShaperLimits,
+    compare_slower,
+    recommend,
+    shaper_toml,
+)
+from flexfmu.cosim.design.shapers.study import (
+    CandidateResult,
+    Drive,
+    candidates,
+    payload_errors,
+    slower,
+    studied,
+    study,
+    vibration,
+)
+from flexfmu.cosim.design.shapers.table import (
+    design_data,
+    recommendation_data,
+    result_data,
+    terminal_table,
+)
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.schema import Scene
+
+COARSE, FINE = 5, 7
+"""Number of payload errors over the band. With the payload the phases change in which the vibrations of start, corners
+and end superpose, so the residual vibration may be worst anywhere in the band, not only at its ends or middle."""
+
+
+@dataclass(frozen=True)
+class ShaperStudy:
+    """A scene's shaper study.
+
+    Attributes:
+        scene: the simulated scene.
+        design: modes that the shapers were designed for.
+        results: of the unshaped motion and of every shaper.
+        slower: of the unshaped motion, slower by the time that the recommended shaper adds; None where it adds none.
+        recommendation: the recommended shaper.
+        left_out: shaper and application → why it can't be applied.
+        vibrations: of the unshaped motion and the recommended one after their ends.
+    """
+
+    scene: Scene
+    design: DesignModes
+    results: Sequence[CandidateResult]
+    slower: CandidateResult | None
+    recommendation: Recommendation
+    left_out: Mapping[str, str]
+    vibrations: Vibrations
+
+
+@one_blas_thread()
+def examine(
+    scene: Scene,
+    band: float,
+    count: int,
+    show: ShowProgress,
+    drive: Drive | None = None,
+    limits: ShaperLimits | None = None,
+) -> ShaperStudy:
+    """Design shapers for a scene, co-simulate them and recommend one.
+
+    Args:
+        scene: the scene.
+        band: largest relative error of the payload's mass.
+        count: number of payload errors, odd.
+        show: called with the current activity and the finished fraction.
+        drive: perfect drive or the scene's controllers, see `studied`.
+        limits: limits of the recommended motion; None for none.
+
+    Raises:
+        InputError: nothing vibrates, or there is no controller.
+        CosimError: a simulation failed.
+    """
+    show("looking at the modes along the path", None)
+    # shapers for the modes at the end pose and over the payload band
+    errors = payload_errors(scene, band, count)
+    design = design_modes(plan(scene), errors)
+    scene = studied(scene, design.modes[0].frequency, drive)
+    motion = plan(scene)
+    tried, left_out = candidates(motion, alternatives(design))
+    fmu_path = build_scene(scene).path
+
+    def simulating(fraction: float) -> None:
+        show("simulating", fraction)
+
+    # the recommendation, and an unshaped motion that is slower by the same time
+    results = list(study(tried, errors, motion.duration, fmu_path, simulating))
+    recommendation = recommend(results, scene.cosimulation.settling_band, limits)
+    chosen = recommendation.result
+    added = chosen.added_time
+    compared = next(study([slower(motion, added)], errors, motion.duration, fmu_path)) if added > 0.0 else None
+    shown = {each.candidate.label: vibration(each.candidate, fmu_path) for each in (results[0], chosen)}
+    return ShaperStudy(scene, design, results, compared, recommendation, left_out, shown)
+
+
+def study_data(found: ShaperStudy) -> dict[str, Any]:
+    """Return the study as plain data."""
+    return {
+        "scene": found.scene.name,
+        "design": design_data(found.design),
+        "alternatives": [result_data(result) for result in found.results],
+        "slower": None if found.slower is None else result_data(found.slower),
+        "left_out": dict(found.left_out),
+        "recommendation": recommendation_data(found.recommendation),
+    }
+
+
+def report(found: ShaperStudy, folder: Path, output: Path | None) -> list[RenderableType]:
+    """Return the study for the terminal: design, table, recommendation and folder of the files.
+
+    Args:
+        found: the study.
+        folder: of the results.
+        output: the shaped scene's file, if there is one.
+    """
+    design, recommended = found.design, found.recommendation.result
+    # design modes, and title of the table
+    modes = ", ".join(f"{mode.frequency:.2f} Hz (damping ratio {mode.ratio:.4f})" for mode in design.modes)
+    designed = (
+        f"Designed for {modes} at the end pose; the first mode is {design.path_range[0]:.2f} to {design.path_range[1]:.2f} Hz "
+        f"along the path and {design.first_band[0]:.2f} to {design.first_band[1]:.2f} Hz over the payload band."
+    )
+    drive = ", ".join(each.name or each.kind for each in found.scene.controller) or "a perfect drive"
+    title = f"{found.scene.name}: input shapers, co-simulated with {drive}"
+    # the recommendation, the slower motion, and the shapers that can't be applied
+    lines = []
+    if found.recommendation.keeps_limits:
+        lines.append(f"Recommended: {recommended.candidate.label}: {found.recommendation.reason}.")
+    if found.slower is not None:
+        lines.append(compare_slower(recommended, found.slower, found.scene.cosimulation.settling_band) + ".")
+    lines += [f"Left out: {what}: {why}." for what, why in found.left_out.items()]
+    # the recommended shaper's table in the scene file
+    if toml := found.recommendation.keeps_limits and shaper_toml(recommended.candidate.section):
+        written = f", which {output} has" if output is not None else ""
+        lines.append(f"In the scene file{written}:\n\n{toml}")
+    lines.append(f"shapers.json, shapers.csv, sensitivity.png and sensitivity.svg are in {folder}")
+    return [Text(designed), terminal_table(title, found.results, recommended), *map(Text, lines)]

@@ -1,0 +1,292 @@
+"""Co-simulates a scene with each shaper and payload error; all runs share one FMU, whose payload is a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.design.shapers.alternatives import Alternative
+from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, deviation, plan
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.metrics.metrics import measure, settings_for
+from flexfmu.cosim.metrics.recorded_solution import Settings
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
+from flexfmu.trajectories.trajectory import TaskTrajectory
+
+UNSHAPED_NAME, NOTHING = "unshaped", "-"
+"""Name and application of the unshaped motion."""
+
+DWELL_PERIODS = 15.0
+"""Dwell in periods of the lowest mode for a scene without dwell, so that residual vibration can be measured."""
+
+
+JERK_POINTS = 2001
+"""Number of instants at which the jerk of a motion is evaluated, besides its breakpoints."""
+
+MEASURED = ("residual_vibration_amplitude", "settling_time", "peak_torque_1", "peak_torque_2")
+"""Metrics of each trial."""
+
+SMOOTH = 1e-6
+"""Jump of the acceleration relative to its maximum below which it is rounding."""
+
+Drive = Literal["perfect", "controller"]
+"""Drive of the robot in a study: motors that follow their references exactly, or the scene's controllers."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Results of one co-simulation.
+
+    Attributes:
+        payload_error: relative error of the payload's mass.
+        residual: largest distance of the end effector from where it comes to rest during the dwell [m]: from its
+            equilibrium with a perfect drive, from its last position with a controller.
+        settling_time: time after the motion's end from which it stays in the settling band [s]; None if it doesn't
+            settle within the dwell.
+        peak_torque: largest torque of either motor over the motion [N.m].
+        rest_offset: distance of a controlled robot's last position from the equilibrium [m]; 0 with a perfect drive.
+    """
+
+    payload_error: float
+    residual: float
+    settling_time: float | None
+    peak_torque: float
+    rest_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A motion shaped on the joints or along the path, or the unshaped motion.
+
+    Attributes:
+        name: of the shaper.
+        application: ``joints`` or ``path``; ``-`` for none.
+        sequence: its impulses.
+        motion: the shaped motion.
+        section: the scene file's `[[shaper]]` table that applies it; empty for the unshaped motion.
+    """
+
+    name: str
+    application: str
+    sequence: ImpulseSequence
+    motion: MotionPlan
+    section: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name and application, such as ``zv on path``."""
+        return self.name if self.application == NOTHING else f"{self.name} on {self.application}"
+
+
+@dataclass(frozen=True)
+class CandidateResult:
+    """Results of a candidate over all payload errors.
+
+    Attributes:
+        candidate: the simulated candidate.
+        added_time: duration of the motion minus that of the scene's own motion [s].
+        path_deviation: largest distance of the rigid end effector from the scene's path [m].
+        trials: one for each payload error.
+        peak_jerk: largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps.
+    """
+
+    candidate: Candidate
+    added_time: float
+    path_deviation: float
+    trials: tuple[Trial, ...]
+    peak_jerk: float = np.inf
+
+    @cached_property
+    def nominal(self) -> Trial:
+        """The trial with the scene's own payload."""
+        return min(self.trials, key=lambda trial: abs(trial.payload_error))
+
+    @property
+    def worst_residual(self) -> float:
+        """Largest residual vibration over the payload band [m]."""
+        return max(trial.residual for trial in self.trials)
+
+    @property
+    def peak_torque(self) -> float:
+        """Largest torque of either motor over the payload band [N.m]."""
+        return max(trial.peak_torque for trial in self.trials)
+
+    @property
+    def worst_settling_time(self) -> float | None:
+        """Longest settling time over the payload band [s]; None where one trial didn't settle."""
+        times = [trial.settling_time for trial in self.trials]
+        return None if None in times else max(time for time in times if time is not None)
+
+    @property
+    def time_to_rest(self) -> float | None:
+        """Added time plus longest settling time [s]: time from the unshaped motion's end to rest; None for no rest."""
+        settling = self.worst_settling_time
+        return None if settling is None else self.added_time + settling
+
+
+def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -> Scene:
+    """Return the scene for a study: with a dwell, without its own shapers, and with the drive of the study.
+
+    Args:
+        scene: the scene.
+        lowest_frequency: of the lowest mode [Hz]; a scene without dwell gets `DWELL_PERIODS` periods of it.
+        drive: ``perfect`` for motors that follow their references exactly, ``controller`` for the scene's controllers
+            and imperfections; None for the controllers where the scene has some, otherwise perfect.
+
+    Raises:
+        InputError: the drive is ``controller`` and the scene has none.
+    """
+    if drive == "controller" and not scene.controller:
+        raise InputError(
+            f"scene {scene.name} has no [[controller]] to study shapers with: add one, or take the perfect drive"
+        )
+    # sections to remove, and changes of drive and dwell
+    dropped = (
+        ("shaper",) if drive != "perfect" and scene.controller else ("controller", "shaper", "imperfection", "filter")
+    )
+    changes: dict[str, object] = {section: () for section in dropped if getattr(scene, section)}
+    if "controller" in dropped and scene.cosimulation.drive != "motion":
+        changes["cosimulation.drive"] = "motion"
+    if scene.trajectory.dwell == 0.0:
+        changes["trajectory.dwell"] = DWELL_PERIODS / lowest_frequency
+    return scene.replace(changes) if changes else scene
+
+
+def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list[Candidate], Mapping[str, str]]:
+    """Return the unshaped motion and every shaper on joints and path, and the reasons why some can't be applied."""
+    # every shaper in every application
+    found, refused = [Candidate(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], dict[str, str]()
+    applications = dict(APPLICATIONS)
+    if not isinstance(motion.along_path, TaskTrajectory):
+        del applications["path"]
+        refused["all shapers on path"] = f"{motion.source} has no profile along a path"
+    for shaper in shapers:
+        for application, shape in applications.items():
+            try:
+                section = {**shaper.section, "apply": application}
+                shaped = shape(motion, shaper.sequence)
+                found.append(Candidate(shaper.name, application, shaper.sequence, shaped, section))
+            except TrajectoryError as error:
+                refused[f"{shaper.name} on {application}"] = str(error)
+    return found, refused
+
+
+def slower(motion: MotionPlan, extra_time: float) -> Candidate:
+    """Return the unshaped motion, slower by a time [s], for comparison with a shaper that adds the same time."""
+    scene = motion.scene.replace({"trajectory.duration": motion.duration + extra_time})
+    return Candidate("slower", NOTHING, UNSHAPED, plan(scene))
+
+
+def study(
+    candidates: Sequence[Candidate],
+    payload_errors: Sequence[float],
+    nominal_duration: float,
+    fmu_path: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Iterator[CandidateResult]:
+    """Co-simulate each candidate with each payload error and yield the results.
+
+    Args:
+        candidates: shaped motions of one scene.
+        payload_errors: relative errors of the payload's mass; [0] for a scene without payload.
+        nominal_duration: duration of the scene's own motion [s].
+        fmu_path: FMU of the scene.
+        progress: called with the finished fraction.
+
+    Raises:
+        CosimError: a simulation didn't reach its end.
+    """
+    for index, candidate in enumerate(candidates):
+        trials = []
+        for error in payload_errors:
+            trials.append(simulate(candidate, error, fmu_path))
+            progress((index + len(trials) / len(payload_errors)) / len(candidates))
+        added = candidate.motion.duration - nominal_duration
+        yield CandidateResult(candidate, added, deviation(candidate.motion), tuple(trials), peak_jerk(candidate.motion))
+
+
+def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Trial:
+    """Co-simulate a candidate with a payload error and return its results.
+
+    Raises:
+        CosimError: the simulation didn't reach its end.
+    """
+    run, settings, offset = _simulated(candidate, payload_error, fmu_path)
+    values = {name: measurement.value for name, measurement in measure(run.recording, settings, MEASURED).items()}
+    return Trial(
+        payload_error,
+        values["residual_vibration_amplitude"] or 0.0,
+        values["settling_time"],
+        max(values["peak_torque_1"] or 0.0, values["peak_torque_2"] or 0.0),
+        offset,
+    )
+
+
+def vibration(candidate: Candidate, fmu_path: Path) -> tuple[RealArray, RealArray]:
+    """Return times after the motion's end [s] and the end effector's distances from rest [m], with the scene's payload.
+
+    Raises:
+        CosimError: the simulation didn't reach its end.
+    """
+    run, settings, _ = _simulated(candidate, 0.0, fmu_path)
+    after = run.recording.time >= run.plan.duration
+    distance = np.linalg.norm(position_values(run)[:, after] - settings.end_equilibrium[:, None], axis=0)
+    return run.recording.time[after] - run.plan.duration, distance
+
+
+def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
+    """Return a run, the settings of its metrics, and the distance of its rest position from the equilibrium [m].
+
+    Controllers assume the scene's payload, without the error.
+
+    Raises:
+        CosimError: the simulation didn't reach its end.
+    """
+    # run with the payload as a parameter of the FMU
+    motion = candidate.motion
+    scene = motion.scene
+    mass = with_payload_error(scene, payload_error).payload.mass
+    parameters = {"payload.mass": mass} if payload_error else {}
+    run = run_scene(scene, loop=loop_of(scene, motion), fmu_path=fmu_path, parameters=parameters)
+    if not run.completed:
+        raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
+    # a controlled robot may come to rest beside the equilibrium
+    settings = settings_for(run)
+    if not scene.controller:
+        return run, settings, 0.0
+    rest = position_values(run)[:, -1]
+    return run, replace(settings, rest=lambda: rest), float(np.linalg.norm(rest - settings.end_equilibrium))
+
+
+def position_values(run: Run) -> RealArray:
+    """Return the end-effector positions of a run (2, N) [m]."""
+    return np.array([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+
+
+def peak_jerk(motion: MotionPlan) -> float:
+    """Return the largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps."""
+    joints = motion.joints
+    times = np.union1d(np.linspace(0.0, joints.duration, JERK_POINTS), joints.breakpoints)
+    left, right = (joints.evaluate(times, 3, side=side) for side in ("left", "right"))
+    jump = np.abs(left[2] - right[2]).max()
+    if jump > SMOOTH * np.abs(right[2]).max():
+        return np.inf
+    return float(max(np.abs(left[3]).max(), np.abs(right[3]).max()))
+
+
+def payload_errors(scene: Scene, band: float, count: int) -> list[float]:
+    """Return ``count`` (odd) relative payload errors from -band to band, with 0; [0] for a scene without payload."""
+    if not scene.payload.mass or not band:
+        return [0.0]
+    return [float(error) for error in np.round(np.linspace(-band, band, count), 12)]

@@ -1,0 +1,127 @@
+"""Blocks identified from their answers have the responses of their equations; what isn't linear is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.joints import symmetric
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.filters import filter_block, low_pass, notch
+from flexfmu.cosim.control.imperfections.channels import Channel
+from flexfmu.cosim.control.imperfections.delay import whole_delay
+from flexfmu.cosim.control.imperfections.signal_blocks import quantisation
+from flexfmu.cosim.design.margins.identified import identified_block
+from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
+from flexfmu.cosim.design.margins.scene_margins import scene_margins
+from flexfmu.cosim.design.margins.warning import stability_warning
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
+
+TIME: Any = {"sample_time": 1e-3}
+POSITIONS = [Channel("joint1.position", "rad", 0.3), Channel("joint2.position", "rad", -0.2)]
+
+BLOCKS: dict[str, Callable[[], SymbolicBlock]] = {
+    "pd": lambda: pd((900.0, 800.0), 12.0, limits=symmetric(1e4), **TIME),
+    "pid": lambda: pid(900.0, 4e4, 12.0, filter_time=3e-3, offset=2e-4, **TIME),
+    "filters": lambda: filter_block(POSITIONS, [*notch(40.0), *low_pass(90.0, 3)], **TIME),
+    "delay": lambda: whole_delay(POSITIONS, 17, **TIME),
+}
+
+
+def markov(block: LinearBlock, count: int = 300) -> Any:
+    """Impulse response (count, k, m)."""
+    x, found = block.b, [block.d]
+    for _ in range(count - 1):
+        found.append(block.c @ x)
+        x = block.a @ x
+    return np.array(found)
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_an_identified_block_has_the_response_of_its_equations(name: str) -> None:
+    """Integrators and memories too, beyond the samples that it was identified from."""
+    block = BLOCKS[name]()
+    point = np.linspace(0.1, 0.4, len(block.inputs))
+    exact, at_rest = linear_block(BlockSlave(block), point)
+    found, _ = identified_block(BlockSlave(block), point)
+    assert (found.sample_time, found.offset) == (exact.sample_time, exact.offset)
+    wanted = markov(exact)
+    np.testing.assert_allclose(markov(found), wanted, rtol=0.0, atol=1e-7 * abs(wanted).max())
+    assert len(at_rest) == len(block.outputs)
+
+
+OWN = """
+import math
+import numpy as np
+import flexfmu
+
+
+@flexfmu.controller(sample_time=1e-3, state=[0.0, 0.0])
+def pi_d(t, reference, measurement, state):
+    error = [float(r) - float(m) for r, m in zip(reference[:2], measurement[:2])]
+    rate = reference[2:] - measurement[2:]
+    torque = [4e3 * e + 40.0 * float(v) + float(x) for e, v, x in zip(error, rate, state)]
+    return np.array(torque), np.array([math.fsum([x, 20.0 * e]) for e, x in zip(error, state)])
+
+
+@flexfmu.controller(sample_time=1e-3, state=[0.0, 0.0])
+def traced(t, reference, measurement, state):
+    error, rate = reference[:2] - measurement[:2], reference[2:] - measurement[2:]
+    return 4e3 * error + 40.0 * rate + state, state + 20.0 * error
+
+
+@flexfmu.controller(sample_time=1e-3)
+def rounding(t, reference, measurement):
+    return np.array([float(math.floor(4e3 * float(r - m))) for r, m in zip(reference[:2], measurement[:2])])
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], Scene]:
+    """Controller → the paper's robot with it, one mode of each proximal link."""
+    (tmp_path / "own_margins.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "effects.distal_axial": 0}
+    plain = load_scene("barnard2012-6kg").replace({**changes, "effects.proximal_bending": 1, "trajectory.dwell": 0.02})
+    return lambda controller: plain.replace({"controller": [controller]})
+
+
+def test_python_functions_and_fmus_have_the_margins_of_blocks(
+    robot: Callable[[dict[str, Any]], Scene], tmp_path: Path
+) -> None:
+    """The same law as a block, as a function that CasADi can't trace, and as an FMU."""
+    exact, called = (
+        scene_margins(robot({"kind": "python", "source": f"own_margins:{name}"}), poses=1).worst
+        for name in ("traced", "pi_d")
+    )
+    block = pid(4e3, 2e4, 40.0, filter_time=2e-3, **TIME)
+    fmu = build_block_fmu(block, tmp_path / "own.fmu")
+    gains = {"proportional": 4e3, "integral": 2e4, "derivative": 40.0, "filter_time": 2e-3}
+    by_block = scene_margins(robot({"kind": "pid", **gains, **TIME}), poses=1).worst
+    by_fmu = scene_margins(robot({"kind": "fmu", "path": str(fmu.path)}), poses=1).worst
+    for found, wanted in ((called, exact), (by_fmu, by_block)):
+        for name in ("gain_margin", "delay_margin", "disk_margin", "sensitivity_peak"):
+            assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-6), name
+
+
+def test_what_is_not_linear_is_refused(robot: Callable[[dict[str, Any]], Scene]) -> None:
+    """With the slave's name and by how much; a run doesn't call a function for its warning."""
+    with pytest.raises(InputError, match=r"rounding can't be linearised: about its operating point it answers with"):
+        scene_margins(robot({"kind": "python", "source": "own_margins:rounding"}), poses=1)
+    with pytest.raises(InputError, match=r"not to one of 1e-05: it rounds, or has a dead zone"):
+        identified_block(BlockSlave(quantisation(POSITIONS, 1e-2, **TIME)), np.array([0.3, -0.2]))
+    with pytest.raises(InputError, match="memories of more than 40 samples"):
+        identified_block(BlockSlave(whole_delay(POSITIONS, 60, **TIME)), np.array([0.3, -0.2]))
+    run = flexfmu.run(robot({"kind": "python", "source": "own_margins:pi_d"}))
+    assert stability_warning(run) is None

@@ -1,0 +1,313 @@
+"""Margins of scenes: critical gains are those of simulations, and the command says what they are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+import flexfmu
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.control.blocks.equations import block
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
+from flexfmu.cosim.design.margins.course import Course, Place
+from flexfmu.cosim.design.margins.linear_blocks import linear_block
+from flexfmu.cosim.design.margins.margins import growth
+from flexfmu.cosim.design.margins.scene_loop import WiredLoop
+from flexfmu.cosim.design.margins.scene_margins import scene_margins
+from flexfmu.cosim.design.margins.warning import stability_warning
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.own_motion import own_loop
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
+from flexfmu.cosim.experiment.wiring import inline_block
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import Variable
+
+PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 60.0, "sample_time": 1e-3}
+SEVERAL_RATES: list[dict[str, Any]] = [
+    {"kind": "encoder", "counts_per_turn": 1e12, "window": 3, "sample_time": 2.5e-4},
+    {"kind": "delay", "time": 3e-4, "sample_time": 2.5e-4},
+    {"kind": "lag", "time_constant": 2e-4},
+]
+
+
+def robot(controller: dict[str, Any], *imperfections: dict[str, Any], gravity: float = -9.81) -> Scene:
+    """The paper's robot with few modes, driven by a loop."""
+    return load_scene("barnard2012-6kg").replace(
+        {
+            "cosimulation.drive": "torque",
+            "cosimulation.tolerance": 1e-8,
+            "effects.motor_inertia": 0.1,
+            "effects.gravity": [0.0, gravity],
+            "effects.proximal_bending": 1,
+            "effects.distal_axial": 1,
+            "trajectory.dwell": 0.0,
+            "controller": [controller],
+            "imperfection": list(imperfections),
+        }
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Standstill:
+    """Joints that stand still."""
+
+    angles: tuple[float, float]
+    coordinates: str = "joints"
+    duration: float = 0.6
+    breakpoints: tuple[float, ...] = (0.0, 0.6)
+
+    def evaluate(self, time: Any, order: int = 2, side: str = "right") -> Any:
+        """Joint angles [rad] and their derivatives."""
+        found = np.zeros((order + 1, np.size(time), 2))
+        found[0] = self.angles
+        return found
+
+
+def grows(scene: Scene, angles: tuple[float, float], factor: float) -> bool:
+    """Whether small motions about standstill grow with torques times a factor."""
+    ports = [
+        ("input", "joint1.torque.input"),
+        ("input", "joint2.torque.input"),
+        ("output", "joint1.torque"),
+        ("output", "joint2.torque"),
+    ]
+    variables = [Variable(name, "N.m", "Torque", way, 0.0 if way == "input" else None) for way, name in ports]  # type: ignore[arg-type]
+    gain = block(
+        "gain", "Gain", lambda x, u, p: (factor * u, x), sample_time=1e-3, inputs=variables[:2], outputs=variables[2:]
+    )
+    loop = own_loop(scene, Standstill(angles))
+    loop = replace(loop, inline_blocks=(inline_block(as_slave(gain, SlaveNames())), *loop.inline_blocks))
+    run = PreparedScene(loop.motion.scene, loop=loop).run()
+    change, time = np.abs(np.diff(run.recording["gain.joint1.torque"].values)), run.recording.time[1:]
+    early, late = (np.sqrt(np.mean(change[(time > a) & (time <= a + 0.2)] ** 2)) for a in (0.2, 0.4))
+    return bool(late > early)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "scene",
+    [
+        robot(PD, gravity=-1e-4),
+        robot({**PD, "kind": "pid", "proportional": 1e3, "integral": 4e3, "derivative": 8.0, "filter_time": 1e-3}, *SEVERAL_RATES, gravity=-1e-4),
+    ],
+    ids=["one rate", "several rates, delay and lag"],
+)  # fmt: skip
+def test_the_critical_gain_is_that_of_simulations(scene: Scene) -> None:
+    pose = scene_margins(scene, poses=1).poses[0]
+    assert pose.is_stable
+    predicted = pose.loops[-1].gain_margin
+    assert not grows(scene, pose.joints, 0.99 * predicted)
+    assert grows(scene, pose.joints, 1.01 * predicted)
+
+
+def test_quantisers_and_noise_leave_the_margins_as_they_are() -> None:
+    plain = scene_margins(robot(PD), poses=1).worst
+    rough = [
+        {"kind": "quantisation", "resolution": 1e-3, "sample_time": 1e-3},
+        {"kind": "noise", "standard_deviation": 1e-3, "sample_time": 1e-3},
+        {"kind": "saturation", "limit": 500.0, "sample_time": 1e-3},
+    ]
+    found = scene_margins(robot(PD, *rough), poses=1).worst
+    assert found.gain_margin == pytest.approx(plain.gain_margin, rel=1e-9)
+    assert found.delay_margin == pytest.approx(plain.delay_margin, rel=1e-9)
+
+
+def test_payload_errors_count() -> None:
+    exact, heavy = (
+        scene_margins(robot(PD, *each), poses=1).poses[0].poles
+        for each in ([], [{"kind": "payload-error", "relative": 0.5}])
+    )
+    assert abs(heavy[0].imag) < abs(exact[0].imag)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cosimulation.drive": "motion", "controller": [], "imperfection": []}, "has no loop: margins need"),
+        ({"controller": [{**PD, "sample_time": 0.001234567}, {"kind": "feedforward", "sample_time": 0.00098765}]}, "have a common period"),
+    ],
+)  # fmt: skip
+def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        scene_margins(robot(PD).replace(changes), poses=1)
+
+
+def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
+    scene = robot(PD).replace({"trajectory.duration": 0.1})
+    critical = scene_margins(scene, poses=1).worst.gain_margin
+    near = {**PD, "proportional": 0.95 * critical * 1e4, "derivative": 0.95 * critical * 60.0}
+    assert stability_warning(flexfmu.run(scene)) is None
+    warning = stability_warning(flexfmu.run(scene.replace({"controller": [near]})))
+    assert warning is not None
+    assert "with torques 5.3 % larger it is unstable" in warning
+    beyond = {**PD, "proportional": 1.25 * critical * 1e4, "derivative": 1.25 * critical * 60.0}
+    warning = stability_warning(flexfmu.run(scene.replace({"controller": [beyond]})))
+    assert warning is not None
+    assert "small motions grow tenfold in" in warning
+    assert "with torques 20 % smaller it is stable" in warning
+
+
+def command(tmp_path: Path, *options: str) -> Result:
+    """`flexfmu margins` of the example."""
+    scene = Path(__file__).parents[4] / "examples" / "controller_scene.toml"
+    return CliRunner().invoke(app, ["margins", str(scene), "--poses", "1", *options])
+
+
+@pytest.mark.slow
+def test_the_command_prints_margins_and_draws_pictures(tmp_path: Path) -> None:
+    found = command(tmp_path, "--json", "--out", str(tmp_path / "m"))
+    assert found.exit_code == 0
+    data = json.loads(found.stdout)
+    assert data["stable"]
+    assert 1.5 < data["worst"]["gain_margin"] < 2.5
+    assert sorted(path.name for path in (tmp_path / "m").iterdir()) == [
+        "bode.png",
+        "margins.csv",
+        "nyquist.png",
+        "root-locus.png",
+    ]
+
+
+def test_an_unstable_loop_fails(tmp_path: Path) -> None:
+    found = command(tmp_path, "--set", "controller.pd.proportional=5e4")
+    assert found.exit_code == 1
+    assert "The loop is unstable at s = 1.00" in found.stdout
+
+
+def test_a_function_in_c_is_linearised(tmp_path: Path) -> None:
+    """By finite differences: those of PD control in C are its gains, and it counts no samples."""
+    names = [f"{kind}{joint}" for kind in ("r", "v_r", "q", "v") for joint in (1, 2)]
+    body = "for (int j = 0; j < 2; ++j) y[j] = p[0] * (u[j] - u[4 + j]) + p[1] * (u[2 + j] - u[6 + j]);"
+    (tmp_path / "own.c").write_text(f"{SIGNATURE.format('own')} {{ {body} }}\n")
+    gains = {"kp": 1e4, "kd": 60.0}
+    own = c_function(tmp_path / "own.c", inputs=names, outputs=["u1", "u2"], parameters=gains, sample_time=1e-3)
+    linear, _ = linear_block(BlockSlave(own), np.linspace(0.0, 1.0, 8))
+    expected = np.hstack([gain * np.eye(2) for gain in (1e4, 60.0, -1e4, -60.0)])
+    np.testing.assert_allclose(linear.d, expected, rtol=1e-7, atol=1e-4)
+    assert linear.a.shape == (0, 0)
+
+
+TRACKING: dict[str, Any] = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
+
+
+@pytest.mark.parametrize(
+    ("controllers", "other"),
+    [
+        # neither the robot nor its compensation has Coulomb friction at standstill
+        ([TRACKING], {"effects.joint_friction.coulomb": 2.0}),
+        ([PD, {"kind": "friction-compensation", "viscous": 0.0, "coulomb": 1.0, "motion": "measured", "sample_time": 1e-3}], {}),
+        # from cycle to cycle, not within the loop
+        ([PD, {"kind": "learning", "gain": 1e3, "cycles": 3, "sample_time": 1e-3}], {}),
+        # references aren't in the loop: an integrator among them is no instability
+        ([PD], {"filter": [{"kind": "biquad", "numerator": [1.0], "denominator": [1.0, 0.0], "signal": "reference"}]}),
+    ],
+    ids=["computed torque", "friction compensation", "learning", "references"],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LearningWarning")
+def test_what_is_not_in_the_loop_leaves_the_margins_as_they_are(
+    controllers: list[dict[str, Any]], other: dict[str, Any]
+) -> None:
+    plain = scene_margins(robot(controllers[0]), poses=1).worst
+    found = scene_margins(robot(controllers[0]).replace({"controller": controllers, **other}), poses=1).worst
+    for name in ("gain_margin", "delay_margin", "sensitivity_peak"):
+        assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-6), name
+
+
+def test_jitter_counts_with_its_mean() -> None:
+    """Between 0 and a sample late: as a delay of half a sample, linearly interpolated, but for the mean of its numbers."""
+    jitter, delay = (
+        scene_margins(robot(PD, {"signal": "velocity", "sample_time": 1e-3, **each}), poses=1).worst.gain_margin
+        for each in ({"kind": "jitter", "time": 1e-3}, {"kind": "delay", "time": 5e-4})
+    )
+    assert jitter == pytest.approx(delay, rel=0.02)
+
+
+def lqg(position_error: float, measurement_noise: float, **other: Any) -> Scene:
+    """A regulator that is designed at the start, stable there and at the end, but not everywhere in between."""
+    design = {"position_error": position_error, "measurement_noise": measurement_noise, **other}
+    return robot({"kind": "state-feedback", "pose": "start", "torque_deviation": 10.0, "sample_time": 1e-3, **design})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [lqg(3e-5, 1e-4), lqg(1e-3, 1e-5)], ids=["a quarter of the path", "a hundredth"])
+def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
+    """As by a sweep over 41 poses; the command fails, and the run warns."""
+    found = scene_margins(scene, poses=2)
+    ends = [pose for pose in found.poses if pose.s in (0.0, 1.0)]
+    assert all(pose.is_stable for pose in ends)
+    assert not found.is_stable
+    assert found.worst.gain_margin == 1.0
+    loop = loop_of(scene, about_rest=True)
+    course = Course(WiredLoop(scene, loop), loop.motion)
+    swept = [growth(next(course.loops(Place(s, course.payload)))[0]).real for s in np.linspace(0.0, 1.0, 41)]
+    worst = max(found.poses, key=lambda pose: pose.radius)
+    assert worst.poles[0].real == pytest.approx(max(swept), rel=0.02, abs=0.01)
+    warning = stability_warning(flexfmu.run(scene))
+    assert warning is not None
+    assert f"the loop is unstable about the pose at {100.0 * worst.s:.2g}"[:-1] in warning
+
+
+@pytest.mark.slow
+def test_between_poses_the_worst_margins_are_those_of_a_sweep() -> None:
+    """With a long arm outside the middle of the path, nothing is worst at an end, nor in the middle."""
+    scene = robot(
+        {**PD, "schedule": {"over": "end_effector.position.x", "at": [-0.1, 0.03, 0.05], "derivative": [1.0, 1.7, 0.9]}}
+    )
+    found = scene_margins(scene, poses=2).worst
+    swept = scene_margins(scene, poses=25).worst
+    for name in ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak"):
+        assert getattr(found, name) == pytest.approx(getattr(swept, name), rel=0.01), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signal", ["joint1.velocity", "joint1.reference.velocity", "end_effector.velocity.x"])
+def test_gains_are_those_of_the_motion(signal: str) -> None:
+    """A gain that follows a velocity is the constant gain that it is at that velocity; the run of a too large one diverges."""
+    over = {"over": signal, "at": [-3.0, -0.5, 0.5, 3.0], "derivative": [4.0, 1.0, 1.0, 4.0]}
+    fast = scene_margins(robot({**PD, "schedule": over}).replace({"trajectory.duration": 0.1}), poses=2)
+    assert not fast.is_stable
+    assert all(pose.is_stable for pose in fast.poses if pose.s in (0.0, 1.0))
+    slow = scene_margins(robot({**PD, "schedule": over}).replace({"trajectory.duration": 50.0}), poses=2)
+    assert slow.is_stable
+    assert slow.worst.gain_margin == pytest.approx(scene_margins(robot(PD), poses=2).worst.gain_margin, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("signal", "at", "factors"),
+    [
+        ("end_effector.position.x", [0.0103, 0.0123, 0.0143], [1.0, 40.0, 1.0]),
+        ("joint2.velocity", [0.0, 8.0], [1.0, 60.0]),
+    ],
+)
+def test_narrow_peaks_of_schedules_are_found(signal: str, at: list[float], factors: list[float]) -> None:
+    """Between the places of equal intervals a gain can peak for a hundredth of the path; an unstable loop has no largest sensitivity."""
+    found = scene_margins(robot({**PD, "schedule": {"over": signal, "at": at, "derivative": factors}}), poses=2)
+    assert not found.is_stable
+    assert all(pose.is_stable for pose in found.poses if pose.s in (0.0, 1.0))
+    assert np.isnan(found.worst.sensitivity_peak)
+
+
+@pytest.mark.slow
+def test_the_worst_payload_of_a_band_is_found() -> None:
+    """A light payload is worst for a PD controller; what is worst over a band is worst with one of its payloads."""
+    scene = robot(PD)
+    found = flexfmu.margins(scene, poses=2, payload_band=(1.0, 8.0))
+    each = [
+        flexfmu.margins(robot(PD, {"kind": "payload-error", "relative": mass / 6.0 - 1.0}), poses=2).worst
+        for mass in (1.0, 6.0, 8.0)
+    ]
+    assert found.worst.gain_margin == pytest.approx(min(one.gain_margin for one in each), rel=1e-6)
+    assert found.worst.disk_margin == pytest.approx(min(one.disk_margin for one in each), rel=1e-6)
+    assert {pose.payload for pose in found.poses} >= {1.0, 6.0}

@@ -1,0 +1,153 @@
+"""Distances to outlines agree with closed forms, in value and gradient; what a motion clears is the region that it goes around."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
+from flexfmu.trajectories.jets import RealArray
+
+RANDOM = np.random.default_rng(16)
+POINTS = RANDOM.uniform(-2.0, 2.0, (2000, 2))
+
+
+def test_distance_to_a_rectangle_is_the_closed_form() -> None:
+    distance, _ = Polygon.of([(0, 0), (1, 0), (1, 2), (0, 2)]).distance(POINTS)
+    beyond = np.abs(POINTS - [0.5, 1.0]) - [0.5, 1.0]
+    exact = np.hypot(*np.maximum(beyond, 0.0).T) + np.minimum(beyond.max(axis=1), 0.0)
+    assert distance == pytest.approx(exact, abs=1e-14)
+
+
+def test_distance_to_a_circle_of_many_corners_is_the_radius_left() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    distance, gradient = Polygon.of(np.column_stack([np.cos(angle), np.sin(angle)])).distance(POINTS)
+    radius = np.hypot(*POINTS.T)
+    # the sagitta of its sides, and half the angle between them
+    assert np.abs(distance - (radius - 1.0)).max() < (np.pi / 400) ** 2 / 2 * 1.01
+    assert np.abs(gradient - POINTS / radius[:, None]).max() < np.pi / 400
+
+
+def test_a_reflex_corner_belongs_to_the_right_side() -> None:
+    outline = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    x, y = POINTS.T
+    inside = (x > 0) & (y > 0) & (x < 2) & (y < 2) & ~((x > 1) & (y > 1))
+    assert ((Polygon.of(outline).distance(POINTS)[0] < 0.0) == inside).all()
+    # the sense of rotation doesn't matter
+    assert ((Polygon.of(outline[::-1]).distance(POINTS)[0] < 0.0) == inside).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=3, max_size=3), st.integers(0, 1000))
+def test_gradient_is_the_slope_of_the_distance(corners: list[tuple[float, float]], seed: int) -> None:
+    (x1, y1), (x2, y2), (x3, y3) = corners
+    if abs((x2 - x1) * (y3 - y1) - (x3 - x1) * (y2 - y1)) < 1e-2:
+        return
+    polygon, point = Polygon.of(corners), np.random.default_rng(seed).uniform(-3, 3, (1, 2))
+    gradient = polygon.distance(point)[1]
+    step = 1e-7
+    slope = [
+        (polygon.distance(point + step * e)[0] - polygon.distance(point - step * e)[0])[0] / (2 * step)
+        for e in np.eye(2)
+    ]
+    # but where two sides are equally near
+    nearest = np.hypot(*slope)
+    if abs(nearest - 1.0) < 1e-4:
+        assert gradient[0] == pytest.approx(slope, abs=1e-4)
+
+
+def test_a_motion_clears_what_it_goes_around() -> None:
+    across = np.linspace(0.0, 0.3, 301)
+    trace = np.column_stack([across, 0.05 * np.sin(np.pi * across / 0.3)])
+    clearance = clearance_of_trace(trace, corridor=0.01, below=1e-3)
+    allowed = [[0.15, 0.055], [-0.005, 0.001], [0.305, 0.02], [0.15, 0.0599]]
+    kept_clear = [[0.15, 0.04], [0.15, 0.065], [-0.02, 0.001], [0.32, 0.02], [0.15, -0.002]]
+    assert (clearance.distance(np.array(allowed)) > 0.0).all()
+    assert (clearance.distance(np.array(kept_clear)) < 0.0).all()
+
+
+def test_without_regions_everything_is_allowed() -> None:
+    nothing = Clearance((), np.empty((0, 2)), np.empty((0, 2)))
+    assert np.isinf(nothing.distance(POINTS)).all()
+
+
+def depth_of(corners: RealArray, points: RealArray) -> RealArray:
+    """Depths (N,) of points within a polygon, 0 outside, by the winding number and the distances from all sides."""
+    after = np.roll(corners, -1, axis=0)
+    side, away = after - corners, points[:, None] - corners
+    to, onward = points[:, None] - corners, points[:, None] - after
+    turn = np.arctan2(to[..., 0] * onward[..., 1] - to[..., 1] * onward[..., 0], np.einsum("nkj,nkj->nk", to, onward))
+    inside = np.abs(turn.sum(axis=1)) > np.pi
+    share = np.clip(np.einsum("nkj,kj->nk", away, side) / np.einsum("kj,kj->k", side, side), 0.0, 1.0)
+    return np.asarray(np.where(inside, np.hypot(*np.moveaxis(away - share[..., None] * side, -1, 0)).min(axis=1), 0.0))
+
+
+def way_of(random: np.random.Generator) -> RealArray:
+    """A smooth way of about 0.3 m with points some 0.5 mm apart, as a run records it."""
+    x = np.linspace(-0.15, 0.15, 601)
+    bends = random.uniform(-0.01, 0.01, 4)
+    return np.column_stack([x, sum(bend * np.cos((k + 1) * 9.0 * x) for k, bend in enumerate(bends))])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_depth_of_a_way_is_that_of_a_finely_sampled_one(seed: int) -> None:
+    """Walls of 10 µm to 3 mm, wedges, stars and blocks, wherever points of the way lie."""
+    random = np.random.default_rng(seed)
+    way = way_of(random)
+    place = way[random.integers(50, 550)] + random.uniform(-1e-3, 1e-3, 2)
+    count, angle = int(random.integers(3, 9)), random.uniform(0.0, 2.0 * np.pi)
+    around = angle + 2.0 * np.pi * np.sort(random.uniform(0.0, 1.0, count) * 0.3 + np.arange(count)) / count
+    stretch = np.array([10.0 ** random.uniform(-5.0, -2.5), 10.0 ** random.uniform(-3.0, -1.3)])
+    shape = random.uniform(0.5, 1.0, count)[:, None] * np.column_stack([np.cos(around), np.sin(around)]) * stretch
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    region = Polygon.of(place + shape @ turned.T)
+    found = max((each.depth for each in region.stretches(way)), default=0.0)
+    # a thousandth of a millimetre apart, where the way is near
+    near = np.flatnonzero(np.hypot(*(way - place).T) < np.hypot(*shape.T).max() + 1e-3)
+    low, high = max(near[0] - 1, 0), min(near[-1] + 1, len(way) - 1)
+    index = np.linspace(low, high, 500 * (high - low) + 1)
+    fine = np.column_stack([np.interp(index, np.arange(len(way)), each) for each in way.T])
+    exact = float(depth_of(region.corners, fine).max())
+    assert found == pytest.approx(exact, abs=1.5e-6)
+    assert found >= exact - 1e-8
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.floats(1e-6, 1e-3), st.floats(2e-3, 0.05), st.floats(-1.2, 1.2))
+def test_a_way_through_a_wall_is_as_far_off_as_the_walls_end(
+    seed: int, thickness: float, beyond: float, slant: float
+) -> None:
+    """However thin the wall is, and more so the thinner; beside it, and where a corner is cut, the depth alone counts."""
+    way = way_of(np.random.default_rng(seed))
+    k = 300
+    along = (way[k + 1] - way[k - 1]) / np.hypot(*(way[k + 1] - way[k - 1]))
+    up = np.array(
+        [np.sin(slant) * along[0] - np.cos(slant) * along[1], np.sin(slant) * along[1] + np.cos(slant) * along[0]]
+    )
+    side = 0.5 * thickness * np.array([up[1], -up[0]])
+    place = way[k] + 1e-4 * along
+    wall = Polygon.of(
+        [place - 0.1 * up - side, place - 0.1 * up + side, place + beyond * up + side, place + beyond * up - side]
+    )
+    passed = Clearance((wall,), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    # far from it no motion of 0.1 mm would go around it
+    if beyond > 12.0 * thickness / np.cos(slant):
+        assert passed.passage(way) > 0.3 * beyond
+        assert passed.passage(way) < 1.1 * beyond + thickness
+        assert passed.along(way, 1.0).min() < -0.3 * beyond
+    # moved aside by more than the wall reaches, nothing is passed
+    clear = Clearance((Polygon.of(wall.corners - 0.2 * up),), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    assert clear.passage(way + 0.0) == 0.0
+
+
+def test_a_corner_that_is_cut_is_not_passed_through() -> None:
+    """The depth counts there, as within a margin it is allowed."""
+    box = Clearance((Polygon.of([(0, 0), (1, 0), (1, 1), (0, 1)]),), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    for depth in (1e-6, 1e-4, 1e-2):
+        cut = np.array([[-1.0, 1.0 + 2 * depth], [1.0 + 2 * depth, -1.0]])[:, ::-1]
+        assert box.passage(cut) == 0.0
+        grazing = np.array([[-0.5, 1.0 - depth], [1.5, 1.0 - depth]])
+        assert box.along(grazing, 1e-3).min() == pytest.approx(-depth)

@@ -1,0 +1,293 @@
+"""A plan chooses the best motion within limits, says what it can't reach, and leaves a scene that runs to the same figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given as drawn
+from hypothesis import settings
+from hypothesis import strategies as st
+
+import flexfmu
+from flexfmu.cosim.design.plans import planner
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.checks import check_holding_torque
+from flexfmu.cosim.design.plans.goals import Goals, goals_of
+from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
+from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, plan_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.model.reference_design.joint_spline import fitted
+from flexfmu.model.scene.file import load_scene
+
+FEW = {"effects.proximal_bending": 1, "effects.distal_axial": 1}
+SCENE = load_scene("barnard2012-6kg").replace(FEW)
+GOALS = goals_of(SCENE)
+SPLINE = fitted(GOALS.given.joints, 28)
+
+
+def stretched(factor: float) -> Candidate:
+    """The given motion as a spline of the joints, slower."""
+    motion = SPLINE.with_duration(factor * SPLINE.duration).trajectory()
+    return Candidate(f"stretched {factor:g}", "optimal control", GOALS.scene, motion)
+
+
+def shaped(duration: float) -> Candidate:
+    """A motion with wide corners and a shaper, which needs room."""
+    keys = {
+        "trajectory.blend.width": 0.1,
+        "trajectory.duration": duration,
+        "shaper": [{"kind": "zvd", "mode_count": 2}],
+    }
+    return Candidate("wide corners", "search", GOALS.scene.replace(keys))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_payloads() -> Iterator[None]:
+    """The methods are the same with any number of payloads."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner, "SCREENED", 2)
+        patch.setattr(planner, "JUDGED", 3)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result() -> PlanResult:
+    """A plan that has three motions to choose from."""
+    return plan_scene(SCENE, methods=(), candidates=[stretched(1.2), stretched(1.05), shaped(0.27)], robust=False)
+
+
+def test_the_fastest_motion_within_all_limits_is_chosen(result: PlanResult) -> None:
+    feasible = [each for each in result.assessed if each.feasible]
+    assert len(feasible) >= 1
+    assert result.chosen.feasible
+    assert result.chosen.time == min(each.time for each in feasible)
+    # a faster one is there, but comes into what is kept clear
+    wide = next(each for each in result.assessed if each.candidate.label == "wide corners")
+    assert wide.time < result.chosen.time
+    assert [use.name for use in wide.uses if not use.met] == ["clearance"]
+
+
+def test_no_motion_of_the_front_is_worse_in_everything_than_another(result: PlanResult) -> None:
+    figures = [(*(getattr(each, name) for name in FRONT), not each.feasible) for each in result.front]
+    for one in figures:
+        assert not any(all(a <= b for a, b in zip(other, one, strict=True)) and other != one for other in figures)
+    assert [each.time for each in result.front] == sorted(each.time for each in result.front)
+
+
+def test_an_assessment_has_the_metrics_of_the_run(result: PlanResult) -> None:
+    for each in (result.given, result.chosen):
+        peaks = each.peaks[-1]
+        changes = {"payload.mass": peaks.variation.payload}
+        run = flexfmu.run(
+            GOALS.scene,
+            trajectory=each.candidate.trajectory,
+            parameters=changes,
+            communication_step=2e-4,
+            tolerance=1e-8,
+        )
+        assert peaks.residual == pytest.approx(float(run.metrics["residual_vibration_amplitude"]), abs=1e-12)
+        assert peaks.torque == pytest.approx(
+            [float(run.metrics[f"peak_torque_{joint}"]) for joint in (1, 2)], rel=1e-12
+        )
+
+
+def test_settling_leaves_time_for_the_vibration_to_fade() -> None:
+    candidate = Candidate("given", "given", GOALS.scene)
+    at_once, later = (
+        Judge(goals_of(SCENE.replace({"plan.settled_within": wait})), 1).assess(candidate, given=True).residual
+        for wait in (0.0, 0.1)
+    )
+    assert later < 0.5 * at_once
+
+
+def test_the_planned_scene_runs_to_the_stated_figures(
+    result: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = write_scene(result, tmp_path / "there" / "mine.toml")
+    assert [path.name for path in written] == ["mine.toml", "mine.csv"]
+    # from another folder
+    monkeypatch.chdir(tmp_path)
+    scene = flexfmu.load_scene("there/mine.toml")
+    assert scene.trajectory.dwell == GOALS.scene.trajectory.dwell
+    run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
+    nominal = next(each for each in result.chosen.peaks if math.isclose(each.variation.payload, 6.0))
+    assert run.plan.duration == pytest.approx(result.chosen.time, abs=1e-15)
+    assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(nominal.residual, abs=1e-11)
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(nominal.torque[0], rel=1e-9)
+
+
+def test_a_shaped_motion_is_written_as_keys_of_the_scene(tmp_path: Path) -> None:
+    wishes = SCENE.replace({"plan.keep_out": []})
+    found = plan_scene(wishes, methods=(), candidates=[shaped(0.27)], robust=False)
+    assert found.chosen.candidate.label == "wide corners"
+    write_scene(found, tmp_path / "planned.toml")
+    scene = load_scene(tmp_path / "planned.toml")
+    assert flexfmu.plan(scene).duration == 0.27
+    assert flexfmu.run(scene).plan.duration == pytest.approx(found.chosen.time, rel=1e-12)
+
+
+def test_files_say_the_same(result: PlanResult, tmp_path: Path) -> None:
+    names = [path.name for path in write_plan(result, tmp_path)]
+    assert names == ["planned.toml", "planned.csv", "front.csv", "plan.json", "plan.html"]
+    data = json.loads((tmp_path / "plan.json").read_text())
+    assert data["chosen"]["time"] == result.chosen.time
+    assert len(data["front"]) == len((tmp_path / "front.csv").read_text().splitlines()) - 1 == len(result.front)
+    page = (tmp_path / "plan.html").read_text()
+    for heading in (
+        "Planned motion",
+        "Limits",
+        "Pareto front",
+        "Over the payload band",
+        "Path of the end effector",
+        "Motor torques",
+    ):
+        assert heading in page
+
+
+def test_what_no_motion_reaches_is_said() -> None:
+    found = plan_scene(SCENE.replace({"plan.residual": 1e-12}), methods=(), candidates=[stretched(1.2)], robust=False)
+    assert [use.name for use in found.missed] == ["residual"]
+    assert "no motion found keeps all limits" in found.verdict
+    assert found.chosen.candidate.label == "stretched 1.2"
+
+
+def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    def search(goals: Goals, found: Sequence[Assessment], processes: int, show: planner.Show) -> Iterator[Candidate]:
+        yield stretched(1.3)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(planner, "_stage", lambda name: search)
+    found = plan_scene(SCENE, methods=("search",))
+    assert found.interrupted
+    assert found.chosen.candidate.label == "stretched 1.3"
+
+
+def test_ctrl_c_within_a_run_ends_the_plan_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run ends early then, and isn't a motion that fails."""
+    usual, runs = PreparedScene.run, list[int]()
+
+    def run(self: PreparedScene, *arguments: Any) -> Run:
+        runs.append(0)
+        found = usual(self, *arguments)
+        return replace(found, outcome=Outcome.INTERRUPTED) if len(runs) == 4 else found
+
+    monkeypatch.setattr(PreparedScene, "run", run)
+    found = plan_scene(SCENE, methods=(), candidates=[stretched(1.2), stretched(1.3)], robust=False)
+    assert found.interrupted
+    assert found.failures == found.assessed == ()
+
+
+def test_a_motion_that_fails_does_not_end_the_plan() -> None:
+    singular = Candidate(
+        "too low",
+        "search",
+        GOALS.scene.model_copy(update={"trajectory": GOALS.scene.trajectory.model_copy(update={"height": 0.6})}),
+    )
+    found = plan_scene(SCENE, methods=(), candidates=[singular, stretched(1.2)], robust=False)
+    assert len(found.failures) == 1
+    assert found.failures[0].startswith("too low: ")
+    assert len(found.assessed) == 1
+
+
+def test_an_unknown_method_is_an_error() -> None:
+    with pytest.raises(InputError, match="unknown method genetic; choose from search, flexible, optimal"):
+        plan_scene(SCENE, methods=("genetic",))
+
+
+def test_the_front_door_takes_wishes_and_motions() -> None:
+    motion = SPLINE.with_duration(0.5).trajectory()
+    found = flexfmu.plan_motion(SCENE, methods=(), candidates={"mine": motion}, payload_band=[5.0, 7.0], robust=False)
+    assert found.goals.band == (5.0, 7.0)
+    assert found.chosen.candidate.label == "mine"
+    assert np.isclose(found.chosen.time, 0.5)
+    assert found.to_pandas()["motion"].tolist() == [row["motion"] for row in found.rows()]
+
+
+@pytest.mark.slow
+def test_an_undeformed_start_is_planned_from_rest() -> None:
+    """What the robot swings from there is no motion's: figures are those of a static start, and a note says so."""
+    undeformed = SCENE.replace({"cosimulation.initial": "undeformed"})
+    given, chosen = (
+        plan_scene(each, methods=(), candidates=[Candidate("slower", "csv", each, stretched(1.2).trajectory)], robust=False)
+        for each in (SCENE, undeformed)
+    )  # fmt: skip
+    assert chosen.chosen.candidate.label == given.chosen.candidate.label == "slower"
+    assert [use.value for use in chosen.chosen.uses] == [use.value for use in given.chosen.uses]
+    assert given.failures == ()
+    (note,) = chosen.failures
+    assert "planned from rest" in note
+    # the planned scene runs to these figures
+    run = flexfmu.run(chosen.scene, trajectory=stretched(1.2).trajectory, tolerance=1e-8)
+    assert float(run.metrics["residual_vibration_amplitude"]) < 2.0 * chosen.chosen.residual
+    # without gravity there is nothing to swing from
+    weightless = undeformed.replace({"effects.gravity": [0.0, 0.0]})
+    assert plan_scene(weightless, methods=(), robust=False).failures == ()
+
+
+@pytest.mark.parametrize(("band", "heaviest"), [(0.3, 0.0), ([0.0, 1.0], 1.0)])
+def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float) -> None:
+    """Without a payload the FMU has no parameter for it; the planned scene carries none either."""
+    scene = SCENE.replace({"payload.mass": 0.0, "plan.payload_band": band})
+    found = plan_scene(scene, methods=(), candidates=[stretched(1.2)], robust=False)
+    assert found.failures == ()
+    assert max(each.variation.payload for each in found.chosen.peaks) == heaviest
+    assert found.scene.payload.mass == 0.0
+    run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.peaks[0].torque[0], rel=1e-6)
+
+
+@pytest.mark.slow
+@settings(max_examples=12, deadline=None)
+@drawn(st.floats(-0.2, 0.2))
+def test_a_ratio_below_the_holding_torque_is_refused_at_once(shift: float) -> None:
+    """Exactly those below what the FMU needs at rest, relative to the given motion's peak, for any payload and joint."""
+    ratio = (1.0 + shift) * _resting_share()
+    goals = goals_of(SCENE.replace({"plan.limits.torque": {"ratio": ratio}}))
+    if abs(shift) < 1e-4:
+        return
+    if shift > 0.0:
+        check_holding_torque(goals, _given())
+        return
+    with pytest.raises(InputError, match="against gravity: allow more, or carry less"):
+        check_holding_torque(goals, _given())
+
+
+@cache
+def _given() -> Assessment:
+    return Judge(GOALS, 2).given
+
+
+@cache
+def _resting_share() -> float:
+    """The largest ratio of a torque at rest, before the motion or long after it, to the largest of the given motion, by the FMU."""
+    shares = list[float]()
+    scene = SCENE.replace({"trajectory.dwell": 1.5, "effects.damping": {"kind": "modal", "ratio": 0.3}})
+    for peaks in _given().peaks:
+        recording = flexfmu.run(scene.replace({"payload.mass": peaks.variation.payload}), tolerance=1e-8).recording
+        for joint, largest in enumerate(peaks.torque, 1):
+            torque = np.abs(recording[f"joint{joint}.torque"].values)
+            shares += [float(torque[k]) / largest for k in (0, -1)]
+    return max(shares)
+
+
+@settings(max_examples=8, deadline=None)
+@drawn(st.floats(-0.15, 0.15), st.floats(-5.5, -3.0), st.booleans())
+def test_a_thin_wall_across_the_path_is_not_kept(place: float, thickness: float, crossed: bool) -> None:
+    """Whatever lies between two instants of a run: the end effector, 25 mm above its start, passes it or goes by."""
+    low, high = (0.28, 0.31) if crossed else (0.20, 0.29)
+    wall = {"kind": "box", "corners": [[place, low], [place + 10.0**thickness, high]]}
+    found = Judge(goals_of(SCENE.replace({"plan.keep_out": [wall], "plan.payload_band": 0.0})), 1).given
+    (use,) = (each for each in found.uses if each.name == "clearance")
+    assert use.met is not crossed
+    assert found.clearance < 0.0 if crossed else found.clearance == pytest.approx(0.005, rel=0.1)

@@ -1,0 +1,268 @@
+"""The search finds fast motions within all limits, the same for any number of processes, and no grid finds better ones."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import islice
+from subprocess import PIPE, Popen
+from time import process_time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.design.plans import search as module
+from flexfmu.cosim.design.plans.assessment import Candidate, Judge
+from flexfmu.cosim.design.plans.descent import best_change
+from flexfmu.cosim.design.plans.designs import Design, ShaperChoice, changed, polynomial, references
+from flexfmu.cosim.design.plans.goals import goals_of
+from flexfmu.cosim.design.plans.race import Member, Study, begun, improved, undominated
+from flexfmu.cosim.design.plans.recipes import LAWS, Recipe
+from flexfmu.cosim.design.plans.scoring import Figures
+from flexfmu.cosim.design.plans.search import Search, search
+from flexfmu.cosim.design.plans.studies import study_of
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.model.scene.file import load_scene
+from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
+
+SCENE = load_scene("barnard2012-0.1kg")
+
+TIGHT = {"torque": 1.0, "speed": 1.0}
+
+RECIPE = Recipe("lame", "modified-trapezoid", (("zvd", 0, "joints"),))
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return study_of(goals_of(SCENE), 3, 1e-3)
+
+
+def design(*shapers: ShaperChoice) -> Design:
+    law = polynomial((0.1, 0.2, -0.1, 0.1))
+    return Design("polar", (0.024, 0.05), 0.03, "polynomial", law, shapers, 0.2)
+
+
+SHAPED = {
+    "joints": (ShaperChoice("zvd", (70.0,), 0.02, "joints"), ShaperChoice("zv", (90.0,), 0.02, "joints")),
+    "path": (ShaperChoice("ei", (70.0,), 0.02, "path"),),
+    "both": (ShaperChoice("zvd", (70.0,), 0.02, "path"), ShaperChoice("si", (60.0, 80.0), 0.02, "joints")),
+    "none": (),
+}
+
+
+@pytest.mark.parametrize("place", SHAPED)
+def test_references_are_those_of_the_scene_that_is_written(place: str) -> None:
+    found = references(SCENE, design(*SHAPED[place]), 300)
+    planned = loop_of(changed(SCENE, design(*SHAPED[place]))).motion.joints
+    assert found.duration == pytest.approx(planned.duration, rel=1e-12)
+    exact = planned.evaluate(found.time, 2, "left")
+    for values, expected in zip(found.values, exact, strict=True):
+        assert np.abs(values - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+@pytest.mark.slow
+def test_quick_runs_agree_with_the_scene(study: Study) -> None:
+    chosen = design(*SHAPED["joints"])
+    trial = study.tried(chosen)
+    assert trial is not None
+    scene = changed(study.scene, chosen)
+    masses = [each.payload for each in goals_of(SCENE).variations(3)]
+    runs = [run_scene(scene, parameters={"payload.mass": mass}, tolerance=1e-7) for mass in masses]
+    exact = [metrics_of(run, ["residual_vibration_amplitude", "peak_torque_1", "peak_torque_2"]) for run in runs]
+    residual = max(each["residual_vibration_amplitude"] or 0.0 for each in exact)
+    assert trial.score.values["residual"] == pytest.approx(residual, rel=2e-2)
+    torques = [[each["peak_torque_1"], each["peak_torque_2"]] for each in exact]
+    assert trial.score.run.peak_torques == pytest.approx(np.array(torques, dtype=float), rel=5e-3)
+
+
+def test_time_laws_move_forward_and_are_at_rest_at_both_ends() -> None:
+    law = PROFILES["polynomial"].make(**dict(polynomial((0.3, 0.5, -0.2, 0.4, 0.1, 0.0, 0.0, 0.2))))
+    values = evaluate_profile(law, np.linspace(0.0, 1.0, 101), 2).derivatives()
+    assert (values[1, 1:-1] > 0.0).all()
+    assert values[:, 0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-8)
+    assert values[:, -1] == pytest.approx([1.0, 0.0, 0.0], abs=1e-8)
+
+
+@dataclass
+class Linear:
+    """A score whose figures are linear in two numbers: minimise 2 - x - y within x + 2y <= 1 and 3x + y <= 1."""
+
+    x: float
+    y: float
+    rows: dict[str, np.ndarray] = field(init=False)
+    minimised: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rows = {"torque": np.array([self.x + 2.0 * self.y]), "speed": np.array([3.0 * self.x + self.y])}
+        self.minimised = np.array([2.0 - self.x - self.y])
+
+
+def test_linear_programmes_go_to_the_vertex() -> None:
+    here, step = Linear(0.0, 0.0), np.full(2, 0.01)
+    near = [Linear(0.01, 0.0), Linear(0.0, 0.01)]
+    free = np.zeros(0), np.zeros((0, 2))
+    wide = -np.ones(2), np.ones(2)
+    change, predicted = best_change(here, near, step, TIGHT, *wide, free)  # type: ignore[arg-type]
+    assert change == pytest.approx([0.2, 0.4])
+    assert predicted == pytest.approx(0.3)
+    # a limit that plays no part, and the trust region
+    change, _ = best_change(here, near, step, {"torque": 1.0, "speed": 0.0}, -np.ones(2), np.full(2, 0.5), free)  # type: ignore[arg-type]
+    assert change == pytest.approx([0.5, 0.25])
+
+
+@pytest.mark.slow
+def test_no_grid_finds_a_better_motion(study: Study) -> None:
+    race = begun(study, RECIPE, study.space.start(RECIPE), {})
+    first = race.cost
+    race = improved(study, race, 8)
+    assert race.best is not None
+    assert race.best.score.feasible
+    assert race.cost < first - 0.1
+    # time and width of the corners, with all other numbers those of the motion found
+    costs = []
+    for time in np.linspace(race.point[0] - 0.08, race.point[0] + 0.02, 6):
+        for width in np.linspace(0.05, 0.95, 6):
+            point = np.array([time, *race.point[1:3], width, *race.point[4:]])
+            trial = study.at(RECIPE, point)
+            costs.append(np.inf if trial is None or not trial.score.feasible else trial.score.objective)
+    assert race.best.score.objective <= min(costs) + 5e-3
+
+
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search of a few recipes and steps."""
+    uses = [(("zvd", 0, "joints"),), (("ei", 0, "joints"),)]
+    monkeypatch.setattr(module, "shaper_uses", lambda modes: uses)
+    monkeypatch.setattr(module, "recipes", lambda best, laws=LAWS: [RECIPE])
+    monkeypatch.setattr(module, "KEPT", 1)
+    monkeypatch.setattr(module, "ROUNDS", ((2, 2),))
+    monkeypatch.setattr(module, "RELAXED", ((1, 2),))
+
+
+def found(study: Study, processes: int, seed: int = 3) -> list[module.Found]:
+    return list(Search(study, study, seed, processes, ("clearance",)).found())
+
+
+@pytest.mark.slow
+def test_the_motions_do_not_depend_on_the_number_of_processes(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    small(monkeypatch)
+    one, two = found(study, 1), found(study, 2)
+    assert len(one) > 2
+    assert [(each.trial.design, each.without) for each in one] == [(each.trial.design, each.without) for each in two]
+
+
+@pytest.mark.slow
+def test_motions_are_within_limits_and_get_better(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    small(monkeypatch)
+    motions = [each.trial for each in found(study, 1) if not each.without]
+    assert all(each.score.feasible for each in motions)
+    best = min(motions, key=lambda each: each.score.values["time"])
+    goals = goals_of(SCENE)
+    judged = Judge(goals, 3).assess(Candidate("best", "search", changed(goals.scene, best.design)))
+    assert judged.feasible
+    assert judged.time < 0.8 * SCENE.trajectory.duration
+
+
+def test_a_search_that_is_left_ends(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    small(monkeypatch)
+    motions = Search(study, study, processes=2).found()
+    assert next(motions).trial.score.values["time"] > 0.0
+    motions.close()  # type: ignore[attr-defined]
+    assert list(motions) == []
+
+
+@pytest.mark.slow
+def test_least_residual_at_a_given_time() -> None:
+    wishes = {"plan": {"minimise": "residual", "duration": 0.25, "payload_band": 0.1}}
+    study = study_of(goals_of(SCENE.replace(wishes)), 3, 1e-3)
+    first = begun(study, RECIPE, study.space.start(RECIPE), {})
+    last = improved(study, first, 4)
+    assert first.best is not None
+    assert last.best is not None
+    assert last.best.design.total == pytest.approx(0.25)
+    assert last.best.score.values["residual"] < 0.7 * first.best.score.values["residual"]
+    assert last.best.score.feasible
+
+
+def test_fronts_keep_what_no_other_motion_beats() -> None:
+    def member(*values: float) -> Member:
+        names = ("time", "residual", "torque", "energy")
+        return Member(design(), Figures(dict(zip(names, values, strict=True)), {}))
+
+    front: tuple[Member, ...] = ()
+    for each in (member(1, 1, 1, 1), member(2, 2, 2, 2), member(0.5, 2, 1, 1), member(0.5, 1, 1, 1)):
+        front = undominated((*front, each))
+    assert [each.figures.values["residual"] for each in front] == [1]
+    assert [each.figures.values["time"] for each in front] == [0.5]
+
+
+def test_a_search_needs_a_path() -> None:
+    class Tabulated:
+        scene = SimpleNamespace(name="log", trajectory=None)
+        wishes = None
+
+    show: Callable[[str, float | None], None] = lambda text, fraction: None  # noqa: E731
+    with pytest.raises(InputError, match="scene log has a motion from a table, and no path whose corners could change"):
+        list(islice(search(Tabulated(), (), 1, show), 1))  # type: ignore[arg-type]
+
+
+def _busy(study: object, seconds: float) -> float:
+    """Work for some seconds of processor time."""
+    end = process_time() + seconds
+    while process_time() < end:
+        pass
+    return seconds
+
+
+def test_the_processor_time_of_all_processes_counts() -> None:
+    """What the processes of a search worked is there when it is left, by its end or before."""
+    before = processor_time()
+    with module._processes(None, 2) as pool:  # type: ignore[arg-type]
+        assert list(pool.map(_busy, [0.2] * 4)) == [0.2] * 4
+    assert processor_time() - before > 0.8
+    before = processor_time()
+    with module._processes(None, 2) as pool:  # type: ignore[arg-type]
+        next(iter(pool.map(_busy, [0.2] * 2)))
+    assert processor_time() - before > 0.4
+
+
+def test_a_process_that_is_killed_is_an_error_in_one_sentence() -> None:
+    """As when memory runs out: the plan goes on with what else it has."""
+    with module._processes(None, 2) as pool, pytest.raises(ResultsError, match="a process ended"):  # type: ignore[arg-type]
+        list(pool.map(_killed, [None] * 2))
+
+
+def _killed(study: object, task: None) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+STOPPED = """
+import time
+from contextlib import suppress
+from typer import Exit
+from flexfmu.cosim.design.plans import search
+from flexfmu.cosim.cli.console import one_line_errors, orderly_termination
+with suppress(Exit), orderly_termination(), one_line_errors(), search._processes(None, 2) as pool:
+    list(pool.map(isinstance, [object] * 4))
+    print("started", flush=True)
+    time.sleep(20.0)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_processes_that_are_stopped_are_silent(number: signal.Signals) -> None:
+    """Ctrl-C and the end of a session reach all processes of a group: one line, and no traceback of a worker."""
+    process = Popen([sys.executable, "-c", STOPPED], stdout=PIPE, stderr=PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "started\n"
+    os.killpg(process.pid, number)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "flexfmu: interrupted\n"

@@ -1,0 +1,408 @@
+"""`flexfmu shaper`: what it co-simulates, recommends, prints and writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.design.shapers import alternatives as shaping_design
+from flexfmu.cosim.design.shapers.alternatives import Alternative, alternatives, design_modes
+from flexfmu.cosim.design.shapers.recommendation import ShaperLimits, compare_slower, recommend, write_shaped
+from flexfmu.cosim.design.shapers.study import (
+    Candidate,
+    CandidateResult,
+    Trial,
+    candidates,
+    payload_errors,
+    peak_jerk,
+    simulate,
+    slower,
+    studied,
+    study,
+)
+from flexfmu.cosim.design.shapers.table import markdown, to_csv
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import MotionPlan, deviation, plan, shape_joints, shape_path
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.model.modes import DampedModes
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, design
+from flexfmu.trajectories.shapers.shaped_joints import ShapedTrajectory
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """The paper's robot with 6 kg and bang-bang profile, which makes it vibrate, coarsely stepped."""
+    return load_scene("barnard2012-6kg").replace(
+        {"trajectory.profile": {"kind": "bang-bang"}, "cosimulation.step": 1e-3}
+    )
+
+
+@pytest.fixture(scope="module")
+def motion(scene: Scene) -> MotionPlan:
+    """Its planned motion."""
+    return plan(scene)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "shaped"),
+    [
+        ([20.0, 59.0, 61.0], [20.0, 59.0]),
+        ([20.0, 60.1], [20.0]),
+        ([20.0, 30.0, 40.0, 50.0], [20.0, 30.0, 40.0]),
+        ([20.0], [20.0]),
+    ],
+)
+def test_modes_near_the_lowest_are_shaped_for(
+    motion: MotionPlan, monkeypatch: pytest.MonkeyPatch, frequencies: list[float], shaped: list[float]
+) -> None:
+    """Up to three times the lowest frequency and no more than three: a motion hardly excites what lies above."""
+    found = DampedModes(np.array(frequencies), np.full(len(frequencies), 0.01))
+    monkeypatch.setattr(shaping_design, "damped_modes", lambda scene, pose: found)
+    wanted = design_modes(motion, (-0.3, 0.3))
+    assert [mode.frequency for mode in wanted.modes] == shaped
+    assert wanted.band == (20.0, shaped[-1])
+
+
+def result(motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0) -> CandidateResult:
+    """A result with one trial."""
+    candidate = Candidate(name, "joints" if added else "-", UNSHAPED, motion)
+    return CandidateResult(candidate, added, stray, (Trial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),))
+
+
+@pytest.mark.slow
+def test_design_modes_are_those_of_the_end_pose(motion: MotionPlan) -> None:
+    """The two low modes of the loaded robot; a lighter payload raises them, a heavier one lowers them."""
+    found = design_modes(motion, [-0.3, 0.0, 0.3])
+    np.testing.assert_allclose([mode.frequency for mode in found.modes], [58.84, 73.54], atol=0.01)
+    np.testing.assert_allclose([mode.ratio for mode in found.modes], [0.0180, 0.0225], atol=1e-4)
+    np.testing.assert_allclose(found.path_range, (56.84, 58.84), atol=0.01)
+    np.testing.assert_allclose(found.first_band, (52.81, 67.54), atol=0.01)
+    np.testing.assert_allclose(found.band, (52.81, 84.11), atol=0.01)
+
+
+def test_alternatives_hold_what_they_promise(motion: MotionPlan) -> None:
+    """All kinds are there, the shortest first; convolved ones cancel both modes, SI keeps 5 % over the band."""
+    modes = design_modes(motion, [-0.3, 0.0, 0.3])
+    found = {each.name: each.sequence for each in alternatives(modes)}
+    assert {"um-zv", "zv", "mzv", "zvd", "ei", "zvdd", "2-hump-ei", "3-hump-ei", "si", "zv x zv"} <= set(found)
+    assert list(found) == sorted(found, key=lambda name: found[name].duration)
+    for mode in modes.modes:
+        assert found["zvd x zvd"].residual(mode.frequency, mode.ratio)[0] < 1e-12
+    band = np.linspace(*modes.band, 500)
+    assert np.max(found["si"].residual(band, modes.modes[0].ratio)) <= 0.05 * 1.001
+
+
+@pytest.mark.slow
+def test_shaped_joints_silence_the_robot(motion: MotionPlan) -> None:
+    """Through the FMU, against bang-bang's residual vibration: ZV for one mode leaves a fifth, for both modes a tenth."""
+    fmu = build_scene(motion.scene).path
+    one, two = Oscillator(58.84, 0.018), [Oscillator(58.84, 0.018), Oscillator(73.54, 0.0225)]
+    unshaped = simulate(Candidate("unshaped", "-", UNSHAPED, motion), 0.0, fmu)
+    single = simulate(Candidate("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", [one]))), 0.0, fmu)
+    double = simulate(Candidate("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", two))), 0.0, fmu)
+    assert unshaped.residual == pytest.approx(45.5e-6, rel=0.02)
+    assert single.residual < 0.2 * unshaped.residual
+    assert double.residual < 0.05 * unshaped.residual
+    assert double.peak_torque < single.peak_torque < unshaped.peak_torque
+
+
+@pytest.mark.slow
+def test_the_fmu_takes_a_shaped_motion_with_another_payload(motion: MotionPlan) -> None:
+    """One FMU with the payload as its parameter gives what an FMU built from the changed scene gives."""
+    heavier = with_payload_error(motion.scene, 0.3)
+    shaped = shape_path(motion, design("ei", [Oscillator(58.84, 0.018)]))
+    one = simulate(Candidate("ei", "path", UNSHAPED, shaped), 0.3, build_scene(motion.scene).path)
+    own = measure_run(run_scene(heavier, motion=replace(shaped, scene=heavier)))
+    assert one.residual == pytest.approx(own["residual_vibration_amplitude"].own, rel=1e-9)
+    assert one.settling_time == pytest.approx(own["settling_time"].own, abs=1e-8)
+
+
+def test_both_ways_report_deviation_and_time(motion: MotionPlan) -> None:
+    """Shaped joints leave the path, a shaped s(t) doesn't; both take longer by the sequence's duration."""
+    sequence = design("zvd", [Oscillator(58.84, 0.018)])
+    joints, path = shape_joints(motion, sequence), shape_path(motion, sequence)
+    assert 3e-4 < deviation(joints) < 7e-4
+    assert deviation(path) < 1e-15
+    for shaped in (joints, path):
+        assert shaped.duration == pytest.approx(motion.duration + sequence.duration, rel=1e-14)
+        assert shaped.stop_time == pytest.approx(motion.stop_time + sequence.duration, rel=1e-14)
+        end = shaped.joints.evaluate(shaped.duration, 0)[0, 0]
+        np.testing.assert_allclose(end, motion.joints.evaluate(motion.duration, 0)[0, 0], atol=1e-13)
+
+
+def test_what_can_not_be_applied_is_left_out_with_its_reason(motion: MotionPlan) -> None:
+    """A shaper that would drive backwards along the path is still tried on the joints."""
+    slow = Alternative("um-zv", design("um-zv", [Oscillator(0.5)]))
+    found, refused = candidates(motion, [slow])
+    assert [(each.name, each.application) for each in found] == [("unshaped", "-"), ("um-zv", "joints")]
+    assert "go backwards" in refused["um-zv on path"]
+
+
+def test_the_soonest_at_rest_is_recommended(motion: MotionPlan) -> None:
+    """Added and settling time count together; of equal ones the smaller path deviation wins; unsettled ones don't count."""
+    unshaped, late = result(motion, "unshaped", 0.0, 0.05), result(motion, "zvd", 0.017, 0.0)
+    stray, neat = result(motion, "zv", 0.008, 0.002, 2e-3), result(motion, "mzv", 0.01, 0.0, 1e-4)
+    never = result(motion, "um-zv", 0.005, None)
+    chosen = recommend([unshaped, never, late, stray, neat], 1e-5)
+    assert chosen.result is neat
+    assert "rest within 10 µm 10.0 ms after" in chosen.reason
+    assert "50.0 ms" in chosen.reason
+
+
+def test_no_shaper_where_none_helps(motion: MotionPlan) -> None:
+    """Where the unshaped motion is at rest first, that is what is recommended."""
+    unshaped = result(motion, "unshaped", 0.0, 0.001)
+    chosen = recommend([unshaped, result(motion, "zv", 0.008, 0.0)], 1e-5)
+    assert chosen.result is unshaped
+    assert "no shaper brings the robot to rest sooner" in chosen.reason
+
+
+def test_smallest_vibration_where_nothing_settles(motion: MotionPlan) -> None:
+    """Without rest within the dwell the smallest worst residual decides, and the sentence says so."""
+    unshaped, better = result(motion, "unshaped", 0.0, None), result(motion, "zv", 0.008, None)
+    better = replace(better, trials=(replace(better.trials[0], residual=2e-5),))
+    chosen = recommend([unshaped, better], 1e-5)
+    assert chosen.result is better
+    assert "20 µm at worst instead of 50 µm" in chosen.reason
+    assert "no rest within 10 µm" in compare_slower(better, unshaped, 1e-5)
+
+
+def test_payload_errors_are_symmetric_about_zero(scene: Scene) -> None:
+    """Zero is exactly among them; a scene without payload has none."""
+    assert payload_errors(scene, 0.3, 7) == [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
+    assert payload_errors(scene.replace({"payload.mass": 0.0}), 0.3, 7) == [0.0]
+    assert payload_errors(scene, 0.0, 3) == [0.0]
+
+
+def test_a_scene_without_dwell_gets_one(scene: Scene) -> None:
+    """Residual vibration needs a dwell: fifteen periods of the lowest mode."""
+    assert studied(scene, 50.0) is scene
+    assert studied(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
+
+
+def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_perfect(scene: Scene) -> None:
+    """The scene's own shapers never act besides; a perfect drive needs no controller, and none can't be studied."""
+    controlled = scene.replace(
+        {
+            "cosimulation.drive": "torque",
+            "controller": [{"kind": "pd", "proportional": 1e4, "derivative": 1e2, "sample_time": 1e-3}],
+            "shaper": [{"kind": "zv"}],
+        }
+    )
+    assert studied(controlled, 50.0, "perfect") == scene
+    assert studied(controlled, 50.0) == studied(controlled, 50.0, "controller") == controlled.replace({"shaper": ()})
+    with pytest.raises(InputError, match=r"has no \[\[controller\]\] to study shapers with"):
+        studied(scene, 50.0, "controller")
+
+
+@pytest.mark.parametrize(
+    ("limits", "name"),
+    [
+        (ShaperLimits(), "zv"),
+        (ShaperLimits(deviation=1e-3), "mzv"),
+        (ShaperLimits(deviation=1e-3, added_time=9e-3), "unshaped"),
+        (ShaperLimits(torque=60.0), "zv"),
+    ],
+)
+def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: ShaperLimits, name: str) -> None:
+    """A shaper that strays, takes or asks for more than allowed isn't recommended however soon it rests."""
+    found = [
+        result(motion, "unshaped", 0.0, 0.05),
+        result(motion, "zv", 0.008, 0.0, 2e-3),
+        result(motion, "mzv", 0.01, 0.0, 1e-4),
+    ]
+    chosen = recommend(found, 1e-5, limits)
+    assert (chosen.result.candidate.name, chosen.keeps_limits) == (name, True)
+
+
+def test_limits_that_nothing_keeps_are_told_with_the_nearest(motion: MotionPlan) -> None:
+    """Nothing is recommended; the sentence says by how much the nearest misses."""
+    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, ShaperLimits(torque=10.0, jerk=1e4))
+    assert not chosen.keeps_limits
+    assert (
+        "nearest is unshaped: joint jerk inf rad/s³ above 1e+04 rad/s³, peak torque 50 N·m above 10 N·m"
+        in chosen.reason
+    )
+
+
+def test_jerk_is_that_of_the_joint_references(motion: MotionPlan) -> None:
+    """Infinite where accelerations jump; else the largest third derivative, here against differences of the second."""
+    assert peak_jerk(motion) == np.inf
+    smooth = plan(motion.scene.replace({"trajectory.profile": {"kind": "poly7"}}))
+    times = np.linspace(0.0, smooth.duration, 200_001)
+    acceleration = smooth.joints.evaluate(times, 2)[2]
+    differences = np.abs(np.diff(acceleration, axis=0)).max() / times[1]
+    assert peak_jerk(smooth) == pytest.approx(differences, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["zvd x zvd", "si"])
+def test_the_written_scene_applies_the_advice(motion: MotionPlan, tmp_path: Path, name: str) -> None:
+    """The file is the scene with that shaper and no other: its planned motion is the candidate's, and paths still lead to their files."""
+    modes = design_modes(motion, [-0.3, 0.0, 0.3])
+    tried, _ = candidates(motion, [each for each in alternatives(modes) if each.name == name])
+    wanted = next(each for each in tried if each.application == "joints")
+    source, target = tmp_path / "mine.toml", tmp_path / "elsewhere" / "shaped.toml"
+    target.parent.mkdir()
+    controller = '[[controller]]\nkind = "python"\nsource = "own:zero"\n'
+    source.write_text(f'{shipped_text()}{controller}\n[[shaper]]  # an old one\nkind = "zv"\n', encoding="utf-8")
+    write_shaped(str(source), wanted.section, target)
+    text = target.read_text(encoding="utf-8")
+    assert (text.count("\n[[shaper]]"), "an old one" in text) == (1, False)
+    scene = load_scene(target)
+    assert Path(scene.controller[0].folder).resolve() == tmp_path
+    times = np.linspace(0.0, wanted.motion.duration, 300)
+    shaped = loop_of(scene.replace({"controller": ()})).motion
+    np.testing.assert_allclose(
+        shaped.joints.evaluate(times, 2), reference(scene, wanted).evaluate(times, 2), rtol=1e-9, atol=1e-9
+    )
+
+
+def reference(scene: Scene, wanted: Candidate) -> ShapedTrajectory:
+    """The candidate's sequence on the written scene's own joints."""
+    return ShapedTrajectory(plan(scene).joints, wanted.sequence)
+
+
+def shipped_text() -> str:
+    """The shipped 6 kg scene."""
+    from importlib.resources import files
+
+    return (files("flexfmu.model.scene") / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
+
+
+def test_a_slower_motion_takes_the_time_on_the_same_path(motion: MotionPlan) -> None:
+    """What a shaper's time could have bought: the same path and end, later."""
+    found = slower(motion, 0.02)
+    assert found.motion.duration == pytest.approx(0.45)
+    assert found.motion.profiled.path == motion.profiled.path
+
+
+def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
+    """Nothing vibrates: the error says what to add."""
+    rigid = scene.replace({"effects.proximal_bending": 0, "effects.distal_axial": 0})
+    with pytest.raises(InputError, match="nothing vibrates in scene barnard2012-6kg"):
+        design_modes(plan(rigid), [0.0])
+
+
+def test_tables_have_every_trial(motion: MotionPlan) -> None:
+    """CSV has one line a simulation in SI units, Markdown one table a quantity with payload errors in columns."""
+    trials = (Trial(-0.3, 2e-6, 0.0, 41.0), Trial(0.0, 1e-5, None, 50.0), Trial(0.3, 3e-6, 0.0123, 61.0))
+    found = CandidateResult(
+        Candidate("zv", "joints", ImpulseSequence((0.0, 0.008), (0.5, 0.5)), motion), 0.008, 3e-4, trials
+    )
+    rows = list(csv.DictReader(to_csv([found]).splitlines()))
+    assert [float(row["payload_error"]) for row in rows] == [-0.3, 0.0, 0.3]
+    assert [row["settling_time"] for row in rows] == ["0.0", "", "0.0123"]
+    text = markdown("Shapers", [found])
+    assert "| zv | joints | 8.0 | 0.300 | 2.00 | 10.00 | 3.00 |" in text
+    assert "| zv | joints | 8.0 | 0.300 | 0.0 | – | 12.3 |" in text
+    assert "-30% | +0% | +30%" in text
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command with two shapers only."""
+    import flexfmu.cosim.design.shapers.examination as command
+
+    def few(modes: object) -> list[Alternative]:
+        return [each for each in alternatives(modes) if each.name in ("zv", "ei")]  # type: ignore[arg-type]
+
+    monkeypatch.setattr(command, "alternatives", few)
+
+
+@pytest.fixture
+def coarse_scene(tmp_path: Path) -> Path:
+    """A scene file with a short dwell and a coarse step."""
+    text = shipped_text()
+    path = tmp_path / "coarse.toml"
+    path.write_text(
+        text.replace("step = 2e-4", "step = 1e-3").replace('kind = "poly7"', 'kind = "bang-bang"'), encoding="utf-8"
+    )
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_the_command_writes_and_prints(coarse_scene: Path, tmp_path: Path) -> None:
+    """JSON, CSV, Markdown and the picture; the printed JSON is the written one; the shaped robot rests sooner."""
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["shaper", str(coarse_scene), "--out", str(out), "--json", "--payload-errors"])
+    assert done.exit_code == 0, done.output
+    data = json.loads((out / "shapers.json").read_text(encoding="utf-8"))
+    assert json.loads(done.stdout) == data
+    names = [(each["shaper"], each["shapes"]) for each in data["alternatives"]]
+    assert names == [("unshaped", "-"), ("zv", "joints"), ("zv", "path"), ("ei", "joints"), ("ei", "path")]
+    unshaped, zv, zv_path = data["alternatives"][:3]
+    assert len(zv["trials"]) == 7
+    assert zv["worst_residual_vibration"] < 0.3 * unshaped["worst_residual_vibration"]
+    assert zv_path["path_deviation"] < 1e-15 < zv["path_deviation"]
+    assert zv["added_time"] == pytest.approx(zv["impulses"]["times"][-1])
+    assert data["recommendation"]["shapes"] == "joints"
+    assert data["slower"]["added_time"] == pytest.approx(
+        next(e["added_time"] for e in data["alternatives"] if e["shaper"] == data["recommendation"]["shaper"])
+    )
+    assert len(list(csv.DictReader((out / "shapers.csv").read_text(encoding="utf-8").splitlines()))) == 35
+    assert "-30% | -20% | -10% | +0%" in (out / "payload_errors.md").read_text(encoding="utf-8")
+    assert (out / "sensitivity.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (out / "sensitivity.svg").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_the_command_says_what_it_recommends(coarse_scene: Path, tmp_path: Path) -> None:
+    """For people: the modes, a line for each alternative, the recommendation with its reason, a slower motion beside it."""
+    done = CliRunner().invoke(
+        app,
+        [
+            "shaper",
+            str(coarse_scene),
+            "--out",
+            str(tmp_path / "out"),
+            "--payload-band",
+            "0",
+            "-o",
+            str(tmp_path / "shaped.toml"),
+        ],
+    )
+    assert done.exit_code == 0, done.output
+    assert '[[shaper]] kind = "zv" modes = [' in " ".join(done.stdout.split())
+    assert load_scene(tmp_path / "shaped.toml").shaper[0].kind == "zv"
+    words = " ".join(done.stdout.split())
+    assert "Designed for 58.84 Hz (damping ratio 0.0180), 73.54 Hz" in words
+    assert "Recommended: zv on joints: rest within 10 µm" in words
+    assert "An unshaped motion slower by the same" in words
+    assert not (tmp_path / "out" / "payload_errors.md").exists()
+
+
+@pytest.mark.parametrize("band", ["1", "-0.1", "nan"])
+def test_bad_bands_are_refused(band: str, tmp_path: Path) -> None:
+    """A payload of nothing or less isn't simulated; usage errors end with status 2."""
+    done = CliRunner().invoke(app, ["shaper", "barnard2012-6kg", "--out", str(tmp_path), "--payload-band", band])
+    assert done.exit_code == 2
+    assert "--payload-band must be at least 0 and below 1" in done.output
+
+
+def test_study_says_how_far_it_is(motion: MotionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Progress runs from the first simulation to 1, in equal steps, without going back."""
+    import flexfmu.cosim.design.shapers.study as module
+
+    monkeypatch.setattr(module, "simulate", lambda candidate, error, fmu: Trial(error, 0.0, 0.0, 1.0))
+    heard: list[float] = []
+    report: Callable[[float], None] = heard.append
+    pair = [Candidate(name, "-", UNSHAPED, motion) for name in ("a", "b")]
+    found = list(study(pair, [-0.1, 0.0, 0.1], motion.duration, Path("x.fmu"), report))
+    assert len(found) == 2
+    np.testing.assert_allclose(heard, np.arange(1, 7) / 6)
