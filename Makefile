@@ -3,7 +3,7 @@
 # make fuzz   100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
 # make bench  how fast everything is, against its targets and against the figures of the last release
 # make check  formatting, linting, types and the fast tests, from the source tree: a quick look before a commit
-# make lint   formatting, linting, types
+# make lint   formatting, linting, types, and where the lines are
 # make docs   the documentation as a site in build/site; warnings are errors
 
 PYTHON ?= python3
@@ -49,6 +49,7 @@ lint: $(VENV)/.lint
 	rm -rf build/typing && mkdir -p build/typing/flexfmu
 	for part in src/flexfmu/*.py model fmu_build trajectories cosim; do ln -s ../../../$$part build/typing/flexfmu; done
 	$(BIN)/mypy build/typing/flexfmu
+	$(BIN)/python generators/size.py
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
