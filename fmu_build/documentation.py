@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from importlib.metadata import version
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, LEAST_TOLERANCE
@@ -15,6 +14,7 @@ from flexfmu.fmu_build.interface import FmiVariable
 from flexfmu.fmu_build.labels import FONT_SIZE
 from flexfmu.fmu_build.picture import ICON_SIZE, Picture, block_picture, mechanism_picture
 from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.toolchain import FMI_HEADERS, fmi_header_folder
 from flexfmu.fmu_build.units import displayed
 
 if TYPE_CHECKING:
@@ -31,9 +31,6 @@ _GROUPS = {
     "Continuous states, for model exchange": ("local", "Real"),
 }
 """Heading → causality and type of its variables (all types if empty), in the order of the page."""
-
-_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
-"""Headers of the FMI standard in the FMU's sources."""
 
 _CASADI = """Of the files model_*.c in the folder sources/ that CasADi (https://casadi.org) has generated.
 
@@ -135,7 +132,7 @@ def plant_picture(
 
 def _header_licence() -> str:
     """The licence of the FMI standard's headers, copied from the first of them."""
-    header = (files("flexfmu.fmu_build") / "c-runtime" / "fmi2" / _HEADERS[0]).read_text(encoding="utf-8")
+    header = (fmi_header_folder() / FMI_HEADERS[0]).read_text(encoding="utf-8")
     found = re.search(r"^[ ]*Copyright.*?^[ ]*-{20,}.*?^[ ]*-{20,}", header, re.MULTILINE | re.DOTALL)
     text = found.group() if found else header
-    return f"Of the FMI standard: {', '.join(_HEADERS)} in the folder sources/.\n\n{text}\n"
+    return f"Of the FMI standard: {', '.join(FMI_HEADERS)} in the folder sources/.\n\n{text}\n"

@@ -16,7 +16,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.naming import Naming, named_model
 from flexfmu.fmu_build.picture import ICON_FILE, png
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.toolchain import COMMON_FLAGS
+from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, fmi_header_folder
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SharedLibrary, SymbolicModel
@@ -149,7 +149,7 @@ def assemble_sources(
 
 
 def runtime_sources(kind: RuntimeKind = "plant") -> dict[str, str]:
-    """C files and headers of the runtime, name → text.
+    """C files and headers of the runtime, name → text, with the standard's headers where it has the FMI layer.
 
     Args:
         kind: kind of FMU; ``batch``: the solver of variants in lockstep, without FMI; ``elementary``: the functions (sin, exp, ...),
@@ -159,7 +159,9 @@ def runtime_sources(kind: RuntimeKind = "plant") -> dict[str, str]:
     entries = [
         entry for folder in _FOLDERS[kind] for entry in (root / folder).iterdir() if entry.name.endswith((".c", ".h"))
     ]
-    return {entry.name: entry.read_text(encoding="utf-8") for entry in sorted(entries, key=lambda each: each.name)}
+    headers = [fmi_header_folder() / name for name in FMI_HEADERS] if "fmi2" in _FOLDERS[kind] else []
+    ordered = sorted([*entries, *headers], key=lambda each: each.name)
+    return {entry.name: entry.read_text(encoding="utf-8") for entry in ordered}
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:

@@ -37,6 +37,9 @@ COMMON_FLAGS = (
 FIRST_HEADER = ("-include", "old_glibc.h")
 """Flags that include this header first in every source of an FMU, so that binaries run with an old glibc."""
 
+FMI_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
+"""Headers of the FMI 2.0 standard."""
+
 _COMPILERS = (("cc",), ("gcc",), ("clang",))
 _REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"
 
@@ -101,6 +104,14 @@ class Compiler:
     def _compile_one(self, job: CompileJob, folder: Path) -> None:
         flags = (*COMMON_FLAGS, *self.platform.compile_flags, *job.flags)
         _run((*self.command, *flags, "-c", job.source, "-o", job.object_file), folder, f"compiling {job.source}")
+
+
+def fmi_header_folder() -> Path:
+    """Folder with the standard's headers; fmpy brings them along, and isn't imported for it."""
+    spec = importlib.util.find_spec("fmpy")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).with_name("c-code")
 
 
 def find_compiler(platform: Platform) -> Compiler:

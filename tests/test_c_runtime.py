@@ -16,13 +16,14 @@ sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without t
 from object_files import compiled
 
 from flexfmu.fmu_build.sources import c_files, runtime_sources
+from flexfmu.fmu_build.toolchain import fmi_header_folder
 
 RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
 TESTS = Path(__file__).parent / "c-runtime"
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fvisibility=hidden", "-ffp-contract=off", "-fPIC")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 PATHS = {path.name: path for path in sorted(RUNTIME.glob("*/*.[ch]"))}
-INCLUDES = [f"-I{folder}" for folder in sorted(RUNTIME.iterdir()) if folder.is_dir()]
+INCLUDES = [f"-I{folder}" for folder in (*sorted(RUNTIME.iterdir()), fmi_header_folder()) if folder.is_dir()]
 SOURCES = [PATHS[name] for name in c_files(runtime_sources("plant"))]
 NAMES = re.findall(r"\bX\((\w+)\)", (TESTS / "tests.h").read_text().split("#define X(")[0])
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
@@ -110,5 +111,5 @@ def test_exports_the_fmi_functions_only(program: Path, tmp_path: Path) -> None:
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
     functions = {name for name in exported if name.startswith("fmi2")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()
-    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", PATHS["fmi2Functions.h"].read_text()))
+    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (fmi_header_folder() / "fmi2Functions.h").read_text()))
     assert functions == declared

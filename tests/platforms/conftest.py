@@ -7,7 +7,6 @@ import os
 import subprocess
 from collections.abc import Callable
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
 from flexfmu.fmu_build.sources import Sources, generate_sources
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
@@ -107,9 +106,8 @@ def _compile_harness(name: str, program: Path) -> None:
     """
     compiler = find_compiler(PLATFORMS[name])
     source = Path(__file__).with_name("harness.c")
-    headers = str(files("flexfmu.fmu_build") / "c-runtime" / "fmi2")
     libraries = ["-ldl", "-Wl,--no-as-needed", "-lm"] if "linux" in name else []
-    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-s", "-Wl,--gc-sections", "-I", headers]
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-s", "-Wl,--gc-sections", "-I", fmi_header_folder()]
     subprocess.run([*compiler.command, *flags, source, "-o", program, *libraries], check=True, capture_output=True)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from importlib.resources import files
 
 import pytest
 
 from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
 from flexfmu.fmu_build.sources import Sources
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder
 
 lief = pytest.importorskip("lief")
 
@@ -32,7 +31,7 @@ OLDEST_GLIBC = {"linux64": (2, 14), "aarch64-linux": (2, 17)}
 
 def _fmi_functions(description: str) -> set[str]:
     """What the standard's header declares for the interfaces that the model description names."""
-    header = (files("flexfmu.fmu_build") / "c-runtime" / "fmi2" / "fmi2Functions.h").read_text(encoding="utf-8")
+    header = (fmi_header_folder() / "fmi2Functions.h").read_text(encoding="utf-8")
     _, _, _, common, exchange, cosimulation = re.split(r"^(?:Common Functions|Functions for FMI2)", header, flags=re.M)[
         -6:
     ]

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import zipfile
 from collections.abc import Callable, Sequence
-from importlib.resources import as_file, files
 from math import factorial, fsum
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import pytest
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.fmu_build.toolchain import fmi_header_folder
 
 FOREIGN = Path(__file__).parent / "foreign-fmu"
 
@@ -77,11 +77,11 @@ def c_compiler() -> str:
 def compiled(folder: Path, compiler: str, name: str = "decay", *flags: str) -> Path:
     """The foreign FMU's library."""
     library = folder / f"{name}{fmpy.sharedLibraryExtension}"
-    with as_file(files("flexfmu.fmu_build") / "c-runtime" / "fmi2") as headers:
-        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{headers}"]
-        subprocess.run(
-            [*command, *flags, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
-        )
+    warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    command = [compiler, "-shared", "-fPIC", "-O1", *warnings, f"-I{fmi_header_folder()}"]
+    subprocess.run(
+        [*command, *flags, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
+    )
     return library
 
 

@@ -9,11 +9,10 @@ import subprocess
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder
 
 SOURCES = Path(__file__).parent / "spring-fmu"
 DESCRIPTION = "modelDescription.xml"
@@ -27,9 +26,8 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-fPIC
 def compile_spring(folder: Path, *flags: str) -> bytes:
     """The library, with further compiler flags."""
     library = folder / "spring.so"
-    headers = str(files("flexfmu.fmu_build") / "c-runtime" / "fmi2")
     compiler = find_compiler(native_platform()).command
-    source = [f"-I{headers}", str(SOURCES / "spring.c"), "-o", str(library), "-lm"]
+    source = [f"-I{fmi_header_folder()}", str(SOURCES / "spring.c"), "-o", str(library), "-lm"]
     subprocess.run([*compiler, *STRICT, *source, *flags], check=True)
     return library.read_bytes()
 
