@@ -1,6 +1,6 @@
 """The model of shapes against finite elements and Exudyn: the paper's scenes, at rest and in motion.
 
-All numbers are relative differences, as `flexfmu.cosim.studies.references` defines them. Exudyn's beams have no shear, and it isn't
+All numbers are relative differences, as `tests/formulations.py` defines them. Exudyn's beams have no shear, and it isn't
 needed for the rest: pip install flexfmu[peers]. Takes about six minutes, large deflections alone two.
 
     python benchmarks/references.py [--json] [--large-deflections]
@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from itertools import groupby
+from pathlib import Path
 
-from flexfmu import load_scene
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.metrics.small_deflections import largest_deflection, path_errors
-from flexfmu.cosim.studies.references import (
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the comparison with other formulations
+
+from formulations import (
     Beam,
     ComputedMotion,
     compare_at_rest,
@@ -30,6 +28,13 @@ from flexfmu.cosim.studies.references import (
     sample_instants,
     shapes_motion,
 )
+
+from flexfmu import load_scene
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.metrics.small_deflections import largest_deflection, path_errors
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.schema import Scene

@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +17,18 @@ import numpy as np
 from idle import IdlePlant, idle_fmu
 from paper_scene import SCENE, SCENES, Timed, best_times, run_with, timed, whole_run
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the comparison with other formulations
+
+from formulations import SHAPES
+
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest
-from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.signals import segments
-from flexfmu.cosim.studies.references import SHAPES
 from flexfmu.cosim.studies.workprec.solver_trials import scipy_run, system_of
 from flexfmu.cosim.studies.workprec.tool_trials import comparable
 from flexfmu.cosim.studies.workprec.trial import completed, subject_of

@@ -20,7 +20,7 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest
-from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.many.variants import run_variants
 
 SCENE = load_scene("barnard2012-6kg")
 

@@ -16,7 +16,7 @@ from unittest.mock import patch
 from paper_scene import SCENES
 from speed_figure import SpeedFigure
 
-from flexfmu.cosim.experiment.variants import Variant, VariantTask
+from flexfmu.cosim.many.variants import Variant, VariantTask
 from flexfmu.cosim.studies.sweep.cases import Grid
 from flexfmu.cosim.studies.sweep.groups import MOST_PEAKS
 from flexfmu.cosim.studies.sweep.sweep import sweep_scene

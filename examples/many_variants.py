@@ -8,7 +8,7 @@ from itertools import product
 from flexfmu import load_scene
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.many.variants import run_variants
 
 PAYLOADS = (0.0, 2.0, 4.0, 6.0, 8.0)
 DURATIONS = (0.25, 0.3, 0.43)

@@ -13,6 +13,8 @@ from typing import TypeVar
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder: `formulations`, for example
+
 TOOLS_REQUIRED = os.environ.get("FLEXFMU_REQUIRE_TOOLS", "0") not in ("", "0")
 """Whether a test that misses a tool fails instead of being skipped; `.ci/run` sets the variable where `.ci/tools` gets them."""
 

@@ -25,6 +25,7 @@ ROOMS = (
     "cosim.control",
     "cosim.experiment",
     "cosim.metrics",
+    "cosim.many",
     "cosim.reports",
     "cosim.design",
     "cosim.exchange",

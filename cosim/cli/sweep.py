@@ -103,7 +103,7 @@ def sweep(
     table. A case that fails is a line with its message.
     """
     from flexfmu.cosim.engine.results import Selection
-    from flexfmu.cosim.studies.sweep.files import write_files
+    from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import sweep_scene
 
     wanted = _cases(vary or [], sample, seed, cases)
@@ -143,7 +143,7 @@ def _cases(vary: list[str], sample: str | None, seed: int, path: Path | None) ->
     Raises:
         InputError: the options contradict each other, or one is of another form.
     """
-    from flexfmu.cosim.studies.sweep.vary import make_cases, parse_vary, read_cases
+    from flexfmu.cosim.studies.sweep.cases import make_cases, parse_vary, read_cases
 
     if path is not None:
         if vary or sample is not None:

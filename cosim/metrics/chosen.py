@@ -58,7 +58,7 @@ class PeakMetrics(ChosenMetrics):
 def measuring(names: Collection[str]) -> ChosenMetrics:
     """Return the measure of these metrics, as a sweep takes it: ``run_variants(scene, variants, measuring(names))``.
 
-    `flexfmu.cosim.experiment.variants.run_variants` then simulates variants side by side; peaks of torques and of tip
+    `flexfmu.cosim.many.variants.run_variants` then simulates variants side by side; peaks of torques and of tip
     deflections alone are the fastest.
 
     Raises:

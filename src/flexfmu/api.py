@@ -428,9 +428,9 @@ def sweep(
         ResultsError: the folder can't be written or read.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.studies.sweep.files import write_files
+    from flexfmu.cosim.studies.sweep.cases import as_cases
+    from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import sweep_scene
-    from flexfmu.cosim.studies.sweep.vary import as_cases
 
     folder = None if out is None else Path(out)
     result = sweep_scene(

@@ -23,7 +23,7 @@ from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
-from flexfmu.cosim.experiment.variants import VariantError, run_variants
+from flexfmu.cosim.many.variants import VariantError, run_variants
 from flexfmu.cosim.metrics.chosen import PeakMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexfmu.cosim.experiment.lockstep import PeakMeasure
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.experiment.scene_build import depends_on
-from flexfmu.cosim.experiment.variants import BAND, DURATION, FEW, Variant
+from flexfmu.cosim.many.lockstep import PeakMeasure
+from flexfmu.cosim.many.variants import BAND, DURATION, FEW, Variant
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.keys import full_key

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.results import Column, Recording, Selection
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_build import build_scene, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.experiment.variants import Variant, VariantTask
+from flexfmu.cosim.many.variants import Variant, VariantTask
 from flexfmu.cosim.metrics.chosen import ChosenMetrics
 from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.groups import Group, Share

@@ -14,7 +14,7 @@ from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_loop
-from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
 from flexfmu.cosim.reports.report import render_report

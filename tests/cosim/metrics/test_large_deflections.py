@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from formulations import compare_motions, full_scene, sample_instants, shapes_motion
 
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.planning import plan
@@ -16,7 +17,6 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics import small_deflections
 from flexfmu.cosim.metrics.small_deflections import exceeded, kept_path_errors, path_errors
-from flexfmu.cosim.studies.references import compare_motions, full_scene, sample_instants, shapes_motion
 from flexfmu.model.finite_elements.equilibrium import equilibrium
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot

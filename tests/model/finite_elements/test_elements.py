@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from formulations import full_scene
 from scipy.linalg import eigh
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.studies.references import full_scene
 from flexfmu.model.finite_elements.element import COORDINATES, BeamSection, beam_element
 from flexfmu.model.finite_elements.equilibrium import element_frequencies
 from flexfmu.model.finite_elements.motion import simulate

@@ -14,11 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.studies.references import (
+from formulations import (
     FREQUENCIES,
     Beam,
     ComputedMotion,
@@ -28,6 +24,10 @@ from flexfmu.cosim.studies.references import (
     sample_instants,
     shapes_motion,
 )
+
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.finite_elements.equilibrium import element_frequencies
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot

@@ -11,8 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.studies.sweep.cases import Span, changes_of
-from flexfmu.cosim.studies.sweep.vary import as_cases, make_cases, parse_values, parse_vary, read_cases
+from flexfmu.cosim.studies.sweep.cases import (
+    Span,
+    as_cases,
+    changes_of,
+    make_cases,
+    parse_values,
+    parse_vary,
+    read_cases,
+)
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 

@@ -13,10 +13,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.experiment.lockstep import PeakMeasure, SideBySide, SignalMeasure
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.lockstep import PeakMeasure, SideBySide, SignalMeasure
 from flexfmu.model.scene.schema import Scene
 
 T = TypeVar("T")

@@ -16,6 +16,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.studies.workprec.tool_trials import DAMPING_TIME
 from flexfmu.cosim.studies.workprec.trial import completed
 from flexfmu.model.finite_elements.equilibrium import element_frequencies, equilibrium
 from flexfmu.model.finite_elements.robot import FiniteElementRobot
@@ -33,9 +34,6 @@ SHAPES = {
     "effects.distal_axial": 2,
 }
 """Numbers of shapes that give four digits of the first natural frequencies."""
-
-DAMPING_TIME = 2e-4
-"""Ratio of viscous to elastic forces [s]: 4 % damping of the first mode with 6 kg, 8 % with 0.1 kg."""
 
 SAMPLING = 1e-3
 """Spacing of the instants at which motions are compared [s]."""

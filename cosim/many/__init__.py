@@ -1,0 +1,1 @@
+"""Runs many: one executor of processes, one journal that survives a crash, variants side by side in vector registers."""
