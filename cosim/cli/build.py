@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import load_changed, print_text, progress
 from flexfmu.cosim.cli.options import (
     JsonOption,
@@ -15,23 +13,23 @@ from flexfmu.cosim.cli.options import (
     PlatformOption,
     SceneArgument,
     SetOption,
+    flag,
     naming_convention,
+    option,
 )
 from flexfmu.cosim.reports.text import to_json
 
 
 def build(
     scene: SceneArgument,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.fmu", help="Default: the scene's name, here.")
-    ] = None,
+    output: Annotated[Path | None, option("FILE.fmu", "Default: the scene's name, here.", "--output", "-o")] = None,
     platform: PlatformOption = None,
     naming: NamingOption = "structured",
     enumerations: Annotated[
         bool,
-        typer.Option(
+        flag(
+            "Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
             "--enumerations",
-            help="Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
         ),
     ] = False,
     settings: SetOption = None,

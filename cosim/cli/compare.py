@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SetOption, option
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,55 +32,47 @@ def compare(
     ],
     measured: Annotated[
         Path | None,
-        typer.Option(
-            metavar="LOG.csv",
-            help="A measurement: a CSV file with a header and a column `time`. Columns named like signals are compared. "
+        option(
+            "LOG.csv",
+            "A measurement: a CSV file with a header and a column `time`. Columns named like signals are compared. "
             "Default: none.",
-            show_default=False,
         ),
     ] = None,
     mapping: Annotated[
         list[str] | None,
-        typer.Option(
-            "--map",
-            metavar="COLUMN=SIGNAL",
-            help="What a measured column is, with a factor or a unit and an offset if needed: tau1=joint1.torque*1e-3, "
+        option(
+            "COLUMN=SIGNAL",
+            "What a measured column is, with a factor or a unit and an offset if needed: tau1=joint1.torque*1e-3, "
             "phi=joint1.position*deg+0.5, t=time*ms. May be repeated. Default: by the names.",
-            show_default=False,
+            "--map",
         ),
     ] = None,
     delay: Annotated[
         float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Time of an event in the measurement minus that in the simulation. Default: estimated by correlation.",
-            show_default=False,
+        option(
+            "SECONDS",
+            "Time of an event in the measurement minus that in the simulation. Default: estimated by correlation.",
         ),
     ] = None,
     variant: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME:KEY=VALUE",
-            help="The first scene with other values, as one more run; several with commas: stiff:pd.kp=2e4,pd.kd=200. May be repeated. "
+        option(
+            "NAME:KEY=VALUE",
+            "The first scene with other values, as one more run; several with commas: stiff:pd.kp=2e4,pd.kd=200. May be repeated. "
             "Default: none.",
-            show_default=False,
         ),
     ] = None,
     payload_band: Annotated[
         str | None,
-        typer.Option(
-            metavar="BAND",
-            help="Run scenes with other payloads too, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 and "
+        option(
+            "BAND",
+            "Run scenes with other payloads too, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 and "
             "8 kg. Default: not.",
-            show_default=False,
         ),
     ] = None,
     settings: SetOption = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Write comparison.html and comparison.json there. Default: nowhere.", show_default=False
-        ),
+        Path | None, option("DIR", "Write comparison.html and comparison.json there. Default: nowhere.")
     ] = None,
     json: JsonOption = False,
 ) -> int:

@@ -4,29 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import load_changed, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
 from flexfmu.cosim.reports.text import to_json
 
 
 def effects(
     scene: SceneArgument,
-    tolerance: Annotated[
-        float | None, typer.Option(metavar="RELATIVE", help="Largest error. Default: the scene's, or 0.01.")
-    ] = None,
+    tolerance: Annotated[float | None, option("RELATIVE", "Largest error. Default: the scene's, or 0.01.")] = None,
     of: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="METRIC", help="A metric to hold; may be repeated. Default: the scene's, or three of them."
-        ),
+        list[str] | None, option("METRIC", "A metric to hold; may be repeated. Default: the scene's, or three of them.")
     ] = None,
     check: Annotated[
-        bool,
-        typer.Option(
-            "--check", help="Run the chosen set beside the next richer ones; builds their FMUs. Default: don't."
-        ),
+        bool, flag("Run the chosen set beside the next richer ones; builds their FMUs. Default: don't.", "--check")
     ] = False,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -6,10 +6,8 @@ from math import gcd, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import load_resolved, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument, SetOption, option
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
@@ -20,9 +18,7 @@ if TYPE_CHECKING:
 
 def export(
     scene: SceneArgument,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.ssp", help="Default: the scene's name, here.")
-    ] = None,
+    output: Annotated[Path | None, option("FILE.ssp", "Default: the scene's name, here.", "--output", "-o")] = None,
     platform: PlatformOption = None,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import load_resolved, print_rich, print_text, progress
 from flexfmu.cosim.cli.options import (
     JsonOption,
@@ -15,6 +13,7 @@ from flexfmu.cosim.cli.options import (
     SceneArgument,
     SetOption,
     naming_convention,
+    option,
 )
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.reports.text import to_json
@@ -27,12 +26,9 @@ if TYPE_CHECKING:
 
 def fmus(
     scene: SceneArgument,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the FMUs. Default: results/<name of the scene>/fmus.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder of the FMUs. Default: results/<name of the scene>/fmus.")] = None,
     slave: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Name of a slave in the scene; may be repeated. Default: all of them."),
+        list[str] | None, option("NAME", "Name of a slave in the scene; may be repeated. Default: all of them.")
     ] = None,
     platform: PlatformOption = None,
     naming: NamingOption = "structured",

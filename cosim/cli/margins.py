@@ -5,34 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, option
 
 
 def margins(
     scene: SceneArgument,
     poses: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=1, help="Poses, equally spaced along the path, beside the worst ones; 1 for its end alone."
-        ),
+        int, option("N", "Poses, equally spaced along the path, beside the worst ones; 1 for its end alone.", min=1)
     ] = 5,
     payload_band: Annotated[
         str | None,
-        typer.Option(
-            metavar="BAND",
-            help="Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 "
+        option(
+            "BAND",
+            "Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 "
             "for 4 to 8 kg. Default: the scene's alone.",
-            show_default=False,
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files."
-        ),
+        option("DIR", "Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files."),
     ] = None,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, option
 from flexfmu.cosim.reports.text import to_json
 
 
 def modes(
     scene: SceneArgument,
     poses: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=3, max=10_001, help="Poses along the path: an odd number, so that the middle is one."
-        ),
+        int, option("N", "Poses along the path: an odd number, so that the middle is one.", min=3, max=10_001)
     ] = 11,
     settings: SetOption = None,
     json: JsonOption = False,

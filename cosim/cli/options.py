@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,6 +10,17 @@ from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
+
+
+def option(metavar: str, help: str, *names: str, min: float | None = None, max: float | None = None) -> Any:
+    """An option with a value: what it takes, what it is for with its default, and its names where it isn't called like its argument."""
+    return typer.Option(*names, metavar=metavar, help=help, min=min, max=max)
+
+
+def flag(help: str, *names: str) -> Any:
+    """An option without a value, or with one of a few words that its type names."""
+    return typer.Option(*names, help=help)
+
 
 _SCENE = typer.Argument(
     metavar="SCENE",
@@ -19,29 +30,24 @@ _SCENE = typer.Argument(
 SceneArgument = Annotated[str, _SCENE]
 OptionalScene = Annotated[str | None, _SCENE]
 NamingOption = Annotated[
-    str,
-    typer.Option(
-        metavar="CONVENTION",
-        help="structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.",
-    ),
+    str, option("CONVENTION", "structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.")
 ]
 PlatformOption = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="NAME",
-        help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
+    option(
+        "NAME", "linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's."
     ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5, controller[0].derivative=120, "
+    option(
+        "KEY=VALUE",
+        "Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5, controller[0].derivative=120, "
         "controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Without --out the results have a folder of their own, named after the changes. Default: the scene as it is.",
+        "--set",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else. Default: text.")]
+JsonOption = Annotated[bool, flag("Print the result as JSON and nothing else. Default: text.", "--json")]
 
 
 def naming_convention(name: str) -> Naming:

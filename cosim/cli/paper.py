@@ -5,16 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import print_text, progress, rich_output
-from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.cli.options import JsonOption, option
 
 
 def paper(
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/paper.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/paper.")] = None,
     json: JsonOption = False,
 ) -> int:
     """Repeat the paper's experiment: every table beside the printed one, and the figures.

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -24,120 +22,74 @@ def plan(
     scene: SceneArgument,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE.toml",
-            help="Also write the planned scene here. Default: only into --out.",
-            show_default=False,
-        ),
+        option("FILE.toml", "Also write the planned scene here. Default: only into --out.", "-o", "--output"),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-plan."),
+        Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>-plan.")
     ] = None,
     minimise: Annotated[
         str | None,
-        typer.Option(
-            metavar="WHAT",
-            help="time, torque, rms_torque, energy or residual; all but time need --duration. Default: the scene's, or time.",
-            show_default=False,
+        option(
+            "WHAT",
+            "time, torque, rms_torque, energy or residual; all but time need --duration. Default: the scene's, or time.",
         ),
     ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Total time, for all but time. Default: the scene's.", show_default=False),
-    ] = None,
+    duration: Annotated[float | None, option("SECONDS", "Total time, for all but time. Default: the scene's.")] = None,
     residual: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", help="Largest residual vibration. Default: the scene's, or 1e-6.", show_default=False
-        ),
+        float | None, option("METRES", "Largest residual vibration. Default: the scene's, or 1e-6.")
     ] = None,
     payload_band: Annotated[
         str | None,
-        typer.Option(
-            metavar="BAND",
-            help="Payloads for which the limits hold: 0.3 for 30 % to both sides, or 4,8 for 4 to 8 kg. Default: the scene's, or 0.3.",
-            show_default=False,
+        option(
+            "BAND",
+            "Payloads for which the limits hold: 0.3 for 30 % to both sides, or 4,8 for 4 to 8 kg. Default: the scene's, or 0.3.",
         ),
     ] = None,
     stiffness_band: Annotated[
         float | None,
-        typer.Option(
-            metavar="FRACTION",
-            help="Relative change of Young's modulus to both sides. Default: the scene's, or 0.",
-            show_default=False,
-        ),
+        option("FRACTION", "Relative change of Young's modulus to both sides. Default: the scene's, or 0."),
     ] = None,
     damping_band: Annotated[
-        float | None,
-        typer.Option(
-            metavar="FRACTION",
-            help="Relative change of the damping to both sides. Default: the scene's, or 0.",
-            show_default=False,
-        ),
+        float | None, option("FRACTION", "Relative change of the damping to both sides. Default: the scene's, or 0.")
     ] = None,
     limit: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed, "
+        option(
+            "NAME=VALUE",
+            "A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed, "
             "acceleration, jerk, rms_torque, power, reaction, stress, off_path; may be repeated. Default: torque=1x, "
             "speed=2.5x, acceleration=2.5x, jerk=2.5x.",
-            show_default=False,
         ),
     ] = None,
     margin: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="How far it may come into what is kept clear. Default: the scene's, or 1e-4.",
-            show_default=False,
-        ),
+        float | None, option("METRES", "How far it may come into what is kept clear. Default: the scene's, or 1e-4.")
     ] = None,
     corridor: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="How far it may swing beyond the given path. Default: the scene's, or 0.01.",
-            show_default=False,
-        ),
+        float | None, option("METRES", "How far it may swing beyond the given path. Default: the scene's, or 0.01.")
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="search, flexible, optimal, or a planner to compare with, ruckig or toppra; may be repeated. Default: all that "
+        option(
+            "NAME",
+            "search, flexible, optimal, or a planner to compare with, ruckig or toppra; may be repeated. Default: all that "
             "are installed.",
-            show_default=False,
         ),
     ] = None,
     candidate: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="A motion of your own, of joints or end effector, to be judged with the others; may be repeated. Default: none.",
-            show_default=False,
+        option(
+            "FILE.csv",
+            "A motion of your own, of joints or end effector, to be judged with the others; may be repeated. Default: none.",
         ),
     ] = None,
     budget: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", min=0.0, help="Begin nothing new after this time. Default: no limit.", show_default=False
-        ),
+        float | None, option("SECONDS", "Begin nothing new after this time. Default: no limit.", min=0.0)
     ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Seed of the search. Default: the scene's, or 0.", show_default=False),
-    ] = None,
+    seed: Annotated[int | None, option("N", "Seed of the search. Default: the scene's, or 0.")] = None,
     processes: Annotated[
-        int | None,
-        typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
+        int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
     ] = None,
-    robust: Annotated[
-        bool, typer.Option("--robust/--no-robust", help="Judge the chosen motion in richer models too.")
-    ] = True,
+    robust: Annotated[bool, flag("Judge the chosen motion in richer models too.", "--robust/--no-robust")] = True,
     settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import end_loading
-from flexfmu.cosim.cli.options import JsonOption, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SetOption, flag, option
 from flexfmu.cosim.engine.errors import InputError
 
 
@@ -21,99 +21,66 @@ def run(
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>.")] = None,
     step: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Communication step. Default: what the scene or file says.")
+        float | None, option("SECONDS", "Communication step. Default: what the scene or file says.")
     ] = None,
     stop_time: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="End of an SSP file's run. Default: what the file says, or the FMUs in it.",
-            show_default=False,
-        ),
+        float | None, option("SECONDS", "End of an SSP file's run. Default: what the file says, or the FMUs in it.")
     ] = None,
     ssd: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="System of an SSP file that holds several. Default: SystemStructure.ssd."),
+        str | None, option("NAME", "System of an SSP file that holds several. Default: SystemStructure.ssd.")
     ] = None,
     output_order: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
+        option(
+            "N",
+            "Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.",
             min=0,
-            help="Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.",
-            show_default=False,
         ),
     ] = None,
     isolate: Annotated[
         bool | None,
-        typer.Option(
-            "--isolate/--no-isolate",
-            help="Simulate in a child process, so that a slave that crashes, exits or hangs ends the run alone. Default: what the "
+        flag(
+            "Simulate in a child process, so that a slave that crashes, exits or hangs ends the run alone. Default: what the "
             "scene says, or where other tools' FMUs or Python slaves take part.",
-            show_default=False,
+            "--isolate/--no-isolate",
         ),
     ] = None,
     verify: Annotated[
         bool | None,
-        typer.Option(
+        flag(
+            "Verify the errors of the metrics by a second companion run. Default: take them from one.",
             "--verify/--no-verify",
-            help="Verify the errors of the metrics by a second companion run. Default: take them from one.",
-            show_default=False,
         ),
     ] = None,
     report: Annotated[
-        bool | None,
-        typer.Option(
-            "--report/--no-report",
-            help="Draw report.html. Default: draw it, but with --json don't.",
-            show_default=False,
-        ),
+        bool | None, flag("Draw report.html. Default: draw it, but with --json don't.", "--report/--no-report")
     ] = None,
     record: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="SIGNAL",
-            help="Record this signal alone; may be repeated. Default: what the scene says, or all.",
-            show_default=False,
-        ),
+        option("SIGNAL", "Record this signal alone; may be repeated. Default: what the scene says, or all."),
     ] = None,
     record_step: Annotated[
         float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Interval of the recorded instants. Default: what the scene says, or every communication point.",
-            show_default=False,
+        option(
+            "SECONDS", "Interval of the recorded instants. Default: what the scene says, or every communication point."
         ),
     ] = None,
     record_order: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=0,
-            max=2,
-            help="Number of recorded derivatives. Default: what the scene says, or 2.",
-            show_default=False,
-        ),
+        int | None, option("N", "Number of recorded derivatives. Default: what the scene says, or 2.", min=0, max=2)
     ] = None,
     formats: Annotated[
         list[str] | None,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help="Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may be repeated. "
+        option(
+            "NAME",
+            "Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may be repeated. "
             "Default: csv.",
-            show_default=False,
+            "--format",
         ),
     ] = None,
     yes: Annotated[
-        bool,
-        typer.Option(
-            "--yes", help="Run however large the results are. Default: refuse more than 2 GB, companion included."
-        ),
+        bool, flag("Run however large the results are. Default: refuse more than 2 GB, companion included.", "--yes")
     ] = False,
     settings: SetOption = None,
     json: JsonOption = False,

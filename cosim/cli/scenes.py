@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flexfmu.cosim.cli.console import print_rich, print_text
-from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.cli.options import JsonOption, flag, option
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,11 +70,9 @@ def _table(found: list[dict[str, Any]]) -> Table:
 def new(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="The file to write.", show_default=False)],
     origin: Annotated[
-        str, typer.Option("--from", metavar="NAME", help="A shipped scene to start from; flexfmu scenes lists them.")
+        str, option("NAME", "A shipped scene to start from; flexfmu scenes lists them.", "--from")
     ] = USUAL,
-    force: Annotated[
-        bool, typer.Option("--force", help="Overwrite the file if there is one. Default: refuse.")
-    ] = False,
+    force: Annotated[bool, flag("Overwrite the file if there is one. Default: refuse.", "--force")] = False,
     json: JsonOption = False,
 ) -> int:
     """Write a scene file to start from: complete, with units, choices and defaults as comments."""

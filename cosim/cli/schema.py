@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import print_text, show_note
+from flexfmu.cosim.cli.options import option
 from flexfmu.cosim.engine.files import write_whole
 
 
 def schema(
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.json", help="File to write. Default: standard output."),
+        Path | None, option("FILE.json", "File to write. Default: standard output.", "-o", "--output")
     ] = None,
 ) -> int:
     """JSON Schema of scene files, by which editors complete keys and show their units.

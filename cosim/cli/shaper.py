@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
@@ -17,48 +15,32 @@ from flexfmu.cosim.reports.text import to_json
 
 def shaper(
     scene: SceneArgument,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>.")] = None,
     payload_errors: Annotated[
         bool,
-        typer.Option(
-            "--payload-errors",
-            help="Seven payload errors instead of five; writes payload_errors.md too. Default: five.",
-        ),
+        flag("Seven payload errors instead of five; writes payload_errors.md too. Default: five.", "--payload-errors"),
     ] = False,
-    payload_band: Annotated[
-        float, typer.Option(metavar="FRACTION", help="Largest error of the payload's mass, either way.")
-    ] = 0.3,
+    payload_band: Annotated[float, option("FRACTION", "Largest error of the payload's mass, either way.")] = 0.3,
     drive: Annotated[
         Literal["perfect", "controller"] | None,
-        typer.Option(
-            help="What drives the robot: exactly its references, or the scene's controllers and imperfections. "
-            "Default: the controllers where the scene has some.",
-            show_default=False,
+        flag(
+            "What drives the robot: exactly its references, or the scene's controllers and imperfections. "
+            "Default: the controllers where the scene has some."
         ),
     ] = None,
     max_deviation: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Largest deviation from the path. Default: no limit.")
+        float | None, option("METRES", "Largest deviation from the path. Default: no limit.")
     ] = None,
     max_added_time: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Longest time that the shaper may add. Default: no limit.")
+        float | None, option("SECONDS", "Longest time that the shaper may add. Default: no limit.")
     ] = None,
-    max_jerk: Annotated[
-        float | None, typer.Option(metavar="RAD/S3", help="Largest jerk of a joint reference. Default: no limit.")
-    ] = None,
+    max_jerk: Annotated[float | None, option("RAD/S3", "Largest jerk of a joint reference. Default: no limit.")] = None,
     max_torque: Annotated[
-        float | None,
-        typer.Option(metavar="N.M", help="Largest torque of a motor over the payload band. Default: no limit."),
+        float | None, option("N.M", "Largest torque of a motor over the payload band. Default: no limit.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE.toml",
-            help="Write the scene with the recommended shaper here. Default: nowhere.",
-        ),
+        option("FILE.toml", "Write the scene with the recommended shaper here. Default: nowhere.", "--output", "-o"),
     ] = None,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -7,10 +7,8 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -23,76 +21,55 @@ def sweep(
     scene: SceneArgument,
     vary: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUES",
-            help="A key of the scene and its values: payload.mass=0:8:50 (from, to, number), trajectory.duration=0.3,0.4, "
+        option(
+            "KEY=VALUES",
+            "A key of the scene and its values: payload.mass=0:8:50 (from, to, number), trajectory.duration=0.3,0.4, "
             "controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all combinations. Default: nothing.",
-            show_default=False,
         ),
     ] = None,
     sample: Annotated[
         str | None,
-        typer.Option(
-            metavar="METHOD:N",
-            help="Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence, sobol:1024. "
+        option(
+            "METHOD:N",
+            "Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence, sobol:1024. "
             "Default: all combinations.",
-            show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the sample.")] = 0,
+    seed: Annotated[int, option("N", "Seed of the sample.", min=0)] = 0,
     cases: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's value. "
+        option(
+            "FILE.csv",
+            "Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's value. "
             "Default: those of --vary.",
-            show_default=False,
         ),
     ] = None,
     metrics: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAMES", help="Metrics, separated by commas; may be repeated. Default: all.", show_default=False
-        ),
+        list[str] | None, option("NAMES", "Metrics, separated by commas; may be repeated. Default: all.")
     ] = None,
     record: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="SIGNAL",
-            help="Keep this signal of each case, in signals/; may be repeated. Default: none.",
-            show_default=False,
-        ),
+        option("SIGNAL", "Keep this signal of each case, in signals/; may be repeated. Default: none."),
     ] = None,
     record_step: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", help="Interval of the kept signals. Default: every instant.", show_default=False
-        ),
+        float | None, option("SECONDS", "Interval of the kept signals. Default: every instant.")
     ] = None,
     processes: Annotated[
-        int | None,
-        typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
+        int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-sweep."),
+        Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>-sweep.")
     ] = None,
     restart: Annotated[
-        bool, typer.Option("--restart", help="Discard the results of another sweep in the folder. Default: refuse.")
+        bool, flag("Discard the results of another sweep in the folder. Default: refuse.", "--restart")
     ] = False,
     dask: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine.",
-            show_default=False,
-        ),
+        option("ADDRESS", "Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine."),
     ] = None,
     plot: Annotated[
         bool | None,
-        typer.Option(
-            "--plot/--no-plot", help="Draw sweep.png and sweep.svg. Default: draw them, but with --json don't."
-        ),
+        flag("Draw sweep.png and sweep.svg. Default: draw them, but with --json don't.", "--plot/--no-plot"),
     ] = None,
     settings: SetOption = None,
     json: JsonOption = False,

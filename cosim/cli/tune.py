@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -23,80 +21,65 @@ def tune(
     scene: SceneArgument,
     over: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY=FROM:TO",
-            help="A key of the scene and the interval of its values: pd.kp=1e3:1e5, controller[0].derivative=10:500; may be "
+        option(
+            "KEY=FROM:TO",
+            "A key of the scene and the interval of its values: pd.kp=1e3:1e5, controller[0].derivative=10:500; may be "
             "repeated, or several with commas. Default: none, at least one is needed.",
-            show_default=False,
         ),
     ] = None,
     minimise: Annotated[
         str,
-        typer.Option(
-            metavar="FIGURE",
-            help="A metric, of both joints the larger without a number at its end: rms_tracking_error, settling_time.",
+        option(
+            "FIGURE",
+            "A metric, of both joints the larger without a number at its end: rms_tracking_error, settling_time.",
         ),
     ] = "rms_tracking_error",
     subject_to: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="CONDITION",
-            help="FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms, "
+        option(
+            "CONDITION",
+            "FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms, "
             "margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.",
-            show_default=False,
         ),
     ] = None,
     payload_band: Annotated[
         str | None,
-        typer.Option(
-            metavar="BAND",
-            help="Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 "
+        option(
+            "BAND",
+            "Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 "
             "to 8 kg. Default: the scene's alone.",
-            show_default=False,
         ),
     ] = None,
     start: Annotated[
         str | None,
-        typer.Option(
-            metavar="KIND:HZ",
-            help="Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10; feedforward "
+        option(
+            "KIND:HZ",
+            "Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10; feedforward "
             "stays. Default: the scene's.",
-            show_default=False,
         ),
     ] = None,
     method: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="What improves the best of the first trials: gradient, by differences of runs, or trust-region, by quadratic models. "
+        option(
+            "NAME",
+            "What improves the best of the first trials: gradient, by differences of runs, or trust-region, by quadratic models. "
             "sample makes first trials alone.",
         ),
     ] = "gradient",
-    trials: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=2, help="Number of trials. Default: some 50 for each key.", show_default=False),
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the first trials.")] = 0,
+    trials: Annotated[int | None, option("N", "Number of trials. Default: some 50 for each key.", min=2)] = None,
+    seed: Annotated[int, option("N", "Seed of the first trials.", min=0)] = 0,
     processes: Annotated[
-        int | None,
-        typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
+        int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE.toml",
-            help="Write the tuned scene here. Default: into the folder of the results.",
-            show_default=False,
-        ),
+        option("FILE.toml", "Write the tuned scene here. Default: into the folder of the results.", "-o", "--output"),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-tune."),
+        Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>-tune.")
     ] = None,
     restart: Annotated[
-        bool, typer.Option("--restart", help="Discard the trials of another tuning in the folder. Default: refuse.")
+        bool, flag("Discard the trials of another tuning in the folder. Default: refuse.", "--restart")
     ] = False,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption
+from flexfmu.cosim.cli.options import JsonOption, flag, option
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.cosim.reports.text import to_json
 from flexfmu.fmu_build.errors import ArchiveError
@@ -19,19 +19,12 @@ def validate(
     fmu: Annotated[
         Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)
     ],
-    static: Annotated[
-        bool, typer.Option("--static", help="Only look at the file, don't run what is in it. Default: both.")
-    ] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit status 1 for warnings too. Default: for errors.")
-    ] = False,
+    static: Annotated[bool, flag("Only look at the file, don't run what is in it. Default: both.", "--static")] = False,
+    strict: Annotated[bool, flag("Exit status 1 for warnings too. Default: for errors.", "--strict")] = False,
     time_limit: Annotated[
         float | None,
-        typer.Option(
-            metavar="SECONDS",
-            min=1.0,
-            help="Longest time for what runs the FMU, one FMI call may take a fifth of it. Default: 120.",
-            show_default=False,
+        option(
+            "SECONDS", "Longest time for what runs the FMU, one FMI call may take a fifth of it. Default: 120.", min=1.0
         ),
     ] = None,
     json: JsonOption = False,

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption
+from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption, flag, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
@@ -23,24 +21,21 @@ def workprec(
     scene: OptionalScene = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases.",
-        ),
+        option("DIR", "Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases."),
     ] = None,
     only: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="FAMILY",
-            help="integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's "
+        option(
+            "FAMILY",
+            "integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's "
             "name; may be repeated. Default: all.",
         ),
     ] = None,
     hard: Annotated[
         bool,
-        typer.Option(
+        flag(
+            "Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.",
             "--hard",
-            help="Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.",
         ),
     ] = False,
     settings: SetOption = None,
