@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.run_options import RUN_OPTIONS
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
@@ -20,6 +21,12 @@ def option(metavar: str, help: str, *names: str, min: float | None = None, max: 
 def flag(help: str, *names: str) -> Any:
     """An option without a value, or with one of a few words that its type names."""
     return typer.Option(*names, help=help)
+
+
+def run_option(name: str, *names: str) -> Any:
+    """The option of a run that `flexfmu.cosim.experiment.run_options` describes."""
+    described = RUN_OPTIONS[name]
+    return option(described.takes, described.help, *names) if described.takes else flag(described.help, *names)
 
 
 _SCENE = typer.Argument(

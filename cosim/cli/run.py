@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import end_loading
-from flexfmu.cosim.cli.options import JsonOption, SetOption, flag, option
+from flexfmu.cosim.cli.options import JsonOption, SetOption, flag, option, run_option
 from flexfmu.cosim.engine.errors import InputError
 
 
@@ -22,9 +22,7 @@ def run(
         ),
     ],
     out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>.")] = None,
-    step: Annotated[
-        float | None, option("SECONDS", "Communication step. Default: what the scene or file says.")
-    ] = None,
+    step: Annotated[float | None, run_option("communication_step")] = None,
     stop_time: Annotated[
         float | None, option("SECONDS", "End of an SSP file's run. Default: what the file says, or the FMUs in it.")
     ] = None,
@@ -39,14 +37,7 @@ def run(
             min=0,
         ),
     ] = None,
-    isolate: Annotated[
-        bool | None,
-        flag(
-            "Simulate in a child process, so that a slave that crashes, exits or hangs ends the run alone. Default: what the "
-            "scene says, or where other tools' FMUs or Python slaves take part.",
-            "--isolate/--no-isolate",
-        ),
-    ] = None,
+    isolate: Annotated[bool | None, run_option("isolate", "--isolate/--no-isolate")] = None,
     verify: Annotated[
         bool | None,
         flag(
@@ -79,9 +70,7 @@ def run(
             "--format",
         ),
     ] = None,
-    yes: Annotated[
-        bool, flag("Run however large the results are. Default: refuse more than 2 GB, companion included.", "--yes")
-    ] = False,
+    yes: Annotated[bool, run_option("accept_size", "--yes")] = False,
     settings: SetOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -111,19 +100,17 @@ def run(
         raise InputError("--ssd goes with an SSP file; a scene is one system")
     if output_order is not None:
         raise InputError("--output-order goes with an SSP file; in a scene each FMU has its own `output_order`")
-    from flexfmu.cosim.cli.run_scene import Recorded, run_command
+    from flexfmu.cosim.cli.run_scene import run_command
 
     end_loading()
     return run_command(
         scene,
         out,
         json,
-        step,
-        isolate,
-        1 if verify is None else 2 * verify,
-        not json if report is None else report,
-        Recorded(record, record_step, record_order),
-        chosen,
-        settings,
-        yes,
+        {"communication_step": step, "isolate": isolate, "accept_size": yes},
+        companions=1 if verify is None else 2 * verify,
+        has_report=not json if report is None else report,
+        recorded=(record, record_step, record_order),
+        formats=chosen,
+        changes=settings,
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_text, progress, show_note
 from flexfmu.cosim.cli.result_files import check_formats, usual_folder, write_results
@@ -16,53 +16,41 @@ from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.run_options import RunOptions
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
 from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.reports.text import to_json
-from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.errors import EquilibriumError
-
-
-class Recorded(NamedTuple):
-    """Options for the recording; None for the scene's keys."""
-
-    names: list[str] | None = None
-    step: float | None = None
-    order: int | None = None
-
-    def selection(self, section: Cosimulation) -> Selection:
-        """What is recorded, by these options and the scene's keys."""
-        return Selection(
-            self.names or section.record,
-            section.record_order if self.order is None else self.order,
-            section.record_step if self.step is None else self.step,
-        )
-
-
-BY_SCENE = Recorded()
 
 
 def run_command(
     source: str,
     out: Path | None,
     as_json: bool,
-    step: float | None = None,
-    isolate: bool | None = None,
+    options: RunOptions,
+    *,
     companions: int = 1,
     has_report: bool = True,
-    recorded: Recorded = BY_SCENE,
+    recorded: tuple[list[str] | None, float | None, int | None] = (None, None, None),
     formats: Sequence[str] = ("csv",),
     changes: Sequence[str] | None = None,
-    accept_size: bool = False,
 ) -> int:
     """Simulate, write, print; the exit status.
 
-    What was recorded before a failure is written too. ``companions``: how many more precise runs the errors are taken from.
-    ``has_report``: whether report.html is drawn; otherwise that of an earlier run is removed.
-    ``accept_size``: whether to run however large the results are.
-    ``changes``: keys of the scene that change, ``KEY=VALUE``. ``formats``: those of the recorded signals, of `flexfmu.cosim.engine.results.FORMATS`.
+    What was recorded before a failure is written too.
+
+    Args:
+        source: file or name of the scene.
+        out: folder of the results; None for the usual one.
+        as_json: whether the summary is printed as JSON.
+        options: of the run.
+        companions: how many more precise runs the errors are taken from.
+        has_report: whether report.html is drawn; otherwise that of an earlier run is removed.
+        recorded: names, interval [s] and derivatives of the recorded signals; None for the scene's keys.
+        formats: of the recorded signals, of `flexfmu.cosim.engine.results.FORMATS`.
+        changes: keys of the scene that change, ``KEY=VALUE``.
     """
     # formats and folder come first: no run is lost because it can't be written
     check_formats(formats)
@@ -75,17 +63,14 @@ def run_command(
 
             scene = resolved(scene, show)
         show("planning the motion, building the FMU", None)
-        record = recorded.selection(scene.cosimulation)
+        (names, every, order), section = recorded, scene.cosimulation
+        order = section.record_order if order is None else order
+        record = Selection(names or section.record, order, section.record_step if every is None else every)
+        options["record"] = record
+        options["progress"] = partial(show, "simulating")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LoopWarning)  # which the summary has
-            run = run_scene(
-                scene,
-                communication_step=step,
-                progress=lambda fraction: show("simulating", fraction),
-                isolate=isolate,
-                record=record,
-                accept_size=accept_size,
-            )
+            run = run_scene(scene, **options)
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
         files = write_results(folder, run.recording, formats, run.about)

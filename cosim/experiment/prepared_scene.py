@@ -7,10 +7,9 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
-from flexfmu.cosim.engine.errors import InputError, LoopWarning
+from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Progress
@@ -25,16 +24,17 @@ from flexfmu.cosim.experiment.loop import Loop, make_loop
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
 from flexfmu.cosim.experiment.recording import VELOCITIES, RigidMotion, SceneRecording, slave_facts
+from flexfmu.cosim.experiment.run_options import RunOptions, SceneOptions
 from flexfmu.cosim.experiment.run_size import check_size, check_step, recorded_bytes
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import Companion, Health, RestingRobot, RestPositions, Run, Timing
+from flexfmu.cosim.experiment.scene_run import Companion, Health, RestPositions, Run, StaticEquilibria, Timing
 from flexfmu.cosim.experiment.system import PLANT, TORQUES, coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.schema import Scene
 
-__all__ = ["Health", "Options", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
+__all__ = ["Health", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
 
 COMPANION_TOLERANCE = 1e-2
 """Ratio of a companion's tolerance to the run's; 0.1 isn't enough, since errors scatter by a factor of 10."""
@@ -52,38 +52,15 @@ KEYS = {
 """What the FMU's messages advise, with its own parameters → the same with keys of the scene."""
 
 
-class Options(TypedDict, total=False):
-    """Keywords of `run_scene`, except ``motion`` and ``loop``."""
-
-    communication_step: float | None
-    tolerance: float | None
-    input_order: int | None
-    fmu_path: Path | None
-    progress: Progress | None
-    parameters: Mapping[str, float] | None
-    initial: str | None
-    isolate: bool | None
-    call_limit: float | None
-    record: Selection | None
-    accept_size: bool
-
-
 def run_scene(
     scene: Scene,
     *,
-    communication_step: float | None = None,
-    tolerance: float | None = None,
-    input_order: int | None = None,
-    fmu_path: Path | None = None,
-    progress: Progress | None = None,
-    parameters: Mapping[str, float] | None = None,
-    initial: str | None = None,
     motion: MotionPlan | None = None,
     loop: Loop | None = None,
-    isolate: bool | None = None,
-    call_limit: float | None = None,
-    record: Selection | None = None,
+    parameters: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
     accept_size: bool = False,
+    **options: Unpack[SceneOptions],
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
 
@@ -92,23 +69,12 @@ def run_scene(
 
     Args:
         scene: the scene.
-        communication_step: communication step [s]; None for the scene's value, or steps chosen from the motion if the
-            scene has none.
-        tolerance: relative tolerance for the FMU; None for the scene's value.
-        input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU supports.
-        fmu_path: FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
-        progress: called repeatedly with the simulated fraction, 0..1.
-        parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
-        initial: ``static`` or ``undeformed``; None for the scene's value.
         motion: motion, planned from the same scene, instead of the scene's own motion with its shapers.
         loop: controllers, shapers and imperfections instead of the scene's sections; see `run_loop`.
-        isolate: whether to simulate in a child process, so that a slave that crashes, exits or hangs ends only the run
-            (Linux only); None for the scene's value. If that is open too, runs with FMUs of other tools or with the
-            scene's Python slaves are isolated, but not runs with Python slaves passed as objects, whose changes would be
-            lost in the child process.
-        call_limit: time limit of one call of a slave in an isolated run [s]; None for the scene's value.
-        record: which signals are recorded, how often, and with how many derivatives; None for the scene's keys.
+        parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
+        progress: called repeatedly with the simulated fraction, 0..1.
         accept_size: whether to run however large the recording is.
+        options: communication step [s], tolerance, FMU, recorded signals and more: `flexfmu.cosim.experiment.run_options.SceneOptions`.
 
     Returns:
         The run; if a slave fails, with the recording up to then. A completed run whose control loop is unstable says so in
@@ -120,19 +86,7 @@ def run_scene(
             slaves can't be connected, or the recordings of the run and its companion have more than 2 GB.
         BuildError: the FMU can't be built (no compiler, for example).
     """
-    prepared = PreparedScene(
-        scene,
-        communication_step=communication_step,
-        tolerance=tolerance,
-        input_order=input_order,
-        fmu_path=fmu_path,
-        initial=initial,
-        motion=motion,
-        loop=loop,
-        isolate=isolate,
-        call_limit=call_limit,
-        record=record,
-    )
+    prepared = PreparedScene(scene, motion=motion, loop=loop, **options)
     if not accept_size:
         prepared.check_size()
     run = prepared.run(parameters, progress)
@@ -157,7 +111,7 @@ def run_loop(
     connect: Mapping[str, str] | None = None,
     motion: MotionPlan | None = None,
     disturbances: Iterable[Any] = (),
-    **options: Unpack[Options],
+    **options: Unpack[RunOptions],
 ) -> Run:
     """Run a scene with these controllers, shapers and imperfections instead of its own sections.
 
@@ -209,62 +163,52 @@ class PreparedScene:
         self,
         scene: Scene,
         *,
-        communication_step: float | None = None,
-        tolerance: float | None = None,
-        input_order: int | None = None,
-        fmu_path: Path | None = None,
-        initial: str | None = None,
         motion: MotionPlan | None = None,
         loop: Loop | None = None,
-        record: Selection | None = None,
-        isolate: bool | None = None,
-        call_limit: float | None = None,
+        **options: Unpack[SceneOptions],
     ) -> None:
+        if unknown := [*(options.keys() - SceneOptions.__optional_keys__)]:
+            raise TypeError(
+                f"a scene has no option {unknown[0]!r}; {suggestion(unknown[0], SceneOptions.__optional_keys__)}"
+            )
         if scene.effects.select is not None:
             raise InputError(
                 f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "
                 f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
             )
         # plan the motion; make controllers, shapers and imperfections
-        watch = Stopwatch()
-        section = scene.cosimulation
-        theirs, self._loop = loop is not None, loop_of(scene, motion) if loop is None else loop
+        watch, section = Stopwatch(), scene.cosimulation
+        self._loop = loop_of(scene, motion) if loop is None else loop
         self._plans = loop is None and motion is None
         self._stop_time = self._loop.motion.stop_time
         planning = watch.lap()
         # build the FMU, or take it from the cache
-        self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
+        self._fmu_path = options.get("fmu_path") or build_scene(scene).path
         building = watch.lap()
         # load the FMU and connect the system
-        self._parts = scene_system(scene, self._loop, self._fmu_path, initial=initial, input_order=input_order)
+        self._parts = scene_system(
+            scene, self._loop, self._fmu_path, initial=options.get("initial"), input_order=options.get("input_order")
+        )
         self._coupling = coupling_of(section)
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
-        # settings: step, tolerance, isolation, recorded signals
-        fixed = section.step if communication_step is None else communication_step
-        record = Selection(section.record, section.record_order, section.record_step) if record is None else record
-        self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
+        # what the options leave open is as the scene says; without a step from either, steps are chosen
+        step, tolerance, isolate = options.get("communication_step"), options.get("tolerance"), options.get("isolate")
+        fixed = section.step if step is None else step
         self._step = section.communication_step if fixed is None else fixed
         check_step(self._step, self._loop.motion.once.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
-        self._call_limit = section.call_limit if call_limit is None else call_limit
-        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
+        self._call_limit = options.get("call_limit") or section.call_limit
+        record = options.get("record") or Selection(section.record, section.record_order, section.record_step)
+        self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=loop is not None)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
-        self._rests = RestPositions(self._loop.motion, RestingRobot(scene, self._fmu_path))
-        # the simulator is made at the first run; a companion has the same arguments
+        self._rests = RestPositions(self._loop.motion, StaticEquilibria(scene, self._fmu_path))
+        # the simulator is made at the first run; a companion is prepared with the same options
         self._simulator: Simulator | None = None
         self._points: RealArray | None = None
-        self._again: Mapping[str, Any] = {
-            "scene": scene,
-            "fmu_path": self._fmu_path,
-            "initial": initial,
-            "input_order": input_order,
-            "loop": self._loop,
-            "record": record,
-            "isolate": self._isolate,
-            "call_limit": self._call_limit,
-        }
+        self._scene, self._options = scene, options
         self._times = planning, building, watch.lap()
 
     def run(self, parameters: Mapping[str, float] | None = None, progress: Progress | None = None) -> Run:
@@ -335,7 +279,7 @@ class PreparedScene:
         check_size(self._loop.motion, self._parts, sizes, self._step)
 
     def _delays(self, found: Sequence[SignalDelay]) -> tuple[SignalDelay, ...]:
-        """The delays of the loop: disturbances act when they say."""
+        """The delays of the loop, without those of disturbances, which have instants of their own."""
         sources = tuple(f"{each.name}." for each in self._loop.disturbances)
         return tuple(each for each in found if not each.connection.startswith(sources))
 
@@ -351,15 +295,14 @@ class PreparedScene:
             InputError: the communication step is longer than the motion.
         """
         # motion-driven, without further slaves, and from the same start, which is a parameter of the FMU
-        before, watch = self._again["scene"], Stopwatch()
+        before, watch = self._scene, Stopwatch()
         alone = self._plans and not self._parts.others and scene.cosimulation.drive == "motion"
         same = scene == before.model_copy(update={"trajectory": scene.trajectory})
         if not (alone and same and scene.start == before.start):
             return False
         loop = loop_of(scene)
         check_step(self._step, loop.motion.once.duration)
-        self._loop, self._stop_time = loop, loop.motion.stop_time
-        self._again = {**self._again, "scene": scene, "loop": loop}
+        self._scene, self._loop, self._stop_time = scene, loop, loop.motion.stop_time
         self._parts.references.follow(loop.driving)
         self._recording.follow(RigidMotion(loop.motion))
         self._instants.follow(loop.motion)
@@ -406,9 +349,14 @@ class PreparedScene:
         """The companion: communication steps that divide those of the run, and tighter tolerances."""
         step = companion_step(self._parts, self._loop.motion, self._step)
         tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)
-        finer = {**self._again, "communication_step": step, "tolerance": tolerance}
-        share = companion_share(self._again["scene"], self._parts, self._tolerance, tolerance)
-        return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)), share)
+        finer = self._options | SceneOptions(communication_step=step, tolerance=tolerance, fmu_path=self._fmu_path)
+        share = companion_share(self._scene, self._parts, self._tolerance, tolerance)
+        return Companion(
+            step,
+            tolerance,
+            partial(_run_companion, self._scene, self._loop, finer, self._stop_time, dict(parameters)),
+            share,
+        )
 
     def isolate_python_slaves(self) -> None:
         """Isolate Python slaves passed as objects too, so that runs don't change them, unless isolation is switched off."""
@@ -423,17 +371,21 @@ def _with_keys(message: str) -> str:
 
 
 def _run_companion(
-    arguments: Mapping[str, Any], stop_time: float, parameters: Mapping[str, float], progress: Progress | None = None
+    scene: Scene,
+    loop: Loop,
+    options: SceneOptions,
+    stop_time: float,
+    parameters: Mapping[str, float],
+    progress: Progress | None = None,
 ) -> Run:
     """Prepare and run a companion, also with a finer fixed integrator step or step control if the scene has them."""
-    scene = arguments["scene"]
     section, changes = scene.cosimulation, dict[str, Any]()
     # finer settings of everything else that limits the accuracy
     if section.integrator_step > 0.0:
         changes["cosimulation.integrator_step"] = 0.5 * section.integrator_step
     if section.step_control is not None:
         changes["cosimulation.step_control.tolerance"] = COMPANION_COUPLING * section.step_control.tolerance
-    prepared = PreparedScene(**{**arguments, "scene": scene.replace(changes) if changes else scene})
+    prepared = PreparedScene(scene.replace(changes) if changes else scene, loop=loop, **options)
     prepared.isolate_python_slaves()
     prepared.stop_time = stop_time
     return prepared.run(parameters, progress)

@@ -205,7 +205,7 @@ class RestPositions:
         robot: the FMU, shared by motions of the same scene.
     """
 
-    def __init__(self, plan: MotionPlan, robot: RestingRobot) -> None:
+    def __init__(self, plan: MotionPlan, robot: StaticEquilibria) -> None:
         self._plan, self._robot = plan, robot
 
     def after(self, plan: MotionPlan) -> RestPositions:
@@ -246,7 +246,7 @@ class RestPositions:
             return np.empty(0)
 
 
-class RestingRobot:
+class StaticEquilibria:
     """The FMU of a scene's robot, initialised to find static equilibria; loaded at the first call and kept for others."""
 
     def __init__(self, scene: Scene, fmu_path: Path) -> None:
@@ -312,7 +312,7 @@ def rest_position(run: Run) -> RealArray:
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
     """
-    return (run.rests or RestPositions(run.plan, RestingRobot(run.scene, run.fmu_path))).at(run.parameters)
+    return (run.rests or RestPositions(run.plan, StaticEquilibria(run.scene, run.fmu_path))).at(run.parameters)
 
 
 def _rest_by_equations(robot: Scene, joints: RealArray) -> RealArray:

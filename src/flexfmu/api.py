@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -14,6 +14,7 @@ from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.planning import plan as plan_of
 from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.run_options import RunOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
@@ -40,13 +41,9 @@ SceneSource = Scene | Path | str
 def run(
     scene: SceneSource,
     *,
-    communication_step: float | None = None,
-    tolerance: float | None = None,
-    parameters: Mapping[str, float] | None = None,
     fmu: str | Path | None = None,
-    progress: Progress | None = None,
     trajectory: OwnMotion | Trajectory | None = None,
-    accept_size: bool = False,
+    **options: Unpack[RunOptions],
 ) -> Run:
     """Co-simulate a scene over its motion and the dwell that follows.
 
@@ -56,21 +53,19 @@ def run(
         run = flexfmu.run("barnard2012-6kg", parameters={"payload.mass": 3.0})
         run.recording.time, run.recording["joint1.torque"].values  # (N,) [s], (N,) [N.m]
 
-    More options: `flexfmu.cosim.experiment.prepared_scene.run_scene`. Controllers as Python objects:
-    `flexfmu.cosim.experiment.prepared_scene.run_loop`.
+    Controllers as Python objects: `flexfmu.cosim.experiment.prepared_scene.run_loop`.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
-        communication_step: communication step [s]; None for the scene's ``cosimulation.step``.
-        tolerance: relative tolerance of the FMU's integrator; None for the scene's ``cosimulation.tolerance``.
-        parameters: values of FMU parameters that replace the scene's, by name, in SI units: ``{"payload.mass": 0.1}``.
         fmu: path of an existing FMU to simulate instead of building one. It must have the same effects as the scene; its
             parameters are set from the scene.
-        progress: function that is called during the run with the simulated fraction, 0 to 1.
         trajectory: own motion instead of the scene's path and profile: an object with ``duration`` [s] and ``position(time)``,
             x and y [m], see `flexfmu.trajectories.own`. The scene's shapers, controllers, cycles and dwell apply to it.
-        accept_size: whether to run however large the results are; otherwise more than 2 GB, a companion run for the errors
-            included, are refused.
+        options: ``communication_step`` [s] and relative ``tolerance`` of the FMU's integrator, by default the scene's
+            ``cosimulation.step`` and ``tolerance``; ``parameters``, values of FMU parameters that replace the scene's, by name, in SI
+            units: ``{"payload.mass": 0.1}``; ``progress``, a function that is called during the run with the simulated fraction, 0
+            to 1; ``accept_size``, whether to run however large the results are: otherwise more than 2 GB, a companion run for the
+            errors included, are refused. All of them: `flexfmu.cosim.experiment.run_options.RunOptions`.
 
     Returns:
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
@@ -93,16 +88,9 @@ def run(
         from flexfmu.cosim.experiment.own_motion import own_loop  # which few runs need
 
         loop = own_loop(robot, trajectory)
-    found = run_scene(
-        resolved(robot) if loop is None else loop.motion.scene,
-        communication_step=communication_step,
-        tolerance=tolerance,
-        parameters=parameters,
-        fmu_path=None if fmu is None else Path(fmu),
-        progress=progress,
-        loop=loop,
-        accept_size=accept_size,
-    )
+    if fmu is not None:
+        options["fmu_path"] = Path(fmu)
+    found = run_scene(resolved(robot) if loop is None else loop.motion.scene, loop=loop, **options)
     if not found.scene.imperfection:
         return found
     from flexfmu.cosim.design.margins.resolution import coarse_counts_of  # which few runs need

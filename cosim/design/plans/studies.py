@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import RestingRobot, RestPositions
+from flexfmu.cosim.experiment.scene_run import RestPositions, StaticEquilibria
 from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.trajectories.jets import RealArray
@@ -63,7 +63,7 @@ def study_of(goals: Goals, payloads: int, step: float) -> Study:
     dwell = min(max(PERIODS / modes[0].frequency, LEAST_DWELL), MOST_DWELL) if modes else LEAST_DWELL
     # the robot, and its equilibria at the end
     path = build_scene(scene).path
-    rests = RestPositions(given, RestingRobot(scene, path))
+    rests = RestPositions(given, StaticEquilibria(scene, path))
     rest = np.array([rests.at(each) for each in variants])
     dwell += goals.wishes.settled_within
     robot = QuickRobot(scene, path, variants, rest, min(step, given.duration / 50.0), dwell)
