@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from flexfmu.model.finite_elements.mesh import HELD, MOTORS
-from flexfmu.model.finite_elements.robot import FiniteElementRobot
+from flexfmu.model.finite_elements.robot import HELD, MOTORS, FiniteElementRobot
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 

@@ -1,10 +1,8 @@
 """Motion of the finite elements under prescribed motor angles, by the Radau IIA method of order 5.
 
 The unknowns of a step are the accelerations at its three stages; rates and coordinates follow from them. The equations
-of motion hold at every stage. The method damps vibrations much faster than the step. Its last stage is the end of the
-step, so that accelerations and torques have the accuracy of the method.
-
-Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), section IV.5, Radau IIA of order 5.
+of motion hold at every stage. The last one is the end of the step, so that accelerations and torques have the accuracy of the
+method; see `flexfmu.model.radau`.
 """
 
 from __future__ import annotations
@@ -18,24 +16,15 @@ from numpy.typing import NDArray
 from scipy.linalg import lu_factor, lu_solve
 
 from flexfmu.model.finite_elements.equilibrium import equilibrium
-from flexfmu.model.finite_elements.mesh import HELD, MOTORS
-from flexfmu.model.finite_elements.robot import FiniteElementRobot
+from flexfmu.model.finite_elements.robot import HELD, MOTORS, FiniteElementRobot
+from flexfmu.model.radau import radau
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
 Factors = tuple[RealArray, NDArray[np.int32]]
 
-R = math.sqrt(6.0)
-STAGES = np.array([(4 - R) / 10, (4 + R) / 10, 1.0])
-TABLEAU = np.array(
-    [
-        [(88 - 7 * R) / 360, (296 - 169 * R) / 1800, (-2 + 3 * R) / 225],
-        [(296 + 169 * R) / 1800, (88 + 7 * R) / 360, (-2 - 3 * R) / 225],
-        [(16 - R) / 36, (16 + R) / 36, 1 / 9],
-    ]
-)
-TWICE = TABLEAU @ TABLEAU
+METHOD = radau(3)
 
 CONVERGED = 1e-6
 """Newton's method has converged when no acceleration changes by more than this fraction of `SCALE` + the largest."""
@@ -87,7 +76,7 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         # equal steps within each interval; the motor motion at all stages at once
         count = math.ceil((end - begin) / step * (1.0 - 1e-9))
         h = (end - begin) / count
-        stages = begin + h * (np.arange(count)[:, None] + STAGES)
+        stages = begin + h * (np.arange(count)[:, None] + METHOD.nodes)
         motors = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
         for n in range(count):
             course.advance(float(stages[n, -1]), h, motors[:, n].transpose(0, 2, 1))
@@ -110,10 +99,10 @@ class _Course:
     def advance(self, time: float, h: float, motors: RealArray) -> None:
         """Advance by a step h [s] to `time`; `motors` are angles, rates and accelerations (3, 2, stages)."""
         # predict with constant accelerations, prescribe the motors
-        x = self._x[:, None] + h * STAGES * self._v[:, None]
+        x = self._x[:, None] + h * METHOD.nodes * self._v[:, None]
         v, a = self._v[:, None] + np.zeros(3), self._a[:, None] + np.zeros(3)
-        x[HELD:] += h**2 * a[HELD:] @ TWICE.T
-        v[HELD:] += h * a[HELD:] @ TABLEAU.T
+        x[HELD:] += h**2 * a[HELD:] @ METHOD.twice.T
+        v[HELD:] += h * a[HELD:] @ METHOD.matrix.T
         x[list(MOTORS)], v[list(MOTORS)], a[list(MOTORS)] = motors
         # correct until the equations of motion hold; the last stage is the new state
         force = self._balance(time, h, x, v, a)
@@ -125,8 +114,8 @@ class _Course:
             force = self._robot.forces(x, v, a)
             change = lu_solve(self._matrix(h, x[:, 1], v[:, 1], a[:, 1]), -force[HELD:].T.ravel()).reshape(3, -1).T
             a[HELD:] += change
-            v[HELD:] += h * change @ TABLEAU.T
-            x[HELD:] += h**2 * change @ TWICE.T
+            v[HELD:] += h * change @ METHOD.matrix.T
+            x[HELD:] += h**2 * change @ METHOD.twice.T
             if iteration % MANY == 0:
                 self._factors = None
             if np.abs(change).max() <= CONVERGED * (SCALE + np.abs(a).max()):
@@ -139,7 +128,9 @@ class _Course:
         """LU factors of the iteration matrix at the middle stage, for a new step size or after `MANY` iterations."""
         if self._factors is None or abs(h - self._factors_step) > 1e-9 * h:
             k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(x, v, a))
-            self._factors = lu_factor(np.kron(np.eye(3), m) + h * np.kron(TABLEAU, c) + h**2 * np.kron(TWICE, k))
+            self._factors = lu_factor(
+                np.kron(np.eye(3), m) + h * np.kron(METHOD.matrix, c) + h**2 * np.kron(METHOD.twice, k)
+            )
             self._factors_step = h
         return self._factors
 

@@ -5,8 +5,6 @@ Its unknowns z are q'' at the stages; q' and q follow linearly, whatever T. Newt
 matrices of all steps are inverted at once, and a recursion from step to step solves the linear equations. The same recursion
 with the columns dF/du du/dx as loads gives the derivatives of the discrete solution by all design variables x, exactly
 (implicit function theorem).
-
-Source: E. Hairer and G. Wanner, *Solving Ordinary Differential Equations II*, Springer 1996, section IV.5 (Radau IIA).
 """
 
 from __future__ import annotations
@@ -18,27 +16,14 @@ from itertools import groupby
 
 import numpy as np
 
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.radau import radau
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, reference_derivatives
 from flexfmu.model.reference_design.variants import Variant, VariantModel
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
-_R = math.sqrt(6.0)
-STAGES = np.array([(4 - _R) / 10, (4 + _R) / 10, 1.0])
-"""Stages of a step, as fractions of it."""
-
-TABLEAU = np.array(
-    [
-        [(88 - 7 * _R) / 360, (296 - 169 * _R) / 1800, (-2 + 3 * _R) / 225],
-        [(296 + 169 * _R) / 1800, (88 + 7 * _R) / 360, (-2 - 3 * _R) / 225],
-        [(16 - _R) / 36, (16 + _R) / 36, 1 / 9],
-    ]
-)
-"""Weights of the stages in integrals from the start of a step to each stage."""
-
-TWICE = TABLEAU @ TABLEAU
-"""Weights in double integrals."""
+METHOD = radau(3)
 
 CONVERGED = 1e-11
 """Newton's method has converged when no elastic coordinate changes by more [m or rad]; positions are wanted to 1e-7 m."""
@@ -87,7 +72,7 @@ class ElasticResponse:
     def __init__(self, scene: Scene, variants: Sequence[Mapping[str, float]], start: RealArray, steps: int) -> None:
         self.model = VariantModel(scene, variants)
         self.steps = steps
-        self.fractions = ((np.arange(steps)[:, np.newaxis] + STAGES) / steps).ravel()
+        self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
         self._start = self.model.rest(start).elastic
         # stage values z and the matrices from which the next solution starts
         self._guess = np.zeros((len(self._start), 3 * steps, self.model.n))
@@ -159,13 +144,13 @@ class ElasticResponse:
         """q and q' at all stages (P, N, n) from z, at rest at the start."""
         h, (count, stages, n) = 1.0 / self.steps, z.shape
         of_step = z.reshape(count, self.steps, 3, n)
-        rate, place = h * (TABLEAU @ of_step), h * h * (TWICE @ of_step)
+        rate, place = h * (METHOD.matrix @ of_step), h * h * (METHOD.twice @ of_step)
         # values at the start of each step
         rates = np.cumsum(rate[:, :, 2], axis=1) - rate[:, :, 2]
         moves = place[:, :, 2] + h * rates
         begin = self._start[:, np.newaxis] if start is None else start
         places = np.cumsum(moves, axis=1) - moves + begin
-        q = places[:, :, np.newaxis] + (h * STAGES)[:, np.newaxis] * rates[:, :, np.newaxis] + place
+        q = places[:, :, np.newaxis] + (h * METHOD.nodes)[:, np.newaxis] * rates[:, :, np.newaxis] + place
         return q.reshape(count, stages, n), (rates[:, :, np.newaxis] + rate).reshape(count, stages, n)
 
     def _values(self, z: RealArray, references: RealArray, duration: float) -> RealArray:
@@ -199,18 +184,18 @@ class _Matrices:
         by_stage = jacobian.reshape(count, steps, 3, n + 4, 3 * n + 6)
         by_q, by_v, by_a = (by_stage[..., i * n : (i + 1) * n] / duration**i for i in range(3))
         # d[forces, outputs] of stage i by z of stage j, and by the state at the start of the step
-        by_z = h * h * TWICE[:, np.newaxis, :, np.newaxis] * by_q[..., np.newaxis, :]
-        by_z += h * TABLEAU[:, np.newaxis, :, np.newaxis] * by_v[..., np.newaxis, :]
+        by_z = h * h * METHOD.twice[:, np.newaxis, :, np.newaxis] * by_q[..., np.newaxis, :]
+        by_z += h * METHOD.matrix[:, np.newaxis, :, np.newaxis] * by_v[..., np.newaxis, :]
         for i in range(3):
             by_z[:, :, i, :, i] += by_a[:, :, i]
-        by_state = np.concatenate([by_q, by_v + h * STAGES[:, np.newaxis, np.newaxis] * by_q], axis=-1)
+        by_state = np.concatenate([by_q, by_v + h * METHOD.nodes[:, np.newaxis, np.newaxis] * by_q], axis=-1)
         by_z = by_z.reshape(count, steps, 3, n + 4, 3 * n)
         self._inverse = np.linalg.inv(by_z[:, :, :, :n].reshape(count, steps, 3 * n, 3 * n))
         self._of_state = by_state[:, :, :, :n].reshape(count, steps, 3 * n, 2 * n)
         self._out_z = by_z[:, :, :, n:].reshape(count, steps, 12, 3 * n)
         self._out_state = by_state[:, :, :, n:].reshape(count, steps, 12, 2 * n)
         # from stage values to the next state, and from state to state
-        weights = np.stack([h * h * TWICE[2], h * TABLEAU[2]])
+        weights = np.stack([h * h * METHOD.twice[2], h * METHOD.matrix[2]])
         inverse = self._inverse.reshape(count, steps, 3, n * 3 * n)
         self._next = (weights @ inverse).reshape(count, steps, 2 * n, 3 * n)
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._next @ self._of_state
@@ -298,11 +283,8 @@ def joined(arrays: Sequence[RealArray]) -> RealArray:
 
 def spline_derivatives(motion: JointSpline, fractions: RealArray) -> RealArray:
     """Derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of T by [free coefficients of joint 1, of joint 2, T]."""
-    free = len(motion.coefficients) - 2 * REST
-    by = np.zeros((len(fractions), 6, 2 * free + 1))
-    for k in range(3):
-        matrix = basis(motion.degree, motion.intervals, fractions, k) / motion.duration**k
-        for joint in range(2):
-            by[:, 2 * k + joint, joint * free : (joint + 1) * free] = matrix[:, REST:-REST]
-        by[:, 2 * k : 2 * k + 2, -1] = -k / motion.duration * (matrix @ motion.coefficients)
-    return by
+    free = np.eye(len(motion.coefficients))[:, REST:-REST]
+    by_time = motion.evaluate(fractions) * (-np.arange(3) / motion.duration)[:, np.newaxis, np.newaxis]
+    return np.concatenate(
+        [reference_derivatives(motion, free, fractions), np.hstack(list(by_time))[..., np.newaxis]], 2
+    )

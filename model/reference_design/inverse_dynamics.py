@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import bsr_array, csc_array
 from scipy.sparse.linalg import splu
 
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means
 from flexfmu.model.reference_design.variants import VariantModel
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
@@ -176,9 +176,7 @@ def _at_rest(model: VariantModel, joints: RealArray, position: RealArray) -> Rea
 def _guess(rigid: Trajectory, ends: list[RealArray], intervals: int) -> RealArray:
     """Coefficients (intervals + `DEGREE`, 2 + n) of the rigid robot's motion, plus a straight line between corrections at rest."""
     start, end = ends
-    # a spline is near its coefficients at the means of the knots (Schoenberg's operator)
-    knots = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, 1.0, intervals + 1), np.ones(DEGREE)])
-    means = np.array([knots[i + 1 : i + 1 + DEGREE].mean() for i in range(intervals + DEGREE)])
+    means = knot_means(DEGREE, intervals)
     duration = rigid.duration + 2.0 * LEAD
     angles = rigid.evaluate(means * duration - LEAD, 0)[0]
     still = rigid.evaluate([0.0, rigid.duration], 0)[0]
@@ -190,13 +188,8 @@ def _guess(rigid: Trajectory, ends: list[RealArray], intervals: int) -> RealArra
 
 def _assembled(matrices: list[RealArray], by: RealArray, free: slice) -> csc_array:
     """The matrix of Newton's method: of all values at all knots by all free coefficients."""
-    place, column = np.nonzero(matrices[0][:, free])
-    size = by.shape[1]
-    blocks = np.zeros((len(place), size, size))
-    for k, matrix in enumerate(matrices):
-        blocks += matrix[:, free][place, column, np.newaxis, np.newaxis] * by[place, :, k]
-    rows = place[:, np.newaxis, np.newaxis] * size + np.arange(size)[:, np.newaxis]
-    columns = column[:, np.newaxis, np.newaxis] * size + np.arange(size)
-    shape = (len(by) * size, len(by) * size)
-    rows, columns = (np.broadcast_to(each, blocks.shape).ravel() for each in (rows, columns))
-    return csc_array((blocks.ravel(), (rows, columns)), shape=shape)
+    # blocks of all values at a knot by all coefficients of one basis function
+    row, column = np.nonzero(matrices[0][:, free])
+    blocks = sum(each[:, free][row, column, np.newaxis, np.newaxis] * by[row, :, k] for k, each in enumerate(matrices))
+    starts = np.searchsorted(row, np.arange(len(by) + 1))
+    return bsr_array((blocks, column, starts)).tocsc()

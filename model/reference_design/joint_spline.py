@@ -91,12 +91,26 @@ def uniform_knots(degree: int, intervals: int) -> RealArray:
     return np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, intervals + 1), np.ones(degree)])
 
 
+def knot_means(degree: int, intervals: int) -> RealArray:
+    """Means of each basis function's inner knots, shape (n,): a spline is near its coefficients there (Schoenberg's operator)."""
+    knots = uniform_knots(degree, intervals)
+    return np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(intervals + degree)])
+
+
+def _basis_splines(degree: int, intervals: int, order: int = 0) -> BSpline:
+    """All basis functions as one spline, or a derivative of them in normalised time.
+
+    Raises:
+        TrajectoryError: the order is higher than the degree.
+    """
+    if order > degree:
+        raise TrajectoryError(f"a spline of degree {degree} has derivatives up to order {degree}, got {order}")
+    return BSpline(uniform_knots(degree, intervals), np.eye(intervals + degree), degree).derivative(order)
+
+
 def basis(degree: int, intervals: int, points: RealArray, order: int = 0) -> RealArray:
     """Return a derivative of all basis functions in normalised time at points (N,) of 0 to 1, shape (N, n)."""
-    knots = uniform_knots(degree, intervals)
-    reduced = knots[order : len(knots) - order]
-    values = BSpline.design_matrix(points, reduced, degree - order).toarray()
-    return np.asarray(values @ derivative_matrix(degree, intervals, order))
+    return np.asarray(_basis_splines(degree, intervals, order)(points))
 
 
 def derivative_matrix(degree: int, intervals: int, order: int) -> RealArray:
@@ -105,14 +119,22 @@ def derivative_matrix(degree: int, intervals: int, order: int) -> RealArray:
     Raises:
         TrajectoryError: the order is higher than the degree.
     """
-    if order > degree:
-        raise TrajectoryError(f"a spline of degree {degree} has derivatives up to order {degree}, got {order}")
-    matrix, knots = np.eye(intervals + degree), uniform_knots(degree, intervals)
-    for k in range(degree, degree - order, -1):
-        # the derivative's coefficients are divided differences of the spline's
-        inner = knots[degree - k : len(knots) - (degree - k)]
-        matrix = (k / (inner[k + 1 : -1] - inner[1 : -k - 1]))[:, np.newaxis] * np.diff(matrix, axis=0)
-    return matrix
+    return np.asarray(_basis_splines(degree, intervals, order).c[: intervals + degree - order])
+
+
+def reference_derivatives(motion: JointSpline, changes: RealArray, fractions: RealArray) -> RealArray:
+    """Derivatives (N, 6, 2 r) of [q_a, v_a, a_a] at fractions (N,) of T by changes of joint 1, then of joint 2.
+
+    Args:
+        motion: the joints' motion.
+        changes: coefficients (n, r) that a unit of each change adds to those of a joint.
+        fractions: times as fractions of the duration.
+    """
+    by = np.zeros((len(fractions), 3, 2, 2, changes.shape[1]))
+    for k in range(3):
+        moved = basis(motion.degree, motion.intervals, fractions, k) @ changes / motion.duration**k
+        by[:, k, 0, 0] = by[:, k, 1, 1] = moved
+    return by.reshape(len(fractions), 6, -1)
 
 
 def rest_matrix(count: int) -> RealArray:

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response
 from flexfmu.model.reference_design.inverse_dynamics import LEAD
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means, reference_derivatives
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.reference_design.variants import Rest, free_modes
 from flexfmu.model.scene.schema import Scene
@@ -147,7 +147,7 @@ class _Problem:
         self._targets = motion.evaluate(fractions * motors.duration - LEAD, 0)[0]
         self._ringing, self._at_end = _ringing(rest), rest.elastic
         # derivatives about the uncorrected references: the corrections are so small that they stay the same
-        self._by = self._response(motors, _derivatives(motors, self._moves, fractions))
+        self._by = self._response(motors, reference_derivatives(motors, self._moves, fractions))
         largest = float(np.hypot(*np.moveaxis(self._away(self._by), -1, 0)).max())
         if largest > tolerances.off_path:
             self._tolerances = replace(tolerances, off_path=GROWTH * largest)
@@ -311,23 +311,10 @@ def _moves(motors: JointSpline, spacing: float) -> RealArray:
     """Coefficients of the references, a column for each free one of the corrections: splines with wide knots (interpolated)."""
     wide = max(round(motors.duration / spacing), 2 * REST)
     degree, intervals = motors.degree, motors.intervals
-    # one point for each coefficient: the means of its knots
-    knots = np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, intervals + 1), np.ones(degree)])
-    means = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(intervals + degree)])
+    means = knot_means(degree, intervals)
     moves = np.linalg.solve(basis(degree, intervals, means), basis(degree, wide, means)[:, REST:-REST])
     moves[:REST], moves[-REST:] = 0.0, 0.0
     return np.asarray(moves)
-
-
-def _derivatives(motors: JointSpline, moves: RealArray, fractions: RealArray) -> RealArray:
-    """Derivatives (N, 6, 2 r) of [q_a, v_a, a_a] by the corrections of joint 1, then joint 2."""
-    r = moves.shape[1]
-    by = np.zeros((len(fractions), 6, 2 * r))
-    for k in range(3):
-        matrix = basis(motors.degree, motors.intervals, fractions, k) @ moves / motors.duration**k
-        for joint in range(2):
-            by[:, 2 * k + joint, joint * r : (joint + 1) * r] = matrix
-    return by
 
 
 def _ringing(rest: Rest) -> RealArray:

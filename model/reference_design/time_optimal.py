@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from flexfmu.model.reference_design.elastic_response import FleetResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline
-from flexfmu.model.reference_design.motion_limits import GROUPS, MotionLimits
-from flexfmu.model.reference_design.motion_stage import PENALTY, Stage, State
+from flexfmu.model.reference_design.motion_stage import GROUPS, PENALTY, MotionLimits, Stage, State
 from flexfmu.model.reference_design.variants import Variant
 
 LOOSE, FALL = 2e-5, 4.0

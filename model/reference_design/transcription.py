@@ -5,8 +5,7 @@ are linear in them (derivatives of the collocation polynomials), joint angles an
 coefficients: every point's arguments z = [q, q', q'', q_a, q_a', q_a'', T] are a constant sparse matrix times the unknowns. So
 Jacobian and Hessian of all constraints are blocks of single points between constant matrices, without colouring.
 
-Sources: E. Hairer and G. Wanner, *Solving Ordinary Differential Equations II*, Springer 1996, IV.5 (Radau IIA); J. T. Betts,
-*Practical Methods for Optimal Control*, SIAM 2010, chapter 4 (transcription, sparsity by points).
+Source: J. T. Betts, *Practical Methods for Optimal Control*, SIAM 2010, chapter 4 (transcription, sparsity by points).
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from flexfmu.model.numeric import numeric_model
+from flexfmu.model.radau import Radau, radau
 from flexfmu.model.reference_design.joint_spline import JointSpline, basis, rest_matrix
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
@@ -112,22 +112,20 @@ class Grid:
     stages: int = 5
     degree: int = 5
 
-    @cached_property
-    def nodes(self) -> RealArray:
-        """Start of an interval, and its stages, the last of which is its end."""
-        return np.array([0.0, *casadi.collocation_points(self.stages, "radau")])
+    @property
+    def method(self) -> Radau:
+        """Radau IIA in each interval."""
+        return radau(self.stages)
 
     @cached_property
     def points(self) -> RealArray:
         """Times of the stages as fractions of the duration, (K,)."""
-        return np.asarray(((np.arange(self.intervals)[:, np.newaxis] + self.nodes[1:]) / self.intervals).ravel())
+        return np.asarray(((np.arange(self.intervals)[:, np.newaxis] + self.method.nodes) / self.intervals).ravel())
 
     @cached_property
     def weights(self) -> RealArray:
         """Weights of the stages in an integral over the normalised time, (K,)."""
-        powers = np.arange(self.stages)
-        moments = np.linalg.solve(self.nodes[1:] ** powers[:, np.newaxis], 1.0 / (powers + 1))
-        return np.tile(moments / self.intervals, self.intervals)
+        return np.tile(self.method.matrix[-1] / self.intervals, self.intervals)
 
     @cached_property
     def rest(self) -> RealArray:
@@ -145,15 +143,13 @@ class Grid:
 
         The motion starts at rest: the rate at the start is zero.
         """
-        # derivatives of Lagrange's polynomials at the stages of an interval
-        nodes, count = self.nodes, self.stages * self.intervals
-        others = [np.delete(nodes, j) for j in range(len(nodes))]
-        polynomials = [np.poly1d(each, True) / np.prod(nodes[j] - each) for j, each in enumerate(others)]
-        slopes = np.array([[each.deriv()(c) for each in polynomials] for c in nodes[1:]])
+        # derivatives at the stages of an interval, from values at its start and at the stages
+        count, of_stages = self.stages * self.intervals, np.linalg.inv(self.method.matrix)
+        slopes = np.hstack([-of_stages.sum(axis=1, keepdims=True), of_stages])
         # an interval's stages depend on them and on the last stage before it
-        own = np.arange(len(nodes)) + np.zeros((self.stages, 1), dtype=int)
+        own = np.arange(self.stages + 1) + np.zeros((self.stages, 1), dtype=int)
         columns = (self.stages * np.arange(self.intervals)[:, np.newaxis, np.newaxis] + own).ravel()
-        rows = np.repeat(np.arange(count), len(nodes))
+        rows = np.repeat(np.arange(count), self.stages + 1)
         entries = np.tile(self.intervals * slopes.ravel(), self.intervals)
         first: Matrix = sparse.csr_matrix((entries, (rows, columns)), (count, count + 1))
         values: Matrix = sparse.hstack([sparse.csr_matrix((count, 1)), sparse.identity(count)])

@@ -14,7 +14,8 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import block, rows_in_turn
 from flexfmu.cosim.control.controllers.joints import JOINTS, feedforward_outputs
-from flexfmu.model.reference_design.elastic_response import TABLEAU, ElasticResponse
+from flexfmu.model.radau import radau
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.jets import RealArray
@@ -48,7 +49,7 @@ def mean_torques(
     references[1:, (instants < 0.0) | (instants > joints.duration)] = 0.0
     torques = response.respond(np.hstack(list(references)), duration).torque[0]
     # the mean over a step by the weights of Radau's quadrature, then over a sample
-    means = np.einsum("s,kpsj->kj", TABLEAU[2], torques.reshape(before + count, parts, 3, 2)) / parts
+    means = np.einsum("s,kpsj->kj", radau(3).matrix[-1], torques.reshape(before + count, parts, 3, 2)) / parts
     return np.asarray(means[before:])
 
 

@@ -14,7 +14,7 @@ from flexfmu.cosim.design.plans.goals import Goals
 from flexfmu.cosim.design.plans.planner import Show
 from flexfmu.cosim.design.plans.robust_optimal import PAYLOADS, TRIES, excesses, robust_optimal
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.reference_design.control_limits import Area, ReferenceLimits, Robot
+from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, Robot
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import COARSE, optimal_motions
 from flexfmu.model.reference_design.time_optimal import spread

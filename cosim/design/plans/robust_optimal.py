@@ -17,7 +17,7 @@ from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, Variation
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import fitted
-from flexfmu.model.reference_design.motion_limits import DEPTH, MotionLimits
+from flexfmu.model.reference_design.motion_stage import DEPTH, MotionLimits
 from flexfmu.model.reference_design.time_optimal import LOOSE, NODES, Improvement, fastest_motion, spread
 from flexfmu.model.reference_design.variants import Variant
 from flexfmu.model.scene.errors import EquilibriumError

@@ -8,7 +8,8 @@ import pytest
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.modes import natural_frequencies
-from flexfmu.model.reference_design.elastic_response import STAGES, TABLEAU, ElasticResponse
+from flexfmu.model.radau import radau
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, fitted
 from flexfmu.model.reference_design.variants import free_modes
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -41,9 +42,14 @@ def changed(motion: JointSpline, change: RealArray) -> JointSpline:
     return JointSpline(coefficients, motion.duration + change[-1])
 
 
-def test_the_tableau_integrates_polynomials_of_degree_two_exactly_at_all_stages() -> None:
+def test_the_tableau_is_that_of_the_book() -> None:
+    """Radau IIA of order 5: the last stage's weights are those of the step."""
+    root, method = 6**0.5, radau(3)
+    assert method.nodes == pytest.approx([(4 - root) / 10, (4 + root) / 10, 1.0], rel=1e-15)
+    assert method.matrix[-1] == pytest.approx([(16 - root) / 36, (16 + root) / 36, 1 / 9], rel=4e-15)
     for power in range(3):
-        np.testing.assert_allclose(TABLEAU @ STAGES**power, STAGES ** (power + 1) / (power + 1), atol=1e-15)
+        integrals = method.nodes ** (power + 1) / (power + 1)
+        np.testing.assert_allclose(method.matrix @ method.nodes**power, integrals, atol=1e-15)
 
 
 def test_the_response_is_that_of_the_fmu(motion: JointSpline) -> None:

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.reference_design.control_limits import Area, ReferenceLimits, Robot
-from flexfmu.model.reference_design.control_rows import modal_displacements
+from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, Robot, modal_displacements
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
-from flexfmu.model.reference_design.motion_programme import Aim, MotionProgramme
-from flexfmu.model.reference_design.optimal_control import OptimalMotion, optimal_motions, stretched
+from flexfmu.model.reference_design.optimal_control import (
+    Aim,
+    MotionProgramme,
+    OptimalMotion,
+    optimal_motions,
+    stretched,
+)
 from flexfmu.model.reference_design.transcription import Grid, Transcription, transcribed
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

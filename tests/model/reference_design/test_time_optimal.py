@@ -10,7 +10,7 @@ import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
-from flexfmu.model.reference_design.motion_limits import GROUPS, LimitRows, MotionLimits, ResidualVibration
+from flexfmu.model.reference_design.motion_stage import GROUPS, LimitRows, MotionLimits, ResidualVibration
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.reference_design.time_optimal import Improvement, fastest_motion, spread
 from flexfmu.model.reference_design.variants import Variant

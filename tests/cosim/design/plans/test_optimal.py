@@ -15,7 +15,7 @@ from flexfmu.cosim.design.plans.optimal import area_of, optimal, reference_limit
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline
-from flexfmu.model.reference_design.motion_limits import GROUPS, MotionLimits
+from flexfmu.model.reference_design.motion_stage import GROUPS, MotionLimits
 from flexfmu.model.reference_design.time_optimal import Improvement
 from flexfmu.model.scene.file import load_scene
 
