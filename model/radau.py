@@ -38,5 +38,5 @@ def radau(stages: int) -> Radau:
     nodes, powers = np.array(casadi.collocation_points(stages, "radau")), np.arange(stages)
     # exact for all polynomials of a lower degree than the number of stages
     moments = nodes ** (powers[:, np.newaxis] + 1) / (powers[:, np.newaxis] + 1)
-    matrix = np.linalg.solve(nodes ** powers[:, np.newaxis], moments).T
+    matrix = np.asarray(np.linalg.solve(nodes ** powers[:, np.newaxis], moments).T, dtype=float)
     return Radau(nodes, matrix, matrix @ matrix)

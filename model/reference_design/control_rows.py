@@ -26,7 +26,7 @@ MESH = 1 / 40
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class RobotLimits:
     """A robot that the motion shall suit.
 
     Attributes:
@@ -116,7 +116,7 @@ FAINT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Constraints:
     """Constraints, their derivatives by [joints, T] and by own unknowns, bounds; and second derivatives with multipliers.
 
     Attributes:
@@ -137,12 +137,12 @@ class Rows:
 
 def robot_rows(
     equations: Transcription,
-    robot: Robot,
+    robot: RobotLimits,
     area: Area,
     effort: tuple[Effort | None, float],
     joints: casadi.MX,
     own: casadi.MX,
-) -> Rows:
+) -> Constraints:
     """Constraints of a robot: equations of motion, position and torques, regions, and the end without vibration."""
     regions = area.smooth
     n, count, functions = equations.n, len(equations.grid.points), point_functions(equations.scene, effort[0])
@@ -184,7 +184,7 @@ def robot_rows(
 
     lowest = [np.full(count, -area.margin / area.scale) for _ in regions]
     allowed = np.concatenate([np.zeros(n + 2), np.ones(2)])
-    return Rows(
+    return Constraints(
         casadi.vertcat(casadi.vec(values), *kept, end),
         casadi.vertcat(blocks @ of_joints, casadi.MX(len(regions) * count, joints.numel()), last_joints),
         casadi.horzcat(by_elastic, by_place),
@@ -197,7 +197,7 @@ def robot_rows(
     )
 
 
-def _scaling(equations: Transcription, robot: Robot, area: Area) -> Matrix:
+def _scaling(equations: Transcription, robot: RobotLimits, area: Area) -> Matrix:
     """Matrix that scales forces by what a characteristic deflection needs, places to the frame, torques by their limits."""
     model = numeric_model(equations.scene)
     stiffness = model.static_stiffness(equations.rest[1], standstill(equations.ends[1])).full()
@@ -205,8 +205,8 @@ def _scaling(equations: Transcription, robot: Robot, area: Area) -> Matrix:
     return sparse.block_diag([forces, area.axes / area.scale, np.diag(1.0 / robot.torque)])
 
 
-def _end_rows(equations: Transcription, robot: Robot) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
-    """Rows on the last point for each mode: displacement, and rate / frequency within the duration times a bound.
+def _end_rows(equations: Transcription, robot: RobotLimits) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
+    """Constraints on the last point for each mode: displacement, and rate / frequency within the duration times a bound.
 
     They are relative to the largest vibration that may remain.
 
@@ -250,7 +250,9 @@ def modal_displacements(scene: Scene, joints: RealArray, elastic: RealArray) -> 
     return np.maximum(sizes, FAINT * sizes.max())[:, np.newaxis] * (shapes.T @ mass), np.sqrt(squares)
 
 
-def reference_rows(equations: Transcription, limits: ReferenceLimits, duration: float, joints: casadi.MX) -> Rows:
+def reference_rows(
+    equations: Transcription, limits: ReferenceLimits, duration: float, joints: casadi.MX
+) -> Constraints:
     """Constraints on speed, acceleration and jerk of both joints: |derivative| <= limit (T / duration)^k in normalised time."""
     grid = equations.grid
     half, matrices, offsets, orders = grid.free // 2, list[Matrix](), list[RealArray](), list[RealArray]()
@@ -275,7 +277,7 @@ def reference_rows(equations: Transcription, limits: ReferenceLimits, duration: 
         curve = casadi.dot(multipliers, power * (power - 1) * pace ** np.maximum(power - 2, 0)) / duration**2
         return last.T @ (-curve) @ last, casadi.MX(), casadi.MX()
 
-    return Rows(
+    return Constraints(
         matrix @ joints + offset - pace**power,
         matrix - slope @ last,
         casadi.MX(),

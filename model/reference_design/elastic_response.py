@@ -18,7 +18,7 @@ import numpy as np
 
 from flexfmu.model.radau import radau
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, reference_derivatives
-from flexfmu.model.reference_design.variants import Variant, VariantModel
+from flexfmu.model.reference_design.variants import RobotVariant, VariantModel
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -256,7 +256,7 @@ class FleetResponse:
         SceneError, EquilibriumError: see `ElasticResponse`.
     """
 
-    def __init__(self, robots: Sequence[Variant], start: RealArray, steps: int) -> None:
+    def __init__(self, robots: Sequence[RobotVariant], start: RealArray, steps: int) -> None:
         groups = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
         self.parts = [
             ElasticResponse(group[0].scene, [each.changes for each in group], start, steps) for group in groups

@@ -73,7 +73,7 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Inequalities:
     """Inequalities at a motion: values g (R,), indices of their groups (R,), derivatives (R, m), and which can decide (R,)."""
 
     values: RealArray
@@ -105,7 +105,7 @@ class LimitRows:
         groups = [np.full(each.size, group) for each, group in zip(found, (1, 2, 3, 0, 4), strict=True)]
         return np.concatenate(found), np.concatenate(groups)
 
-    def rows(self, motion: JointSpline, response: Response) -> Rows:
+    def rows(self, motion: JointSpline, response: Response) -> Inequalities:
         """The inequalities with derivatives."""
         values, groups = self.values(motion, response)
         m = 2 * self.free + 1
@@ -124,7 +124,7 @@ class LimitRows:
         gradient = self.limits.distances(response.position.reshape(-1, 2))[1]
         gradient = np.asarray(gradient).reshape(-1, *response.position.shape)
         found.append((-np.einsum("kpnj,pnjm->kpnm", gradient, response.position_by) / DEPTH).reshape(-1, m))
-        return Rows(values, groups, np.concatenate(found), self._deciding(values, response))
+        return Inequalities(values, groups, np.concatenate(found), self._deciding(values, response))
 
     def _deciding(self, values: RealArray, response: Response) -> NDArray[np.bool_]:
         """Which rows can decide (R,): of torques and of distances those of the `WORST` variants at the same instant."""
@@ -218,7 +218,7 @@ class State:
 class Linear:
     """The limits, linearised at a motion: rows, modal amplitudes (P, 2, k) and their derivatives (P, 2, k, m)."""
 
-    rows: Rows
+    rows: Inequalities
     amplitudes: RealArray
     amplitudes_by: RealArray
 
@@ -276,7 +276,7 @@ class Stage:
         """The linearised limits with their values after a step."""
         values, groups = self._rows.values(state.motion, state.response)
         amplitudes = self.vibration.amplitudes(state.response.end) - linear.amplitudes_by @ step
-        shifted = Rows(values - linear.rows.jacobian @ step, groups, linear.rows.jacobian, linear.rows.deciding)
+        shifted = Inequalities(values - linear.rows.jacobian @ step, groups, linear.rows.jacobian, linear.rows.deciding)
         return Linear(shifted, amplitudes, linear.amplitudes_by)
 
     def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float]:

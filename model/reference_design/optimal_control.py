@@ -30,13 +30,13 @@ from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.reference_design.control_rows import (
     Area,
     ReferenceLimits,
-    Robot,
+    RobotLimits,
     constant,
     reference_rows,
     robot_rows,
 )
 from flexfmu.model.reference_design.joint_spline import JointSpline, basis, fitted
-from flexfmu.model.reference_design.transcription import Effort, Grid, Matrix, Transcription, transcribed
+from flexfmu.model.reference_design.transcription import CollocationGrid, Effort, Matrix, Transcription, transcribed
 from flexfmu.trajectories.jets import RealArray
 
 Aim = Literal["time", "torque", "rms_torque", "energy", "residual"]
@@ -70,7 +70,7 @@ class MotionProgramme:
     def __init__(
         self,
         transcriptions: Sequence[Transcription],
-        robots: Sequence[Robot],
+        robots: Sequence[RobotLimits],
         limits: ReferenceLimits,
         area: Area,
         start: JointSpline,
@@ -160,7 +160,7 @@ def _smoothness(equations: Transcription, joints: casadi.MX, start: JointSpline)
     return casadi.sumsqr(jerk), 2.0 * matrix.T @ matrix
 
 
-def _effort(aim: Aim, start: JointSpline, robot: Robot) -> tuple[Effort | None, float]:
+def _effort(aim: Aim, start: JointSpline, robot: RobotLimits) -> tuple[Effort | None, float]:
     """What the motors' effort counts, and its scale."""
     size = float(max(robot.torque))
     if aim == "time":
@@ -190,10 +190,10 @@ class _GivenPower:
         return casadi.sum1(0.5 * (power + casadi.sqrt(power**2 + self.rounding**2)))
 
 
-COARSE, FINE = Grid(intervals=30, stages=3), Grid()
+COARSE, FINE = CollocationGrid(intervals=30, stages=3), CollocationGrid()
 """Grids that find and that correct a motion: 10 and 0.1 µm of residual vibration by their errors on the shipped robot."""
 
-CHECK = Grid(intervals=56)
+CHECK = CollocationGrid(intervals=56)
 """Grid on which limits are checked between the points, by splines through its points."""
 
 DENSE = 2000
@@ -251,7 +251,7 @@ class OptimalMotion:
     """
 
     spline: JointSpline
-    grid: Grid
+    grid: CollocationGrid
     converged: bool
     status: str
     iterations: int
@@ -259,13 +259,13 @@ class OptimalMotion:
 
 @one_blas_thread()
 def optimal_motions(
-    robots: Sequence[Robot],
+    robots: Sequence[RobotLimits],
     limits: ReferenceLimits,
     area: Area,
     start: JointSpline,
     aim: Aim = "time",
     duration: float | None = None,
-    grids: tuple[Grid, Grid] = (COARSE, FINE),
+    grids: tuple[CollocationGrid, CollocationGrid] = (COARSE, FINE),
 ) -> Iterator[OptimalMotion]:
     """Yield optimal motions: from a coarse grid, from a fine one, and with limits that hold between its points.
 
@@ -326,7 +326,7 @@ def stretched(spline: JointSpline, limits: ReferenceLimits) -> JointSpline:
     return spline.with_duration(spline.duration * max(1.1, *(share ** (1 / k) for k, share in enumerate(used, 1))))
 
 
-def _transcriptions(robots: Sequence[Robot], spline: JointSpline, grid: Grid) -> list[Transcription]:
+def _transcriptions(robots: Sequence[RobotLimits], spline: JointSpline, grid: CollocationGrid) -> list[Transcription]:
     return [transcribed(robot.scene, spline, grid) for robot in robots]
 
 
@@ -363,7 +363,7 @@ def _ctrl_c_afterwards() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _checked(robot: Robot, area: Area, spline: JointSpline) -> tuple[RealArray, float]:
+def _checked(robot: RobotLimits, area: Area, spline: JointSpline) -> tuple[RealArray, float]:
     """Largest torques (2,) [N m], and depth of the end effector in a region [m], of a motion between the points of a grid."""
     # the motion on a fine grid
     grid = replace(CHECK, splines=spline.intervals, degree=spline.degree)

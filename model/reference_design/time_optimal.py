@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flexfmu.model.reference_design.elastic_response import FleetResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline
 from flexfmu.model.reference_design.motion_stage import GROUPS, PENALTY, MotionLimits, Stage, State
-from flexfmu.model.reference_design.variants import Variant
+from flexfmu.model.reference_design.variants import RobotVariant
 
 LOOSE, FALL = 2e-5, 4.0
 """Bound of the residual vibration [m] in the first stages, and about how much it falls from each to the next."""
@@ -53,7 +53,7 @@ class Improvement:
 
 
 def fastest_motion(
-    robots: Sequence[Variant],
+    robots: Sequence[RobotVariant],
     limits: MotionLimits,
     start: JointSpline,
     nodes: Sequence[int] | None = None,
@@ -122,7 +122,7 @@ def spread(count: int, number: int) -> list[int]:
 
 
 def _stage(
-    robots: Sequence[Variant],
+    robots: Sequence[RobotVariant],
     limits: MotionLimits,
     motion: JointSpline,
     chosen: NDArray[np.intp],

@@ -97,7 +97,7 @@ def point_functions(scene: Scene, effort: Effort | None = None) -> PointFunction
 
 
 @dataclass(frozen=True)
-class Grid:
+class CollocationGrid:
     """Intervals of the splines, and of the collocation in each motion.
 
     Attributes:
@@ -171,7 +171,7 @@ class Transcription:
     scene: Scene
     ends: RealArray
     scales: RealArray
-    grid: Grid = Grid()
+    grid: CollocationGrid = CollocationGrid()
 
     @cached_property
     def functions(self) -> PointFunctions:
@@ -277,7 +277,7 @@ def _placed(block: Matrix, rows: NDArray[np.int_], columns: NDArray[np.int_], sh
     return sparse.csr_matrix((entries.data, (rows[entries.row], columns[entries.col])), shape)
 
 
-def transcribed(scene: Scene, spline: JointSpline, grid: Grid) -> Transcription:
+def transcribed(scene: Scene, spline: JointSpline, grid: CollocationGrid) -> Transcription:
     """The scene's equations, scaled by the elastic motion that a motion on the grid's splines causes.
 
     Raises:

@@ -26,7 +26,7 @@ AT_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Variant:
+class RobotVariant:
     """A robot: a scene's, with other values of some parameters.
 
     Attributes:

@@ -17,7 +17,7 @@ from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.effects import Effects
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.response import LinearTimeVaryingSystem, Response
+from flexfmu.model.selection.response import ElasticMotion, LinearTimeVaryingSystem
 from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.jets import Indices, RealArray
 
@@ -77,7 +77,7 @@ class LinearizedMotion:
     def load(self) -> RealArray:
         """Forces on the undeformed robot (N, n)."""
         rest = np.zeros((self._grid.time.size, self._model.n))
-        return -self.forces(Response(rest, rest, rest))
+        return -self.forces(ElasticMotion(rest, rest, rest))
 
     def coordinates(self, effects: Effects, *, static: bool = False) -> Indices:
         """Indices of the coordinates that are states with these effects; with `static`, of the quasi-static ones.
@@ -97,19 +97,21 @@ class LinearizedMotion:
             found += [i] if belongs else []
         return np.array(found, dtype=np.intp)
 
-    def response(self, states: Indices, start: RealArray) -> Response:
+    def response(self, states: Indices, start: RealArray) -> ElasticMotion:
         """Linear response (N, n) of the coordinates `states`, from rest at `start`; all others stay zero."""
         return self._respond(states, self.load, start)
 
-    def corrected(self, motion: Response, states: Indices) -> Response:
+    def corrected(self, motion: ElasticMotion, states: Indices) -> ElasticMotion:
         """The motion plus the linear response of `states` to its residual forces."""
         return motion + self._respond(states, -self.forces(motion), np.zeros(states.size))
 
-    def _respond(self, states: Indices, load: RealArray, start: RealArray) -> Response:
+    def _respond(self, states: Indices, load: RealArray, start: RealArray) -> ElasticMotion:
         part = self.linear.restricted(states).response(load[:, states], start)
-        return Response(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
+        return ElasticMotion(
+            *(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration))
+        )
 
-    def deflections(self, motion: Response, statics: Indices) -> RealArray:
+    def deflections(self, motion: ElasticMotion, statics: Indices) -> RealArray:
         """Quasi-static deflections (N, n) of the coordinates `statics` under the forces of a motion."""
         force = self.forces(motion)[:, statics]
         stiffness = self.linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
@@ -143,16 +145,16 @@ class LinearizedMotion:
         result[:, at] = values
         return result
 
-    def forces(self, motion: Response) -> RealArray:
+    def forces(self, motion: ElasticMotion) -> RealArray:
         """Forces on all elastic coordinates that a motion needs (N, n)."""
         function = _vectorised(self._scene, "elastic_forces")
         return function([motion.position, motion.velocity, motion.acceleration, self._grid.joints])[0]
 
-    def hardening(self, motion: Response) -> RealArray:
+    def hardening(self, motion: ElasticMotion) -> RealArray:
         """Elastic forces (N, n) of bending beyond linear theory, which all sets of effects neglect."""
         return _vectorised(self._scene, "hardening")([motion.position])[0]
 
-    def outputs(self, motion: Response) -> Outputs:
+    def outputs(self, motion: ElasticMotion) -> Outputs:
         """End-effector motion and motor torques of a motion."""
         function = _vectorised(self._scene, "motion")
         return Outputs(*function([motion.position, motion.velocity, motion.acceleration, self._grid.joints]))

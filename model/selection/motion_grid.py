@@ -4,34 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
 
 STEPS, LONGEST_STEP, MOST_STEPS = 3000, 5e-4, 12_000
 """Steps over motion and dwell: 0.15 ms for 0.45 s, about 1/20 of a period at 300 Hz. Longest step [s]: 1/20 of a period
 at 100 Hz. Largest number of steps, which prevails over the longest step."""
-
-
-class JointMotion(Protocol):
-    """A planned motion of both motors; `flexfmu.trajectories` implements it."""
-
-    @property
-    def duration(self) -> float:
-        """Duration of the motion [s]."""
-        ...
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which a derivative may jump, ascending, including 0 and the duration."""
-        ...
-
-    def evaluate(self, time: RealArray, order: int = 2, side: Literal["left", "right"] = "right") -> RealArray:
-        """Angles [rad] and their time derivatives, shape (order + 1, N, 2)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +48,7 @@ class MotionGrid:
         return np.array([(self.time[b - 1] - self.time[a]) / (b - a - 1) for a, b in self.spans])
 
 
-def motion_grid(motion: JointMotion, dwell: float) -> MotionGrid:
+def motion_grid(motion: Trajectory, dwell: float) -> MotionGrid:
     """The grid of a motion followed by a dwell [s]."""
     # equal steps between breakpoints; the last instant of a span has the values left of the jump
     bounds = [*motion.breakpoints, *([motion.duration + dwell] if dwell else [])]

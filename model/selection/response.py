@@ -26,15 +26,15 @@ _NEW = (1 - _ALPHA_F) / (1 - _ALPHA_M)
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class ElasticMotion:
     """Elastic coordinates, rates and accelerations at N instants, each (N, n)."""
 
     position: RealArray
     velocity: RealArray
     acceleration: RealArray
 
-    def __add__(self, other: Response) -> Response:
-        return Response(
+    def __add__(self, other: ElasticMotion) -> ElasticMotion:
+        return ElasticMotion(
             self.position + other.position, self.velocity + other.velocity, self.acceleration + other.acceleration
         )
 
@@ -66,10 +66,10 @@ class LinearTimeVaryingSystem:
         )
         return LinearTimeVaryingSystem(mass, damping, stiffness, self.spans, self.steps)
 
-    def response(self, load: RealArray, start: RealArray) -> Response:
+    def response(self, load: RealArray, start: RealArray) -> ElasticMotion:
         """The response to the load f (N, n) from rest at `start` (n,); positions and rates are continuous."""
         count, n = load.shape
-        motion = Response(*(np.zeros((count, n)) for _ in range(3)))
+        motion = ElasticMotion(*(np.zeros((count, n)) for _ in range(3)))
         if not n:
             return motion
         position, velocity = start, np.zeros(n)
@@ -79,7 +79,7 @@ class LinearTimeVaryingSystem:
         return motion
 
     def _cross(
-        self, motion: Response, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
+        self, motion: ElasticMotion, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
     ) -> None:
         """Compute the instants a..b-1 of a motion from position and rate at instant a."""
         # the new acceleration as a linear function of the predicted position and rate, for all instants at once

@@ -37,7 +37,7 @@ from flexfmu.model.scene.choice import (
 from flexfmu.model.scene.effects import FamilyName
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.motion_grid import JointMotion
+from flexfmu.trajectories.trajectory import Trajectory
 
 MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 """Metrics of a choice where neither scene nor command line names any; the last one needs a dwell."""
@@ -139,7 +139,7 @@ def _settled(scene: Scene) -> Scene:
     return settled(scene)
 
 
-def followed(scene: Scene) -> JointMotion:
+def followed(scene: Scene) -> Trajectory:
     """Return the motion that the motors follow in the estimates: shaped for the richest set, without the way back.
 
     Raises:
@@ -153,7 +153,7 @@ def followed(scene: Scene) -> JointMotion:
 @one_blas_thread()
 def choose_verified(
     scene: Scene,
-    motion: JointMotion,
+    motion: Trajectory,
     tolerance: float,
     of: tuple[MeasureName, ...],
     named: Collection[MeasureName] = (),

@@ -23,9 +23,10 @@ from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.linearized_motion import LinearizedMotion, Outputs
-from flexfmu.model.selection.motion_grid import JointMotion, MotionGrid, motion_grid
-from flexfmu.model.selection.response import Response
+from flexfmu.model.selection.motion_grid import MotionGrid, motion_grid
+from flexfmu.model.selection.response import ElasticMotion
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
 
 MetricValues = Mapping[MeasureName, float]
 """Metric → value in SI units, or error relative to the metric's scale."""
@@ -173,7 +174,7 @@ class Estimator:
     def __init__(
         self,
         scene: Scene,
-        motion: JointMotion,
+        motion: Trajectory,
         of: tuple[MeasureName, ...],
         named: Collection[MeasureName] = (),
         most: Scene | None = None,
@@ -186,7 +187,7 @@ class Estimator:
         # outputs of the rigid robot
         robot = self._robot(self.richest.effects)
         rest = np.zeros(robot.load.shape)
-        self._rigid = robot.outputs(Response(rest, rest, rest))
+        self._rigid = robot.outputs(ElasticMotion(rest, rest, rest))
 
     @cached_property
     def reference(self) -> MetricValues:

@@ -15,7 +15,7 @@ from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.motion_grid import JointMotion
+from flexfmu.trajectories.trajectory import Trajectory
 
 SAFETY = 1.5
 """Safety factor on estimated errors: one Newton iteration and finite time steps leave an error of some percent."""
@@ -29,7 +29,7 @@ MOST_MODES = 8
 
 def rich_enough(
     scene: Scene,
-    motion: JointMotion,
+    motion: Trajectory,
     tolerance: float,
     of: tuple[MeasureName, ...],
     named: Collection[MeasureName] = (),
@@ -68,7 +68,7 @@ def one_more(scene: Scene, families: Sequence[str]) -> Scene:
 
 def choose_effects(
     scene: Scene,
-    motion: JointMotion,
+    motion: Trajectory,
     tolerance: float,
     of: tuple[MeasureName, ...],
     estimator: Estimator | None = None,
@@ -175,7 +175,7 @@ def richer(scene: Scene) -> Iterator[Neighbour]:
 
 
 def effects_of_loads(
-    estimator: Estimator, chosen: Scene, motion: JointMotion
+    estimator: Estimator, chosen: Scene, motion: Trajectory
 ) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
     """Yield, for each load of the robot, the scene without it and the change of the metrics.
 

@@ -41,7 +41,7 @@ from flexfmu.model.scene.choice import (
 )
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.cost import Cost, costs
-from flexfmu.model.selection.motion_grid import JointMotion
+from flexfmu.trajectories.trajectory import Trajectory
 
 POSES = 3
 """Number of poses for natural frequencies: start, middle and end of the path."""
@@ -131,7 +131,7 @@ def study_effects(
 
 
 def _changes(
-    estimator: Estimator, chosen: Scene, motion: JointMotion
+    estimator: Estimator, chosen: Scene, motion: Trajectory
 ) -> tuple[tuple[Place, Scene, EstimatedEffect], ...]:
     """Return the scenes that differ from the chosen one by one effect or load, with their estimates."""
     assert chosen.effects.choice is not None  # `choose_effects` sets it

@@ -14,7 +14,7 @@ from flexfmu.cosim.design.plans.goals import Goals
 from flexfmu.cosim.design.plans.planner import Show
 from flexfmu.cosim.design.plans.robust_optimal import PAYLOADS, TRIES, excesses, robust_optimal
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, Robot
+from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, RobotLimits
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import COARSE, optimal_motions
 from flexfmu.model.reference_design.time_optimal import spread
@@ -84,10 +84,10 @@ def reference_limits(goals: Goals, given: Assessment) -> ReferenceLimits:
     return ReferenceLimits(*values)
 
 
-def robots_of(goals: Goals, given: Assessment) -> list[Robot]:
+def robots_of(goals: Goals, given: Assessment) -> list[RobotLimits]:
     """The robots within the band of payloads, the lightest first, each with the torques that it may need."""
     return [
-        Robot(
+        RobotLimits(
             peaks.variation.of(goals.scene),
             np.array([_limit(goals, "torque", value) for value in peaks.torque]),
             goals.wishes.residual,

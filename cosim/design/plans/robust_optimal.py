@@ -19,7 +19,7 @@ from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.reference_design.motion_stage import DEPTH, MotionLimits
 from flexfmu.model.reference_design.time_optimal import LOOSE, NODES, Improvement, fastest_motion, spread
-from flexfmu.model.reference_design.variants import Variant
+from flexfmu.model.reference_design.variants import RobotVariant
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -66,7 +66,7 @@ def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Ite
     if (scene := fuller_scene(goals.scene)) is not None:
         groups.append((scene, fuller))
         nodes += [len(own) + k for k in _nodes(fuller, FULLER_NODES)]
-    robots = [[Variant(scene, each.changes(scene)) for each in variations] for scene, variations in groups]
+    robots = [[RobotVariant(scene, each.changes(scene)) for each in variations] for scene, variations in groups]
     limits, joints = _limits(goals, found[0], robots), goals.given.once.joints
     judge = Judge(goals, PAYLOADS[0])
     for share in STARTS:
@@ -142,7 +142,7 @@ def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
     return [*spread(payloads, count), *range(payloads, len(variations))]
 
 
-def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[Variant]]) -> MotionLimits:
+def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVariant]]) -> MotionLimits:
     """The goals' limits in numbers, torques for each robot, relative to what the given motion needs in the same model."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (
@@ -166,7 +166,7 @@ def _limit(goals: Goals, name: str, given: RealArray) -> RealArray:
     return given * limit.ratio if limit.ratio is not None else np.full_like(given, limit.value)
 
 
-def _given_torques(goals: Goals, robots: Sequence[Variant]) -> RealArray:
+def _given_torques(goals: Goals, robots: Sequence[RobotVariant]) -> RealArray:
     """The largest torques of the given motion (P, 2) [N m]."""
     joints = goals.given.once.joints
     start = joints.evaluate([0.0], 0, "right")[0, 0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, Robot, modal_displacements
+from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, RobotLimits, modal_displacements
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import (
     Aim,
@@ -15,7 +15,7 @@ from flexfmu.model.reference_design.optimal_control import (
     optimal_motions,
     stretched,
 )
-from flexfmu.model.reference_design.transcription import Grid, Transcription, transcribed
+from flexfmu.model.reference_design.transcription import CollocationGrid, Transcription, transcribed
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -23,8 +23,8 @@ from flexfmu.trajectories.jets import RealArray
 SCENE = load_scene("barnard2012-6kg").replace({"effects.proximal_bending": 1, "effects.distal_axial": 0})
 RIGID = SCENE.replace({"effects.proximal_bending": 0})
 
-GRIDS = Grid(16, 16, 3), Grid(16, 16, 4)
-FINER = Grid(24, 24, 3), Grid(24, 24, 5)
+GRIDS = CollocationGrid(16, 16, 3), CollocationGrid(16, 16, 4)
+FINER = CollocationGrid(24, 24, 3), CollocationGrid(24, 24, 5)
 WIDE = 1e6
 
 
@@ -41,7 +41,7 @@ def _area(scene: Scene, *regions: float) -> Area:
 
 def _torque(scene: Scene, spline: JointSpline) -> RealArray:
     """Largest torques (2,) [N m] on a fine grid."""
-    equations = transcribed(scene, spline, Grid(spline.intervals, 64, 4))
+    equations = transcribed(scene, spline, CollocationGrid(spline.intervals, 64, 4))
     joints = equations.joints(spline)
     return np.asarray(abs(equations.values(equations.arguments(joints, equations.settled(joints)))[-2:]).max(axis=1))
 
@@ -49,7 +49,7 @@ def _torque(scene: Scene, spline: JointSpline) -> RealArray:
 @pytest.mark.parametrize("stages", [2, 3, 5])
 def test_the_grid_integrates_and_differentiates_polynomials(stages: int) -> None:
     """Up to the degree that Radau IIA is exact for, from rest."""
-    grid = Grid(16, 3, stages)
+    grid = CollocationGrid(16, 3, stages)
     t = grid.points
     assert grid.weights @ t ** (2 * stages - 2) == pytest.approx(1 / (2 * stages - 1), rel=1e-13)
     values, first, second = grid.derivatives
@@ -64,7 +64,7 @@ def test_the_elastic_motion_converges_with_the_order_of_the_method() -> None:
     spline = _given(SCENE)
 
     def torque(intervals: int) -> RealArray:
-        equations = transcribed(SCENE, spline, Grid(16, intervals, 3))
+        equations = transcribed(SCENE, spline, CollocationGrid(16, intervals, 3))
         joints = equations.joints(spline)
         z = equations.arguments(joints, equations.settled(joints))
         assert abs(equations.values(z)[: equations.n]).max() < 1e-6
@@ -82,8 +82,8 @@ def programme(request: pytest.FixtureRequest) -> tuple[MotionProgramme, RealArra
     aim: Aim = request.param
     spline = stretched(_given(SCENE, 8), ReferenceLimits(WIDE, WIDE, WIDE))
     other = SCENE.replace({"payload.mass": 4.0})
-    robots = [Robot(SCENE, np.array([70.0, 71.0])), Robot(other, np.array([50.0, 51.0]))]
-    equations = [transcribed(robot.scene, spline, Grid(8, 4, 2)) for robot in robots]
+    robots = [RobotLimits(SCENE, np.array([70.0, 71.0])), RobotLimits(other, np.array([50.0, 51.0]))]
+    equations = [transcribed(robot.scene, spline, CollocationGrid(8, 4, 2)) for robot in robots]
     limits = ReferenceLimits(20.0, 500.0, 4e4)
     found = MotionProgramme(equations, robots, limits, _area(SCENE, 0.35), spline, aim)
     rng = np.random.default_rng(1)
@@ -116,7 +116,7 @@ def test_derivatives_of_the_programme_are_exact(programme: tuple[MotionProgramme
 
 def _fastest(limits: ReferenceLimits) -> JointSpline:
     """The fastest motion of a rigid robot within limits of its references alone."""
-    robot = Robot(RIGID, np.full(2, WIDE))
+    robot = RobotLimits(RIGID, np.full(2, WIDE))
     area = Area(np.zeros(2), np.eye(2), np.full(2, -1.0), np.full(2, 1.0))
     *_, last = optimal_motions([robot], limits, area, _given(RIGID), grids=GRIDS)
     assert last.converged
@@ -143,17 +143,17 @@ def test_limited_jerk_gives_the_fastest_motion_from_rest_to_rest() -> None:
 
 
 @pytest.fixture(scope="module")
-def optimum() -> tuple[Robot, ReferenceLimits, list[OptimalMotion]]:
+def optimum() -> tuple[RobotLimits, ReferenceLimits, list[OptimalMotion]]:
     """The fastest motion of a robot with two elastic coordinates."""
     given = _given(SCENE, 24)
     used = ReferenceLimits(1.0, 1.0, 1.0).used(given)
     limits = ReferenceLimits(*(2.5 * each for each in used))
-    robot = Robot(SCENE, _torque(SCENE, given))
+    robot = RobotLimits(SCENE, _torque(SCENE, given))
     return robot, limits, list(optimal_motions([robot], limits, _area(SCENE, 0.325), given, grids=FINER))
 
 
 @pytest.mark.slow
-def test_limits_hold_between_the_points(optimum: tuple[Robot, ReferenceLimits, list[OptimalMotion]]) -> None:
+def test_limits_hold_between_the_points(optimum: tuple[RobotLimits, ReferenceLimits, list[OptimalMotion]]) -> None:
     """Torques on another grid, references everywhere; much faster than the given motion at the same torques."""
     robot, limits, motions = optimum
     last = motions[-1].spline
@@ -164,11 +164,11 @@ def test_limits_hold_between_the_points(optimum: tuple[Robot, ReferenceLimits, l
 
 
 @pytest.mark.slow
-def test_no_mode_vibrates_at_the_end(optimum: tuple[Robot, ReferenceLimits, list[OptimalMotion]]) -> None:
+def test_no_mode_vibrates_at_the_end(optimum: tuple[RobotLimits, ReferenceLimits, list[OptimalMotion]]) -> None:
     """On a finer grid: displacement and rate / frequency of each mode, as displacements of the end effector."""
     robot, _, motions = optimum
     last = motions[-1].spline
-    equations = transcribed(SCENE, last, Grid(24, 72, 4))
+    equations = transcribed(SCENE, last, CollocationGrid(24, 72, 4))
     joints, n = equations.joints(last), equations.n
     z = equations.arguments(joints, equations.settled(joints))[:, -1]
     modal, frequencies = modal_displacements(SCENE, equations.ends[1], equations.rest[1])
@@ -179,7 +179,7 @@ def test_no_mode_vibrates_at_the_end(optimum: tuple[Robot, ReferenceLimits, list
 def test_the_least_effort_at_a_given_duration() -> None:
     """Root mean square torque and energy of the rigid robot fall below those of the given motion in the same time."""
     given = _given(RIGID)
-    robot, limits = Robot(RIGID, 1.2 * _torque(RIGID, given)), ReferenceLimits(WIDE, WIDE, WIDE)
+    robot, limits = RobotLimits(RIGID, 1.2 * _torque(RIGID, given)), ReferenceLimits(WIDE, WIDE, WIDE)
 
     def efforts(spline: JointSpline) -> tuple[float, float]:
         equations = Transcription(RIGID, spline.coefficients[[0, -1]], np.zeros(0), GRIDS[1])

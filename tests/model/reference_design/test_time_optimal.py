@@ -13,7 +13,7 @@ from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.motion_stage import GROUPS, LimitRows, MotionLimits, ResidualVibration
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.reference_design.time_optimal import Improvement, fastest_motion, spread
-from flexfmu.model.reference_design.variants import Variant
+from flexfmu.model.reference_design.variants import RobotVariant
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -51,7 +51,7 @@ def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -
 def improvements(
     scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
 ) -> list[Improvement]:
-    return list(fastest_motion([Variant(scene, each) for each in variants], limits, given.with_duration(0.24)))
+    return list(fastest_motion([RobotVariant(scene, each) for each in variants], limits, given.with_duration(0.24)))
 
 
 def test_quadratic_programmes_without_curvature_have_the_solution_of_linear_ones() -> None:
