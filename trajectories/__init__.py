@@ -4,23 +4,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
-from flexfmu.trajectories.cam_profiles import (
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet
+from flexfmu.trajectories.joint import JointTrajectory, Margin
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.polynomial_profile import PolynomialProfile
+from flexfmu.trajectories.profiles import (
+    BangBang,
     Cycloidal,
+    DoubleS,
     FifthDegreePolynomial,
     Harmonic,
     ModifiedSine,
     ModifiedTrapezoid,
-)
-from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side
-from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Jet
-from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
-from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.polynomial_profile import PolynomialProfile
-from flexfmu.trajectories.profile_pieces import ProfilePiece, SinePiece, SmoothPiece
-from flexfmu.trajectories.profiles import (
-    BangBang,
-    DoubleS,
     Profile,
     SeventhDegreePolynomial,
     Trapezoidal,
@@ -29,10 +25,10 @@ from flexfmu.trajectories.profiles import (
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 if TYPE_CHECKING:
-    from flexfmu.trajectories.own import OwnMotion, as_trajectory
+    from flexfmu.trajectories.own import as_trajectory
     from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
     from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
-    from flexfmu.trajectories.table import MotionTable, write_table
+    from flexfmu.trajectories.table import write_table
     from flexfmu.trajectories.table_file import read_table
 
 __all__ = [
@@ -43,28 +39,18 @@ __all__ = [
     "DoubleS",
     "FifthDegreePolynomial",
     "Harmonic",
-    "InverseKinematics",
     "Jet",
     "JointTrajectory",
     "LameBlend",
     "Margin",
     "ModifiedSine",
     "ModifiedTrapezoid",
-    "MotionTable",
-    "OwnMotion",
     "PickAndPlacePath",
-    "PiecewiseCurve",
     "PiecewisePolynomial",
-    "PlaneJets",
-    "Point",
     "PolarPolynomial",
     "PolynomialProfile",
     "Profile",
-    "ProfilePiece",
     "SeventhDegreePolynomial",
-    "Side",
-    "SinePiece",
-    "SmoothPiece",
     "TaskTrajectory",
     "Trajectory",
     "TrajectoryError",
@@ -80,10 +66,10 @@ __all__ = [
 ]
 
 _SELDOM = {
-    **dict.fromkeys(("OwnMotion", "as_trajectory"), "flexfmu.trajectories.own"),
+    "as_trajectory": "flexfmu.trajectories.own",
     **dict.fromkeys(("PiecewisePolynomial", "spline"), "flexfmu.trajectories.piecewise"),
     **dict.fromkeys(("from_ruckig", "from_scipy", "from_toppra"), "flexfmu.trajectories.sources"),
-    **dict.fromkeys(("MotionTable", "write_table"), "flexfmu.trajectories.table"),
+    "write_table": "flexfmu.trajectories.table",
     "read_table": "flexfmu.trajectories.table_file",
 }
 """Names that scenes don't need → module that they are imported from at their first use."""

@@ -55,33 +55,21 @@ _PROJECTION = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(_POINTS, NO
 """(NODES, NODES) matrix from values at the Gauss points to Legendre coefficients c_k = (2k + 1)/2 Σ w P_k f."""
 
 
-@dataclass(frozen=True, eq=False)
-class PiecewiseCubic:
-    """A cubic polynomial between every two knots: scipy's `CubicHermiteSpline`, which takes long to load.
-
-    Attributes:
-        knots: ascending, shape (K + 1,).
-        coefficients: of the powers 0 to 3 of the distance from the knot before, shape (4, K).
-    """
-
-    knots: RealArray
-    coefficients: RealArray
-
-    def __call__(self, x: RealArray) -> RealArray:
-        """Return the values at x (N,)."""
-        index = np.clip(np.searchsorted(self.knots, x, side="right") - 1, 0, len(self.knots) - 2)
-        distance = x - self.knots[index]
-        c0, c1, c2, c3 = self.coefficients[:, index]
-        square = distance * distance
-        return np.asarray(c0 + c1 * distance + c2 * square + c3 * (square * distance))
-
-
-def piecewise_cubic(x: RealArray, y: RealArray, slopes: RealArray) -> PiecewiseCubic:
-    """Return the cubics through the values y (K + 1,) with the slopes dy/dx (K + 1,) at the ascending knots x (K + 1,)."""
+def piecewise_cubic(x: RealArray, y: RealArray, slopes: RealArray) -> Callable[[RealArray], RealArray]:
+    """Return the cubics through y with slopes dy/dx at ascending x, (K + 1,) each: scipy's `CubicHermiteSpline`, which loads slowly."""
     width = np.diff(x)
     chord = np.diff(y) / width
     bend = (slopes[:-1] + slopes[1:] - 2.0 * chord) / width
-    return PiecewiseCubic(x, np.stack([y[:-1], slopes[:-1], (chord - slopes[:-1]) / width - bend, bend / width]))
+    coefficients = np.stack([y[:-1], slopes[:-1], (chord - slopes[:-1]) / width - bend, bend / width])
+
+    def value(at: RealArray) -> RealArray:
+        index = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+        distance = at - x[index]
+        c0, c1, c2, c3 = coefficients[:, index]
+        square = distance * distance
+        return np.asarray(c0 + c1 * distance + c2 * square + c3 * (square * distance))
+
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +90,7 @@ class ArcLengthTable:
     starts: RealArray
     speeds: RealArray
     lengths: RealArray
-    guess: PiecewiseCubic
+    guess: Callable[[RealArray], RealArray]
 
     @property
     def length(self) -> float:

@@ -2,10 +2,16 @@
 
 A profile consists of smooth pieces. Each returns its Taylor series at any point, so that derivatives of every order are exact.
 To add a profile, write a class and add it to `PROFILES` with its name in scene files and its parameters.
+
+Profiles without parameters are symmetric about the middle. Peaks of dσ/dη and d²σ/dη² are given as C_v and C_a: a motion of length L
+in the time T has the peak velocity C_v L/T and the peak acceleration C_a L/T².
+
+Source: R. L. Norton, *Cam Design and Manufacturing Handbook*, 2nd edition, Industrial Press 2009, chapters 2 to 4.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,18 +20,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from flexfmu.trajectories.cam_profiles import (
-    Cycloidal,
-    FifthDegreePolynomial,
-    Harmonic,
-    ModifiedSine,
-    ModifiedTrapezoid,
-)
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, within
 from flexfmu.trajectories.jets import Jet, checked_order
 from flexfmu.trajectories.polynomial_profile import PolynomialProfile
-from flexfmu.trajectories.profile_pieces import Piece, ProfilePiece, SmoothPiece, joins, symmetric
+from flexfmu.trajectories.profile_pieces import Piece, ProfilePiece, SinePiece, SmoothPiece, joins, symmetric
 from flexfmu.trajectories.roots import root_between
 
 
@@ -43,34 +42,100 @@ class Profile(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class SeventhDegreePolynomial:
+EIGHTH = 0.125
+"""Fraction of the duration in which the acceleration of the modified profiles rises."""
+
+
+class FixedProfile:
+    """A profile without parameters: two of a kind are equal. Without a dataclass, whose making takes longer than reading this file."""
+
+    jumps: tuple[float, ...] = ()
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
+
+
+class FifthDegreePolynomial(FixedProfile):
+    """Fifth-degree polynomial σ = 10 η³ - 15 η⁴ + 6 η⁵: velocity and acceleration are zero at both ends.
+
+    C_v = 15/8, C_a = 10/√3 = 5.774; the jerk jumps by 60 at both ends.
+    """
+
+    pieces = symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)))
+
+
+class SeventhDegreePolynomial(FixedProfile):
     """Seventh-degree polynomial σ = 35 η⁴ - 84 η⁵ + 70 η⁶ - 20 η⁷: velocity, acceleration and jerk are zero at both ends."""
 
-    @property
-    def pieces(self) -> tuple[Piece, ...]:
-        """The polynomial twice: expanded about 0 for the first half, about 1 for the second."""
-        return symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0)))
-
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        """None."""
-        return ()
+    pieces = symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0)))
 
 
-@dataclass(frozen=True)
-class BangBang:
+class BangBang(FixedProfile):
     """Bang-bang: d²σ/dη² = 4 in the first half, -4 in the second; the shortest motion for a given largest acceleration."""
 
-    @property
-    def pieces(self) -> tuple[Piece, ...]:
-        """Two parabolas."""
-        return symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 2.0)))
+    pieces = symmetric(ProfilePiece(0.0, 0.5, 0.0, (0.0, 0.0, 2.0)))
+    jumps = (0.5,)
 
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        """The middle."""
-        return (0.5,)
+
+class Harmonic(FixedProfile):
+    """Simple harmonic motion σ = (1 - cos πη) / 2; C_v = π/2, C_a = π²/2 = 4.935, by which it jumps at both ends."""
+
+    pieces = symmetric(SinePiece(0.0, 0.5, 0.0, 0.5, math.pi, integrals=2))
+
+
+class Cycloidal(FixedProfile):
+    """Cycloidal motion σ = η - sin(2πη) / 2π: the acceleration is one period of a sine; C_v = 2, C_a = 2π = 6.283."""
+
+    pieces = symmetric(SinePiece(0.0, 0.5, 0.0, 0.5 / math.pi, 2.0 * math.pi))
+
+
+def _modified_sine() -> tuple[Piece, ...]:
+    """The sine of frequency 4π in the first and the last eighth, that of 4π/3 between them."""
+    unit = 1.0 / (4.0 + math.pi)
+    rise = SinePiece(0.0, EIGHTH, 0.0, 0.25 * unit, 4.0 * math.pi)
+    slow = 4.0 * math.pi / 3.0
+    middle = SinePiece(EIGHTH, 1.0 - EIGHTH, 0.5, -2.25 * unit, slow, coefficients=(0.5, 4.0 * math.pi * unit))
+    return symmetric(rise, middle=middle)
+
+
+class ModifiedSine(FixedProfile):
+    """Modified sine: the acceleration is a quarter of a fast sine, half a slow one, a quarter of a fast one.
+
+    C_v = 4π/(4 + π) = 1.760, C_a = 4π²/(4 + π) = 5.528; the peak of their product, of which the inertial power follows, is 5.46.
+    The fourth derivative jumps at the joins of the sines.
+    """
+
+    pieces = _modified_sine()
+    jumps = joins(pieces)
+
+
+def _modified_trapezoid() -> tuple[Piece, ...]:
+    """Sine, parabola, half a sine about the middle, parabola, sine."""
+    # acceleration A sin 4πη in the first eighth, and what it has led to at its end
+    acceleration = 8.0 * math.pi / (2.0 + math.pi)
+    amplitude = 0.5 / (math.pi * (2.0 + math.pi))
+    rise = SinePiece(0.0, EIGHTH, 0.0, amplitude, 4.0 * math.pi)
+    reached = amplitude * (0.5 * math.pi - 1.0), 2.0 / (2.0 + math.pi), 0.5 * acceleration
+    plateau = ProfilePiece(EIGHTH, 3.0 * EIGHTH, EIGHTH, reached)
+    # half a sine through zero
+    flank = SinePiece(3.0 * EIGHTH, 5.0 * EIGHTH, 0.5, -amplitude, 4.0 * math.pi, coefficients=(0.5, 2.0))
+    return symmetric(rise, plateau, middle=flank)
+
+
+class ModifiedTrapezoid(FixedProfile):
+    """Modified trapezoid: the acceleration is a trapezoid whose flanks are quarters of a sine.
+
+    C_v = 2, C_a = 8π/(2 + π) = 4.888. The fourth derivative jumps at the ends of the flanks.
+    """
+
+    pieces = _modified_trapezoid()
+    jumps = joins(pieces)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ AXES = 2
 """Coordinates of a motion of the robot."""
 
 
-class Pieces(NamedTuple):
+class PolynomialPieces(NamedTuple):
     """Polynomials one after the other.
 
     Attributes:
@@ -141,7 +141,7 @@ def _check_axes(axes: int) -> None:
         raise TrajectoryError(f"the trajectory has {axes} coordinates, the robot's motions have {AXES}")
 
 
-def _pieces_of(spline: Any) -> Pieces:
+def _pieces_of(spline: Any) -> PolynomialPieces:
     """The polynomials of a scipy spline.
 
     Raises:
@@ -158,10 +158,10 @@ def _pieces_of(spline: Any) -> Pieces:
     else:
         raise TrajectoryError(f"expected a PPoly, CubicSpline or BSpline of vectors, got {type(spline).__name__}")
     wide = (np.diff(x) > 0.0) & (x[:-1] >= first) & (x[1:] <= last)
-    return Pieces(x[:-1][wide], float(last), np.ascontiguousarray(c[::-1, wide]))
+    return PolynomialPieces(x[:-1][wide], float(last), np.ascontiguousarray(c[::-1, wide]))
 
 
-def _phases(profiles: Sequence[Any], starts: Sequence[float]) -> Pieces:
+def _phases(profiles: Sequence[Any], starts: Sequence[float]) -> PolynomialPieces:
     """Phases of constant jerk of an axis of ruckig: braking, seven phases, and again braking in each section."""
     times, taylor = list[float](), list[list[float]]()
     for profile, start in zip(profiles, starts, strict=True):
@@ -176,4 +176,4 @@ def _phases(profiles: Sequence[Any], starts: Sequence[float]) -> Pieces:
         # an axis may wait for the others at its end
         times.append(time)
         taylor.append([profile.pf, profile.vf, 0.5 * profile.af, 0.0])
-    return Pieces(np.array(times), times[-1], np.array(taylor).T[:, :, np.newaxis])
+    return PolynomialPieces(np.array(times), times[-1], np.array(taylor).T[:, :, np.newaxis])

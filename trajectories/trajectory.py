@@ -92,7 +92,7 @@ def limits(trajectory: Trajectory, time: RealArray, left: NDArray[np.bool_], ord
     return result
 
 
-class Interval(NamedTuple):
+class MotionInterval(NamedTuple):
     """A time interval in which the motion is analytic.
 
     Attributes:
@@ -164,7 +164,9 @@ class TaskTrajectory:
             self._move([(interval, where) for interval, where in here if where.size], time, order, result)
         return result
 
-    def _move(self, parts: Sequence[tuple[Interval, Indices]], time: RealArray, order: int, result: RealArray) -> None:
+    def _move(
+        self, parts: Sequence[tuple[MotionInterval, Indices]], time: RealArray, order: int, result: RealArray
+    ) -> None:
         """Write the derivatives within intervals on congruent curves to ``result``, with one evaluation of the curve for all."""
         if not parts:
             return
@@ -184,12 +186,12 @@ class TaskTrajectory:
             begin += where.size
 
     @cached_property
-    def _shape(self) -> Shape:
+    def _shape(self) -> MotionShape:
         return shape_of(self.path, self.profile)
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class MotionShape:
     """What a motion along a path is but for its duration; times are fractions of the duration.
 
     Attributes:
@@ -200,12 +202,12 @@ class Shape:
     """
 
     breakpoints: tuple[float, ...]
-    intervals: tuple[Interval, ...]
+    intervals: tuple[MotionInterval, ...]
     edges: RealArray
     congruent: tuple[tuple[int, ...], ...]
 
 
-def shape_of(path: PickAndPlacePath, profile: Profile) -> Shape:
+def shape_of(path: PickAndPlacePath, profile: Profile) -> MotionShape:
     """Return the shape of the motion along a path with a profile."""
     # jumps first, so that a knot passed at the time of a jump is merged into it
     passages = [time_at(profile, knot / path.length) for knot in path.knots]
@@ -221,13 +223,13 @@ def shape_of(path: PickAndPlacePath, profile: Profile) -> Shape:
         piece = curve.pieces[index]
         if not isinstance(piece, PlacedPiece):
             piece = PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
-        intervals.append(Interval(start, part, piece, float(curve.edges[index])))
+        intervals.append(MotionInterval(start, part, piece, float(curve.edges[index])))
     # groups of congruent pieces
     groups: dict[int, list[int]] = {}
     for i, interval in enumerate(intervals):
         groups.setdefault(id(interval.piece.piece), []).append(i)
     edges = np.array([*(interval.start for interval in intervals), 1.0])
-    return Shape(breakpoints, tuple(intervals), edges, tuple(map(tuple, groups.values())))
+    return MotionShape(breakpoints, tuple(intervals), edges, tuple(map(tuple, groups.values())))
 
 
 def merged(kept: Sequence[float], others: Sequence[float], near: float = SAME_TIME) -> tuple[float, ...]:

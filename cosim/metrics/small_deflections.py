@@ -22,7 +22,7 @@ from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, s
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene.choice import DEFAULT_TOLERANCE
 from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.response import Response
+from flexfmu.model.selection.response import ElasticMotion
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
@@ -86,14 +86,14 @@ def path_errors(run: Run) -> tuple[float, float]:
     short = (
         own if scene.effects.foreshortening else LinearizedMotion(scene.replace({"effects.foreshortening": True}), grid)
     )
-    motion = Response(
+    motion = ElasticMotion(
         *(
             _columns(recording, time, [name.format(each) for each in own.names])
             for name in ("{}", "der({})", "der({},2)")
         )
     )
 
-    def respond(load: NDArray[np.float64]) -> Response:
+    def respond(load: NDArray[np.float64]) -> ElasticMotion:
         still = scene.cosimulation.initial == "static"
         start = np.linalg.solve(own.linear.stiffness[0], load[0]) if still else np.zeros(load.shape[1])
         return own.linear.response(load, start)

@@ -190,6 +190,7 @@ def _assembled(matrices: list[RealArray], by: RealArray, free: slice) -> csc_arr
     """The matrix of Newton's method: of all values at all knots by all free coefficients."""
     # blocks of all values at a knot by all coefficients of one basis function
     row, column = np.nonzero(matrices[0][:, free])
-    blocks = sum(each[:, free][row, column, np.newaxis, np.newaxis] * by[row, :, k] for k, each in enumerate(matrices))
+    values = np.stack([matrix[:, free][row, column] for matrix in matrices], axis=1)
+    blocks = np.einsum("ik,iakb->iab", values, by[row])
     starts = np.searchsorted(row, np.arange(len(by) + 1))
     return bsr_array((blocks, column, starts)).tocsc()

@@ -5,11 +5,10 @@ from flexfmu.trajectories.shapers.extra_insensitive import extra_insensitive
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
 from flexfmu.trajectories.shapers.shaped_joints import (
     EndEffectorTrajectory,
-    ForwardKinematics,
     ShapedTrajectory,
     path_deviation,
 )
-from flexfmu.trajectories.shapers.shaped_profile import ShapedProfile, shape_along_path
+from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 from flexfmu.trajectories.shapers.zero_vibration import modified_zero_vibration, unity_magnitude, zero_vibration
 
@@ -17,10 +16,8 @@ __all__ = [
     "SHAPERS",
     "UNSHAPED",
     "EndEffectorTrajectory",
-    "ForwardKinematics",
     "ImpulseSequence",
     "Oscillator",
-    "ShapedProfile",
     "ShapedTrajectory",
     "design",
     "extra_insensitive",
