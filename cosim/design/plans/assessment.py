@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from flexfmu.cosim.design.plans.goals import UNITS, Goals, Limit, Variation
+from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.own_motion import own_loop
@@ -30,9 +31,6 @@ STEP, TOLERANCE = 2e-4, 1e-8
 
 INSTANTS = 4001
 """Instants at which references are examined."""
-
-MET = 1e-5
-"""Relative excess over a limit that counts as rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,35 +58,6 @@ class Candidate:
         loop = None if self.trajectory is None else own_loop(self.scene, self.trajectory)
         scene = self.scene if loop is None else loop.motion.scene
         return PreparedScene(scene, loop=loop, communication_step=step, tolerance=tolerance)
-
-
-@dataclass(frozen=True)
-class LimitUse:
-    """How close a motion comes to a limit.
-
-    Attributes:
-        name: what is limited.
-        value: what the motion needs, in the unit; a ratio for limits relative to the given motion.
-        limit: the limit in the same unit.
-        unit: SI unit, or 1 for a ratio.
-        where: time, joint, payload.
-    """
-
-    name: str
-    value: float
-    limit: float
-    unit: str
-    where: str
-
-    @property
-    def share(self) -> float:
-        """Used share of the limit: 1 at the limit."""
-        return self.value / self.limit
-
-    @property
-    def met(self) -> bool:
-        """Whether the motion keeps to the limit."""
-        return self.value <= self.limit * (1.0 + MET)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +98,14 @@ class Assessment:
         time: duration with shapers, without the dwell [s].
         peaks: what each robot within the bands needs.
         references: largest speed, acceleration and jerk of the joint references [rad/s, rad/s2, rad/s3].
-        uses: of every limit, the residual and the clearance included.
+        uses: every limit with what is used of it, the residual and the clearance included.
     """
 
     candidate: Candidate
     time: float
     peaks: tuple[Peaks, ...]
     references: tuple[float, float, float]
-    uses: tuple[LimitUse, ...] = field(default=())
+    uses: tuple[Limit, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -226,15 +195,9 @@ class Judge:
                 raise ResultsError(f"{candidate.label} with {variation}: {run.message}")
             found.append(self._peaks(run, variation))
         joints = run.plan.joints
-        instants = np.linspace(0.0, joints.duration, INSTANTS)
-        moving = np.abs(joints.evaluate(instants, 3, "left")[1:]).max(axis=(1, 2))
-        assessment = Assessment(
-            candidate, joints.duration, tuple(found), (float(moving[0]), float(moving[1]), float(moving[2]))
-        )
-        return Assessment(
-            candidate, assessment.time, assessment.peaks, assessment.references,
-            tuple(self._uses(assessment, assessment if given else self.given)),
-        )  # fmt: skip
+        speed, acceleration, jerk = peak_rates(joints, INSTANTS).tolist()
+        assessment = Assessment(candidate, joints.duration, tuple(found), (speed, acceleration, jerk))
+        return replace(assessment, uses=tuple(self._uses(assessment, assessment if given else self.given)))
 
     def _peaks(self, run: Run, variation: Variation) -> Peaks:
         metrics, recording, end = run.metrics, run.recording, run.plan.duration
@@ -278,56 +241,41 @@ class Judge:
             found = np.minimum(found, np.hypot(*(away - along[:, None] * side).T))
         return found
 
-    def _uses(self, found: Assessment, given: Assessment) -> Sequence[LimitUse]:
+    def _uses(self, found: Assessment, given: Assessment) -> Iterator[Limit]:
         """How close the motion comes to each limit, and where."""
-        wishes, uses = self.goals.wishes, list[LimitUse]()
+        wishes = self.goals.wishes
         worst = max(found.peaks, key=lambda each: each.residual)
-        uses.append(LimitUse("residual", worst.residual, wishes.residual, "m", str(worst.variation)))
+        yield Limit("residual", wishes.residual, "m", rounding=MET).used(worst.residual, str(worst.variation))
         nearest = min(found.peaks, key=lambda each: each.clearance[0])
         distance, instant = nearest.clearance
         if math.isfinite(distance):
             # as a depth: 0 on the outline
-            uses.append(
-                LimitUse("clearance", max(-distance, 0.0), wishes.margin, "m", f"{instant:.4g} s, {nearest.variation}")
-            )
+            where = f"{instant:.4g} s, {nearest.variation}"
+            yield Limit("clearance", wishes.margin, "m", rounding=MET).used(max(-distance, 0.0), where)
         for limit in self.goals.limits.values():
-            uses.append(self._use(limit, found, given))
+            rows = _needs(limit.figure, found, given)
+            value, where = max((need / usual if limit.is_relative else need, where) for need, usual, where in rows)
+            yield limit.used(value, where)
         if wishes.duration is not None:
-            uses.append(LimitUse("time", found.time, wishes.duration, "s", "whole motion"))
-        return uses
+            yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
 
-    def _use(self, limit: Limit, found: Assessment, given: Assessment) -> LimitUse:
-        """The use of one limit: the worst of all robots and joints."""
-        name = limit.name
-        if name in ("speed", "acceleration", "jerk"):
-            k = ("speed", "acceleration", "jerk").index(name)
-            rows = [(found.references[k], given.references[k], "references")]
-        elif name in ("torque", "rms_torque", "power"):
-            rows = [
-                (getattr(each, name)[joint], getattr(own, name)[joint], f"joint {joint + 1}, {each.variation}{self._when(each, name, joint)}")
-                for each, own in zip(found.peaks, given.peaks, strict=True)
-                for joint in range(2)
-            ]  # fmt: skip
-        elif name == "off_path":
-            rows = [
-                (each.off_path[0], own.off_path[0], f"{each.off_path[1]:.4g} s, {each.variation}")
-                for each, own in zip(found.peaks, given.peaks, strict=True)
-            ]
+
+def _needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:
+    """What a motion and the given one need of a figure, for each robot and joint, and where."""
+    if figure in RATES:
+        k = RATES.index(figure)
+        yield found.references[k], given.references[k], "references"
+        return
+    for each, own in zip(found.peaks, given.peaks, strict=True):
+        need, usual = getattr(each, figure), getattr(own, figure)
+        if figure == "off_path":
+            yield need[0], usual[0], f"{need[1]:.4g} s, {each.variation}"
+        elif figure in ("torque", "rms_torque", "power"):
+            for k in range(2):
+                when = f", {each.torque_time[k]:.4g} s" if figure == "torque" else ""
+                yield need[k], usual[k], f"joint {k + 1}, {each.variation}{when}"
         else:
-            rows = [
-                (getattr(each, name), getattr(own, name), str(each.variation))
-                for each, own in zip(found.peaks, given.peaks, strict=True)
-            ]
-        if limit.ratio is not None:
-            value, where = max((value / usual, where) for value, usual, where in rows)
-            return LimitUse(f"{name} ratio", value, limit.ratio, "1", where)
-        assert limit.value is not None
-        value, where = max((value, where) for value, _, where in rows)
-        return LimitUse(name, value, limit.value, UNITS[name], where)
-
-    @staticmethod
-    def _when(peaks: Peaks, name: str, joint: int) -> str:
-        return f", {peaks.torque_time[joint]:.4g} s" if name == "torque" else ""
+            yield need, usual, str(each.variation)
 
 
 def _largest_reaction(run: Run) -> float:

@@ -20,8 +20,8 @@ from scipy.optimize import minimize_scalar
 
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidate, Method
-from flexfmu.cosim.design.plans.checks import reference_peaks
-from flexfmu.cosim.design.plans.goals import Goals
+from flexfmu.cosim.design.plans.checks import INSTANTS as CHECKED
+from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
 from flexfmu.cosim.design.plans.quick_runs import JointMotion
 from flexfmu.cosim.design.plans.race import Study
 from flexfmu.cosim.design.plans.scoring import Score
@@ -151,8 +151,7 @@ def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str], 
         timed, times = motion.with_duration(duration), np.linspace(0.0, duration, study.robot.steps(duration) + 1)
         run = study.robot.run(JointMotion(times, timed.evaluate(times, 2, "left")))
         # rates as plans are judged
-        rates = np.abs(timed.evaluate(np.linspace(0.0, duration, INSTANTS), 3, "left")[1:]).max(axis=(1, 2))
-        uses = dict(zip(("speed", "acceleration", "jerk"), rates / most, strict=True))
+        uses = dict(zip(RATES, peak_rates(timed, INSTANTS) / most, strict=True))
         uses["torque"] = Score(run, study.bounds).uses["torque"]
         return float(max(uses[name] ** (1.0 / ORDERS[name]) for name in limits))
 
@@ -173,11 +172,8 @@ def _plain(scene: Scene) -> Scene:
 
 def _limits(goals: Goals) -> RealArray:
     """Limits of speed, acceleration and jerk of the joints [rad, s]."""
-    found = np.full(3, UNLIMITED)
-    for k, (name, usual) in enumerate(zip(("speed", "acceleration", "jerk"), reference_peaks(goals), strict=True)):
-        if (limit := goals.limits.get(name)) is not None:
-            found[k] = limit.value if limit.value is not None else (limit.ratio or 1.0) * usual
-    return found
+    peaks = peak_rates(goals.given.once.joints, CHECKED)
+    return np.array([goals.limit(name, usual, UNLIMITED) for name, usual in zip(RATES, peaks, strict=True)])
 
 
 def _ruckig(goals: Goals, study: Study) -> PiecewisePolynomial:

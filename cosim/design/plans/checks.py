@@ -7,15 +7,17 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.design.plans.assessment import MET, Assessment
-from flexfmu.cosim.design.plans.goals import Goals, goals_of
+from flexfmu.cosim.design.plans.assessment import Assessment
+from flexfmu.cosim.design.plans.goals import MET, RATES, UNITS, Goals, goals_of, peak_rates
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
-from flexfmu.trajectories.jets import RealArray
 
 GRID = 160
 """Points along each side of the grid on which a way around the regions is looked for."""
+
+INSTANTS = 2001
+"""Instants of the given motion at which its references are examined."""
 
 
 def checked_goals(scene: Scene) -> Goals:
@@ -97,7 +99,7 @@ def check_holding_torque(goals: Goals, given: Assessment | None = None) -> None:
         InputError: they can't; no motion keeps to the limit then.
     """
     limit = goals.limits.get("torque")
-    if limit is None or (limit.value is None and given is None):
+    if limit is None or (limit.is_relative and given is None):
         return
     robots = goals.variations(2) if given is None else [each.variation for each in given.peaks]
     motion = goals.given.once
@@ -106,10 +108,10 @@ def check_holding_torque(goals: Goals, given: Assessment | None = None) -> None:
         for k, robot in enumerate(robots):
             torques = np.abs(static_equilibrium(robot.of(goals.scene), joints).torque)
             for joint, torque in enumerate(torques.tolist()):
-                most, wish = limit.value or 0.0, f"{limit.value or 0.0:g} N.m"
-                if given is not None and limit.ratio is not None:
-                    most = limit.ratio * given.peaks[k].torque[joint]
-                    wish = f"{limit.ratio:g} of the given motion's, {most:.4g} N.m of joint {joint + 1},"
+                most, wish = limit.limit, f"{limit.limit:g} N.m"
+                if given is not None and limit.is_relative:
+                    most = limit.limit * given.peaks[k].torque[joint]
+                    wish = f"{limit.limit:g} of the given motion's, {most:.4g} N.m of joint {joint + 1},"
                 if torque > most * (1.0 + MET):
                     raise InputError(
                         f"`plan.limits.torque` = {wish} is below {torque:.4g} N.m, which hold {robot} at the {name} of the "
@@ -125,23 +127,15 @@ def _check_duration(goals: Goals) -> None:
     motion = goals.given.once
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
     turn = float(np.abs(ends[1] - ends[0]).max())
-    peaks = reference_peaks(goals)
-    for k, name in enumerate(("speed", "acceleration", "jerk")):
-        limit = goals.limits.get(name)
-        if limit is None:
+    peaks = peak_rates(motion.joints, INSTANTS)
+    for k, name in enumerate(RATES):
+        if name not in goals.limits:
             continue
-        value = limit.value if limit.value is not None else (limit.ratio or 1.0) * float(peaks[k])
+        value = float(goals.limits[name].resolved(peaks[k]))
         # the shortest time from rest to rest: at full speed, by full acceleration, by full jerk
         least = (turn / value, 2 * (turn / value) ** 0.5, (32 * turn / value) ** (1 / 3))[k]
         if duration < least:
             raise InputError(
                 f"`plan.duration` = {duration:g} s is below {least:.4g} s, which a joint needs to turn by {turn:.4g} rad with "
-                f"`plan.limits.{name}` of {value:.4g} {limit.unit}: allow more time or more {name}"
+                f"`plan.limits.{name}` of {value:.4g} {UNITS[name]}: allow more time or more {name}"
             )
-
-
-def reference_peaks(goals: Goals) -> RealArray:
-    """Largest joint velocity, acceleration and jerk of the given motion."""
-    motion = goals.given.once
-    instants = np.linspace(0.0, motion.duration, 2001)
-    return np.asarray(np.abs(motion.joints.evaluate(instants, 3, "left")[1:]).max(axis=(1, 2)))

@@ -71,12 +71,11 @@ def _bare(scene: Scene) -> Scene:
 def _candidate(goals: Goals, given: Assessment, motion: MotionPlan, design: FlexibleReferences) -> Candidate:
     """The motion with references that hold over the bands."""
     variations, label = goals.variations(PAYLOADS), "flexible references on the given path"
-    jerk = _bound(goals, "jerk", given.references[2])
     tolerances = Tolerances(
         residual=0.2 * goals.wishes.residual,
         off_path=0.9 * goals.wishes.margin,
         torque=_torques(goals, given, variations),
-        jerk=None if jerk is None else KEPT * jerk,
+        jerk=KEPT * float(goals.limit("jerk", np.array(given.references[2]))) if "jerk" in goals.limits else None,
     )
     changes = [each.changes(goals.scene) for each in variations]
     try:
@@ -87,22 +86,12 @@ def _candidate(goals: Goals, given: Assessment, motion: MotionPlan, design: Flex
     return Candidate(label, "flexible references", _bare(goals.scene), motors.trajectory())
 
 
-def _bound(goals: Goals, name: str, usual: float) -> float | None:
-    """A limit in its unit; None if there is none."""
-    limit = goals.limits.get(name)
-    if limit is None:
-        return None
-    return limit.value if limit.ratio is None else limit.ratio * usual
-
-
 def _torques(goals: Goals, given: Assessment, variations: Sequence[Variation]) -> RealArray | None:
     """Largest torques (variations, 2) [N m] that are used; None without a limit."""
-    limit = goals.limits.get("torque")
-    if limit is None:
+    if "torque" not in goals.limits:
         return None
-    if limit.ratio is None:
-        return np.full((len(variations), 2), KEPT * (limit.value or 0.0))
     # relative to the given motion's, which was assessed with these robots
     usual = {each.variation: each.torque for each in given.peaks}
     nominal = min(usual, key=lambda each: abs(each.payload - goals.scene.payload.mass))
-    return KEPT * limit.ratio * np.array([usual.get(each, usual[nominal]) for each in variations])
+    torques = np.array([usual.get(each, usual[nominal]) for each in variations])
+    return KEPT * goals.limit("torque", torques)

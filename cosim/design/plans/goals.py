@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.effects.choice import resolved
+from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
@@ -18,6 +19,7 @@ from flexfmu.model.scene.plan import PlanSection, Ratio
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
 
 LEAST_DWELL = 0.25
 """Standstill after the motion and `settled_within` [s], at least, over which the residual vibration is judged."""
@@ -31,25 +33,14 @@ UNITS: Mapping[str, str] = {
 }  # fmt: skip
 """Limit → unit."""
 
+RATES = ("speed", "acceleration", "jerk")
+"""Limits of the joint references, by the order of the derivative."""
 
-@dataclass(frozen=True)
-class Limit:
-    """A limit of the planned motion.
+MET = 1e-5
+"""Relative excess over a limit that counts as rounding."""
 
-    Attributes:
-        name: what is limited, a key of `UNITS`.
-        value: limit in the SI unit; None if it is a multiple of what the given motion needs.
-        ratio: that multiple; None for a value.
-    """
-
-    name: str
-    value: float | None = None
-    ratio: float | None = None
-
-    @property
-    def unit(self) -> str:
-        """SI unit."""
-        return UNITS[self.name]
+NO_LIMIT = 1e9
+"""Stands for a limit that isn't set."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +119,11 @@ class Goals:
         """The lightest and the heaviest payload [kg]."""
         return payload_band(self.scene, self.wishes)
 
+    def limit(self, name: str, usual: RealArray, otherwise: float = NO_LIMIT) -> RealArray:
+        """A limit in its SI unit, from what the given motion needs; another number without such a limit."""
+        found = self.limits.get(name)
+        return np.full_like(usual, otherwise) if found is None else found.resolved(usual)
+
     def variations(self, payloads: int) -> tuple[Variation, ...]:
         """Robots within the bands: a number of payloads, and the corners of the bands of stiffness and damping."""
         low, high = self.band
@@ -168,7 +164,9 @@ def goals_of(scene: Scene) -> Goals:
         )
     longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
     limits = {
-        name: Limit(name, ratio=value.ratio) if isinstance(value, Ratio) else Limit(name, value=value)
+        name: Limit(name, value.ratio, "1", is_relative=True, rounding=MET)
+        if isinstance(value, Ratio)
+        else Limit(name, value, UNITS[name], rounding=MET)
         for name in type(wishes.limits).model_fields
         if (value := getattr(wishes.limits, name)) is not None
     }
@@ -187,6 +185,12 @@ def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
     if not scene.payload.mass and (heaviest := payload_band(scene, wishes)[1]) > 0.0:
         changes["payload.mass"] = heaviest
     return scene.replace(changes)
+
+
+def peak_rates(joints: Trajectory, instants: int) -> RealArray:
+    """Largest speed, acceleration and jerk of a joint (3,) [rad/s ...], at so many instants."""
+    times = np.linspace(0.0, joints.duration, instants)
+    return np.asarray(np.abs(joints.evaluate(times, 3, "left")[1:]).max(axis=(1, 2)))
 
 
 def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:

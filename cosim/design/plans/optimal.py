@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import Polygon
-from flexfmu.cosim.design.plans.goals import Goals
+from flexfmu.cosim.design.plans.goals import RATES, Goals
 from flexfmu.cosim.design.plans.planner import Show
 from flexfmu.cosim.design.plans.robust_optimal import PAYLOADS, TRIES, excesses, robust_optimal
 from flexfmu.cosim.engine.errors import InputError
@@ -34,9 +33,6 @@ CHUNK = 2000
 
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
-
-NO_LIMIT = 1e9
-"""Stands for a limit that isn't set."""
 
 
 def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Show) -> Iterator[Candidate]:
@@ -65,7 +61,7 @@ def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Sho
         # what the FMU finds beyond the limits is taken off them
         torque, residual = (excess.get(name, 1.0) for name in ("torque", "residual"))
         robots = [replace(each, torque=each.torque / torque, residual=each.residual / residual) for each in robots]
-        limits = limits.divided([excess.get(name, 1.0) for name in ("speed", "acceleration", "jerk")])
+        limits = limits.divided([excess.get(name, 1.0) for name in RATES])
         area = replace(area, margin=max(0.0, area.margin - excess.get("clearance", 0.0)))
 
 
@@ -77,11 +73,9 @@ def candidate(goals: Goals, spline: JointSpline, kind: str) -> Candidate:
 
 def reference_limits(goals: Goals, given: Assessment) -> ReferenceLimits:
     """Limits of the joint references in numbers."""
-    values = [
-        _limit(goals, name, value)
-        for name, value in zip(("speed", "acceleration", "jerk"), given.references, strict=True)
-    ]
-    return ReferenceLimits(*values)
+    return ReferenceLimits(
+        *(float(goals.limit(name, np.array(value))) for name, value in zip(RATES, given.references, strict=True))
+    )
 
 
 def robots_of(goals: Goals, given: Assessment) -> list[RobotLimits]:
@@ -89,20 +83,12 @@ def robots_of(goals: Goals, given: Assessment) -> list[RobotLimits]:
     return [
         RobotLimits(
             peaks.variation.of(goals.scene),
-            np.array([_limit(goals, "torque", value) for value in peaks.torque]),
+            goals.limit("torque", np.array(peaks.torque)),
             goals.wishes.residual,
         )
         for peaks in given.peaks
         if peaks.variation.stiffness == peaks.variation.damping == 1.0
     ]
-
-
-def _limit(goals: Goals, name: str, given: float) -> float:
-    """A limit in the SI unit."""
-    limit = goals.limits.get(name)
-    if limit is None:
-        return NO_LIMIT
-    return limit.value if limit.ratio is None and limit.value is not None else (limit.ratio or math.inf) * given
 
 
 def area_of(goals: Goals) -> Area:

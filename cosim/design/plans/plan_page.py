@@ -255,10 +255,8 @@ def _references_plot(result: PlanResult, runs: Sequence[Run]) -> Plot:
             for joint, dashes in enumerate(("", DASHED)):
                 label = f"{motion} {joint + 1}"
                 curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
-        level = None
-        if (limit := result.goals.limits.get(name)) is not None:
-            ratio, value = limit.ratio, limit.value
-            level = value if value is not None else (ratio or 0.0) * result.given.references[order - 1]
+        usual = np.array(result.given.references[order - 1])
+        level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
         panels.append(Panel(label=f"{name}\n[{unit}]", curves=curves, level=level))
     caption = "Both joints of both motions. Dashed: the limit, where it is near."
     return Plot("planned-references", "Joint references", caption, tuple(panels), height=330.0)

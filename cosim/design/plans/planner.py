@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, LimitUse
+from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.baselines import BASELINES, installed
 from flexfmu.cosim.design.plans.called_effects import sturdier
 from flexfmu.cosim.design.plans.checks import check_holding_torque, checked_goals
@@ -124,7 +125,7 @@ class PlanResult:
         return tuple(sorted([*front, *others], key=lambda each: each.time))
 
     @property
-    def missed(self) -> tuple[LimitUse, ...]:
+    def missed(self) -> tuple[Limit, ...]:
         """The limits that the chosen motion doesn't keep to."""
         return tuple(use for use in self.chosen.uses if not use.met)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.goals import Goals, Variation
+from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.reference_design.motion_stage import DEPTH, MotionLimits
@@ -54,9 +54,6 @@ start: a slower one has room to reach the limits."""
 
 WITH_TORQUE = ("rms_torque", "power", "reaction", "stress")
 """Limits that the programmes don't know, which fall with the torques."""
-
-NO_LIMIT = 1e9
-"""Stands for a limit that isn't set."""
 
 
 def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Iterator[Candidate]:
@@ -101,7 +98,7 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
     Torques also stand for limits that the programmes don't know, of power, forces and stresses, which fall with them. None if the
     motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
     """
-    missed = {use.name.removesuffix(" ratio"): use for use in judged.uses if not use.met}
+    missed = {use.figure: use for use in judged.uses if not use.met}
     clearance = missed.pop("clearance", None)
     if "off_path" in missed or (clearance is not None and clearance.value > DEPTH):
         return {}
@@ -119,7 +116,7 @@ def tightened(limits: MotionLimits, excess: Mapping[str, float]) -> MotionLimits
         distance, gradient = limits.distances(points)
         return distance - excess.get("clearance", 0.0), gradient
 
-    names = ("torque", "speed", "acceleration", "jerk", "residual")
+    names = ("torque", *RATES, "residual")
     return replace(
         limits, distances=distances, **{name: getattr(limits, name) / excess.get(name, 1.0) for name in names}
     )
@@ -146,24 +143,15 @@ def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVari
     """The goals' limits in numbers, torques for each robot, relative to what the given motion needs in the same model."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (
-        _limit(goals, name, np.array(value)).item()
-        for name, value in zip(("speed", "acceleration", "jerk"), given.references, strict=True)
+        goals.limit(name, np.array(value)).item() for name, value in zip(RATES, given.references, strict=True)
     )
 
     def distances(points: RealArray) -> tuple[RealArray, RealArray]:
         distance, gradient = goals.clearance.distances(points)
         return distance + clear * goals.wishes.margin, gradient
 
-    torque = share * _limit(goals, "torque", np.vstack([_given_torques(goals, each) for each in robots]))
+    torque = share * goals.limit("torque", np.vstack([_given_torques(goals, each) for each in robots]))
     return MotionLimits(torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances)
-
-
-def _limit(goals: Goals, name: str, given: RealArray) -> RealArray:
-    """A limit in the SI unit, from what the given motion needs."""
-    limit = goals.limits.get(name)
-    if limit is None:
-        return np.full_like(given, NO_LIMIT)
-    return given * limit.ratio if limit.ratio is not None else np.full_like(given, limit.value)
 
 
 def _given_torques(goals: Goals, robots: Sequence[RobotVariant]) -> RealArray:

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge, LimitUse
+from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.experiment.own_motion import own_loop
@@ -87,7 +88,7 @@ class RobustnessLine:
     where: str
     torque_ratio: float | None = None
     off_path: float | None = None
-    uses: tuple[LimitUse, ...] = ()
+    uses: tuple[Limit, ...] = ()
     note: str = ""
 
     @property

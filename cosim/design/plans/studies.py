@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import inf
 
 import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import INSTANTS
-from flexfmu.cosim.design.plans.goals import Goals, Limit
+from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
 from flexfmu.cosim.design.plans.quick_runs import JointMotion, QuickRobot
 from flexfmu.cosim.design.plans.race import Study
 from flexfmu.cosim.design.plans.recipes import Space
@@ -20,7 +19,6 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import RestPositions, StaticEquilibria
 from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.motion import TrajectorySection
-from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.sequence import Oscillator
 
 MOST_MODES, NEIGHBOURHOOD = 2, 3.0
@@ -81,32 +79,17 @@ def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:
     run = robot.run(JointMotion(times, np.asarray(given.joints.evaluate(times, 2, "left"))))
     wishes, clearance = goals.wishes, goals.clearance
     free = Bounds(wishes.minimise, wishes.residual, wishes.settled_within, np.full_like(run.peak_torques, inf))
-    usual = {**Score(run, free).values, **dict(zip(("speed", "acceleration", "jerk"), _rates(given), strict=True))}
+    usual = {**Score(run, free).values, **dict(zip(RATES, peak_rates(given.joints, INSTANTS).tolist(), strict=True))}
     limits = {
-        name: CLOSE.get(name, 1.0) * float(_limited(limit, np.array(usual[name])))
+        name: CLOSE.get(name, 1.0) * float(limit.resolved(np.array(usual[name])))
         for name, limit in goals.limits.items()
-        if name in usual
+        if name in usual and name != "torque"
     }
     # torques of each motor and robot
-    largest = np.full_like(run.peak_torques, inf)
-    if (torque := goals.limits.get("torque")) is not None:
-        largest = CLOSE["torque"] * _limited(torque, run.peak_torques)
-    limits.pop("torque", None)
+    largest = CLOSE["torque"] * goals.limit("torque", run.peak_torques, inf)
     bounded = bool(clearance.regions) or len(clearance.origins) > 0
     distance = clearance.distance if bounded else None
     return Bounds(
         wishes.minimise, wishes.residual, wishes.settled_within, largest, limits, distance, wishes.margin,
         clearance.passage if clearance.thin and bounded else None,
     )  # fmt: skip
-
-
-def _limited(limit: Limit, usual: RealArray) -> RealArray:
-    """A limit in SI units, from what the given motion needs."""
-    return usual * limit.ratio if limit.ratio is not None else np.full_like(usual, limit.value)
-
-
-def _rates(motion: MotionPlan) -> Sequence[float]:
-    """Largest speed, acceleration and jerk of a joint [rad/s ...], as plans are judged."""
-    instants = np.linspace(0.0, motion.duration, INSTANTS)
-    rates: RealArray = np.abs(motion.joints.evaluate(instants, 3, "left")[1:]).max(axis=(1, 2))
-    return [float(each) for each in rates]
