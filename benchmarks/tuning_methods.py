@@ -1,4 +1,4 @@
-"""Descents of `flexfmu tune`, by gradients and by quadratic models: the best figure that each finds, trials and processor time.
+"""Descents of `flexfmu tune`: the best figure found, trials and processor time.
 
 python benchmarks/tuning_methods.py
 """
@@ -64,17 +64,16 @@ def processor_time() -> float:
 
 
 def main() -> int:
-    """Print a line for each loop and method."""
+    """Print a line for each loop."""
     for name, (scene, over, wishes) in CASES.items():
-        for method in ("gradient", "trust-region"):
-            begun = processor_time()
-            result = flexfmu.tune(scene, over, method=method, **wishes)
-            goal = result.study.minimise
-            print(
-                f"{name:27}{method:13} {goal.name} {goal.shown(goal.of(result.best.figures)):>12}, {len(result.trials):3} trials, "
-                f"{processor_time() - begun:5.1f} s{'' if result.is_feasible else ', beyond limits'}",
-                flush=True,
-            )
+        begun = processor_time()
+        result = flexfmu.tune(scene, over, **wishes)
+        goal = result.study.minimise
+        print(
+            f"{name:27}{goal.name} {goal.shown(goal.of(result.best.figures)):>12}, {len(result.trials):3} trials, "
+            f"{processor_time() - begun:5.1f} s{'' if result.is_feasible else ', beyond limits'}",
+            flush=True,
+        )
     return 0
 
 

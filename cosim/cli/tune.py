@@ -62,8 +62,7 @@ def tune(
         str,
         option(
             "NAME",
-            "What improves the best of the first trials: gradient, by differences of runs, or trust-region, by quadratic models. "
-            "sample makes first trials alone.",
+            "What improves the best of the first trials: gradient, by differences of runs. sample makes first trials alone.",
         ),
     ] = "gradient",
     trials: Annotated[int | None, option("N", "Number of trials. Default: some 50 for each key.", min=2)] = None,
@@ -91,10 +90,10 @@ def tune(
     """
     import os
 
-    from flexfmu.cosim.design.gains.front import tune_scene
     from flexfmu.cosim.design.gains.goals import split
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.gains.tuned_files import summary, write_tuned, write_tuning
+    from flexfmu.cosim.design.gains.tuner import tune_scene
     from flexfmu.cosim.reports.text import to_json
     from flexfmu.model.scene.keys import parse_setting
 
@@ -206,6 +205,6 @@ def _figures(result: TuneResult) -> Table:
     goal = study.minimise
     table.add_row(goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
     for each in study.conditions:
-        limit = f"{'<' if each.upper else '>'} {each.goal.shown(each.limit)}"
-        table.add_row(each.goal.name, *(each.shown(figures) for figures in pair), limit)
+        limit = f"{'<' if each.limit.is_upper else '>'} {each.goal.shown(each.limit.limit)}"
+        table.add_row(each.goal.name, *(each.goal.shown(each.closest(figures)) for figures in pair), limit)
     return table

@@ -492,7 +492,7 @@ def tune(
         result = flexfmu.tune("loop.toml", {"pd.kp": (1e3, 1e5), "pd.kd": (10, 500)}, subject_to=["peak_torque < 80"])
         result.values, result.scene, result.to_pandas()
 
-    Calls `flexfmu.cosim.design.gains.front.tune_scene`.
+    Calls `flexfmu.cosim.design.gains.tuner.tune_scene`.
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
@@ -502,7 +502,7 @@ def tune(
         subject_to: conditions ``FIGURE < LIMIT`` or ``FIGURE > LIMIT``, in SI units or with a unit: ``settling_time < 20ms``.
         payload_band: payloads for which all metrics hold, which controllers, shapers and motion don't know: a fraction to both
             sides, or the lightest and the heaviest payload [kg]; None for the scene's alone.
-        method: what improves the best of the first trials: ``gradient``, by differences of runs, or ``trust-region``, by quadratic models;
+        method: what improves the best of the first trials: ``gradient``, by differences of runs;
             ``sample`` makes first trials alone.
         trials: number of trials; None for some 50 for each key.
         seed: of the first trials.
@@ -523,8 +523,8 @@ def tune(
         ResultsError: all trials failed, or a file can't be written.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.design.gains.front import tune_scene
     from flexfmu.cosim.design.gains.tuned_files import write_tuned, write_tuning
+    from flexfmu.cosim.design.gains.tuner import tune_scene
 
     folder = None if out is None else Path(out)
     result = tune_scene(

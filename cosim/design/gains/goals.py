@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.reports.comparison import LOOP_FIGURES
@@ -91,38 +92,25 @@ class Goal:
 
 @dataclass(frozen=True)
 class Condition:
-    """A limit of a figure.
+    """A limit of a figure of both joints.
 
     Attributes:
         goal: the figure.
-        upper: whether the limit is the largest value, otherwise the smallest.
-        limit: in the figure's SI unit.
+        limit: of each of its parts, in the figure's SI unit.
         text: as it was written.
     """
 
     goal: Goal
-    upper: bool
-    limit: float
+    limit: Limit
     text: str
 
     def excesses(self, figures: Mapping[str, float | None]) -> list[float]:
-        """How far each part of the figure is beyond the limit, relative to it; negative within it, infinite without a value.
+        """How far each part of the figure is beyond the limit, see `Limit.excess`."""
+        return [self.limit.excess(figures.get(part)) for part in self.goal.parts]
 
-        For a limit of zero it is the distance itself.
-        """
-        found = []
-        for part in self.goal.parts:
-            value = figures.get(part)
-            if value is None or math.isnan(value):
-                found.append(math.inf)
-                continue
-            distance = value - self.limit if self.upper else self.limit - value
-            found.append(distance / abs(self.limit) if self.limit else distance)
-        return found
-
-    def shown(self, figures: Mapping[str, float | None]) -> str:
-        """The figure that is closest to the limit, in the unit of tables."""
-        return self.goal.shown(self.goal.of(figures, largest=self.upper))
+    def closest(self, figures: Mapping[str, float | None]) -> float | None:
+        """The figure that is closest to the limit."""
+        return self.goal.of(figures, largest=self.limit.is_upper)
 
 
 def split(texts: Iterable[str]) -> list[str]:
@@ -154,13 +142,13 @@ def parse_condition(text: str) -> Condition:
         InputError: it has another form, or the unit isn't the figure's.
     """
     found = _CONDITION.fullmatch(text)
-    number = _number(found["number"]) if found else None
-    if found is None or number is None:
+    if found is None or not math.isfinite(number := float(found["number"])):
         raise InputError(
             f"a condition is FIGURE<LIMIT or FIGURE>LIMIT, peak_torque_1<80 or settling_time<20ms, got {text!r}"
         )
     goal, unit = parse_goal(found["name"]), found["unit"]
-    return Condition(goal, found["sign"].startswith("<"), _in_si(number, unit, goal, text), text.strip())
+    limit = Limit(goal.name, _in_si(number, unit, goal, text), goal.unit, is_upper=found["sign"].startswith("<"))
+    return Condition(goal, limit, text.strip())
 
 
 def _in_si(number: float, unit: str | None, goal: Goal, text: str) -> float:
@@ -180,12 +168,3 @@ def _in_si(number: float, unit: str | None, goal: Goal, text: str) -> float:
         )
         raise InputError(f"{text!r}: {goal.name} is in {', '.join(own)}, not in {unit}")
     return float(number * factor)
-
-
-def _number(text: str) -> float | None:
-    """A finite number; None for anything else."""
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None

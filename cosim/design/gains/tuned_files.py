@@ -1,10 +1,8 @@
-"""What a tuning leaves behind: the tuned scene, the table of all trials, and its figures."""
+"""Files of a tuning: the tuned scene, the table of all trials, and its figures."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
-from io import StringIO
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -47,9 +45,9 @@ def summary(result: TuneResult) -> dict[str, Any]:
             {
                 "text": each.text,
                 "unit": each.goal.unit,
-                "limit": each.limit,
-                "given": _finite(each.goal.of(given.figures, largest=each.upper)),
-                "tuned": _finite(each.goal.of(best.figures, largest=each.upper)),
+                "limit": each.limit.limit,
+                "given": _finite(each.closest(given.figures)),
+                "tuned": _finite(each.closest(best.figures)),
             }
             for each in study.conditions
         ],
@@ -73,11 +71,7 @@ def write_tuning(result: TuneResult, folder: Path) -> list[Path]:
     """
     out = OutputFolder(folder)
     out.prepare()
-    rows, text = result.rows(), StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return [out.write("tune.csv", text.getvalue()), out.write("tune.json", to_json(summary(result)))]
+    return [out.write("tune.csv", result.to_csv()), out.write("tune.json", to_json(summary(result)))]
 
 
 def write_tuned(

@@ -1,28 +1,35 @@
 """Tunes gains and other keys of a scene by runs: what serves best within limits.
 
 First the scene's own values and points of a scrambled Sobol sequence over all intervals are tried, by all processors. The best of
-them are then improved, by gradients or without. Equal intervals and seeds try equal values whatever the number of processors, so
+them are then improved, by gradients. Equal intervals and seeds try equal values whatever the number of processors, so
 that an interrupted tuning continues from its journal.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from flexfmu.cosim.design.gains.descents import descend_by_gradients, descend_by_models
+from flexfmu.cosim.design.effects.choice import ShowProgress, quiet
+from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.journal import Journal
-from flexfmu.cosim.design.gains.search import Search, Show, Spent
-from flexfmu.cosim.design.gains.trial import Study, Trial, pool
-from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
+from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
+from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
+from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys, pool
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.showing import few_lines
+from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS
+from flexfmu.cosim.reports.rows import Rows
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
 
-if TYPE_CHECKING:
-    import pandas
+METHODS = ("gradient", "sample")
+"""What follows the first points: a descent by gradients, or further points of the sequence."""
 
-METHODS = ("gradient", "trust-region", "sample")
-"""What follows the first points: a descent by gradients, one by quadratic models without them, or further points of the sequence."""
+FORMER = {"trust-region": "gradient"}
+"""Former method → what is used in its place."""
 
 FIRST, MOST_FIRST = 8, 64
 """First points for one key, twice as many for each further one, and the largest number of them."""
@@ -32,7 +39,7 @@ USUAL = 40
 
 
 @dataclass(frozen=True, repr=False)
-class TuneResult:
+class TuneResult(Rows):
     """Tuned values.
 
     Attributes:
@@ -42,6 +49,8 @@ class TuneResult:
         trials: all trials in their order, the given one first.
         interrupted: whether Ctrl-C ended it.
     """
+
+    index = "trial"
 
     study: Study
     given: Trial
@@ -81,16 +90,6 @@ class TuneResult:
             for number, trial in enumerate(self.trials)
         ]
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """The trials as a data frame.
-
-        Raises:
-            InputError: pandas isn't installed.
-        """
-        with extra("pandas"):
-            import pandas
-        return pandas.DataFrame(self.rows()).set_index("trial")
-
     def __repr__(self) -> str:
         """Return at most five lines."""
         goal = self.study.minimise
@@ -98,6 +97,96 @@ class TuneResult:
         head = f"Tuned {self.study.scene.name}: {goal.name} {shown[1]} (given {shown[0]}), {len(self.trials)} trials"
         within = "" if self.is_feasible else "; no trial keeps all limits"
         return few_lines(f"{head}{within}", [f"{key} = {value:g}" for key, value in self.values.items()])
+
+
+@one_blas_thread()
+def tune_scene(
+    scene: Scene,
+    over: Mapping[str, Sequence[float] | str] | Iterable[str],
+    minimise: str = "rms_tracking_error",
+    subject_to: Sequence[str] = (),
+    *,
+    payload_band: PayloadBand | None = None,
+    method: str = "gradient",
+    trials: int | None = None,
+    seed: int = 0,
+    processes: int = 1,
+    folder: Path | None = None,
+    restart: bool = False,
+    show: ShowProgress = quiet,
+) -> TuneResult:
+    """Tune keys of a scene; arguments and errors as for `flexfmu.tune`.
+
+    Args:
+        scene: the scene, its effects chosen.
+        over: key → (from, to), or texts ``KEY=FROM:TO``.
+        minimise, subject_to, payload_band, method, trials, seed, processes: as for `flexfmu.tune`.
+        folder: where trials are kept; None for memory.
+        restart: whether the trials of another tuning in the folder are discarded.
+        show: is called with what is being done, and the finished fraction.
+    """
+    intervals = _intervals(over)
+    if not intervals:
+        raise InputError("tuning needs keys and intervals: --over pd.kp=1e3:1e5")
+    check_keys(scene, intervals)
+    study = Study(
+        scene,
+        intervals,
+        parse_goal(minimise),
+        tuple(parse_condition(each) for each in subject_to),
+        payload_band,
+    )
+    if payload_band is not None:
+        band_masses(scene, payload_band)
+    _check_figures(study)
+    journal = None if folder is None else Journal(folder, study, restart=restart)
+    return tune_study(study, method=method, trials=trials, seed=seed, processes=processes, journal=journal, show=show)
+
+
+def _intervals(over: Mapping[str, Sequence[float] | str] | Iterable[str]) -> tuple[Interval, ...]:
+    """Keys with their intervals.
+
+    Raises:
+        InputError: one has another form.
+    """
+    if isinstance(over, Mapping):
+        return tuple(_interval(key, ends) for key, ends in over.items())
+    found = []
+    for text in over:
+        key, sign, ends = text.partition("=")
+        if not (sign and key.strip()):
+            raise InputError(f"--over takes KEY=FROM:TO, pd.kp=1e3:1e5 for example, got {text!r}")
+        found.append(_interval(key.strip(), ends))
+    return tuple(found)
+
+
+def _interval(key: str, ends: Sequence[float] | str) -> Interval:
+    parts = ends.split(":") if isinstance(ends, str) else list(ends)
+    try:
+        low, high = (float(each) for each in parts)
+    except (TypeError, ValueError):
+        raise InputError(f"`{key}` is tuned over an interval FROM:TO of two numbers, got {ends!r}") from None
+    return Interval(key, low, high)
+
+
+def _check_figures(study: Study) -> None:
+    """Check that the robot has the figures.
+
+    Raises:
+        InputError: it lacks one.
+    """
+    scene = study.scene
+    for goal in study.goals:
+        part = goal.parts[0]
+        if scene.cosimulation.drive == "motion" and (part in LOOP_METRICS or goal.is_margin):
+            raise InputError(
+                f'scene {scene.name} has no {goal.name}: it needs `cosimulation.drive = "torque"` and a controller'
+            )
+        if scene.motor is None and part in MOTOR_METRICS:
+            raise InputError(f"scene {scene.name} has no {goal.name}: it needs a section `[motor]`")
+        dwells = part.startswith("residual") or part == "settling_time"
+        if dwells and not scene.trajectory.dwell:
+            raise InputError(f"scene {scene.name} has no {goal.name}: it needs `trajectory.dwell` above 0 s")
 
 
 def tune_study(
@@ -108,7 +197,7 @@ def tune_study(
     seed: int = 0,
     processes: int = 1,
     journal: Journal | None = None,
-    show: Show = lambda text, fraction: None,
+    show: ShowProgress = quiet,
 ) -> TuneResult:
     """Try values and return the best ones; after Ctrl-C the best so far.
 
@@ -129,6 +218,7 @@ def tune_study(
     count = len(study.over)
     first = min(FIRST << (count - 1), MOST_FIRST)
     total = first + USUAL * count + 1 if trials is None else trials
+    method = FORMER.get(method, method)
     if method not in METHODS:
         raise InputError(f"there is no method {method!r} of tuning; choose from {', '.join(METHODS)}")
     if total < 2:
@@ -138,10 +228,9 @@ def tune_study(
         try:
             search.try_all([(), *_sobol(study, min(first, total - 1) if method != "sample" else total - 1, seed)])
             if method != "sample":
-                descend = descend_by_models if method == "trust-region" else descend_by_gradients
-                descend(search)
+                descend_by_gradients(search)
             interrupted = False
-        except Spent:
+        except BudgetExceeded:
             interrupted = False
         except KeyboardInterrupt:
             interrupted = True

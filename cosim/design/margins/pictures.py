@@ -5,9 +5,7 @@ Margins as a table and as plain data.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
-from io import StringIO
 from math import degrees, isfinite, log, pi
 from pathlib import Path
 from typing import Any
@@ -150,16 +148,13 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
         InputError: python-control isn't installed.
         ResultsError: a file can't be written.
     """
-    out, text, rows = OutputFolder(folder), StringIO(), result.rows()
+    out = OutputFolder(folder)
     out.prepare()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
     control = _control()
     import matplotlib.pyplot as plt
 
     plt.switch_backend("Agg")
-    loops, written = responses(result), [out.write("margins.csv", text.getvalue())]
+    loops, written = responses(result), [out.write("margins.csv", result.to_csv())]
     pictures: dict[str, Callable[[], Any]] = {
         "bode.png": lambda: control.bode_plot(loops, Hz=True, grid=True, initial_phase=0.0),
         "nyquist.png": lambda: control.nyquist_plot(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from math import isnan, nan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +17,9 @@ from flexfmu.cosim.design.margins.resolution import coarse_counts
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.reports.rows import Rows
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
-
-if TYPE_CHECKING:
-    import pandas
 
 POSES = 5
 """Usual number of poses."""
@@ -31,7 +29,7 @@ BETTER_IF_LESS = ("gain_reduction", "sensitivity_peak")
 
 
 @dataclass(frozen=True, eq=False)
-class MarginsResult:
+class MarginsResult(Rows):
     """Margins of a loop along a path.
 
     Attributes:
@@ -86,18 +84,6 @@ class MarginsResult:
             for pose in self.poses
             for row in pose.loops
         ]
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """The rows as a data frame.
-
-        Raises:
-            InputError: pandas isn't installed.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise InputError('data frames need pandas: pip install "flexfmu[pandas]"') from None
-        return pandas.DataFrame(self.rows())
 
 
 @one_blas_thread()

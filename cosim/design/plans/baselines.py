@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from flexfmu.cosim.design.effects.choice import resolved
+from flexfmu.cosim.design.effects.choice import ShowProgress, resolved
 from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidate, Method
 from flexfmu.cosim.design.plans.checks import INSTANTS as CHECKED
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
@@ -72,7 +72,7 @@ def installed() -> tuple[str, ...]:
     return tuple(name for name in BASELINES if find_spec(name) is not None)
 
 
-def ruckig(goals: Goals, found: Sequence[Assessment], processes: int, show: Any) -> Iterator[Candidate]:
+def ruckig(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """Jerk-limited motion of the joints by way of the corners above start and end, where it stops.
 
     Raises:
@@ -81,7 +81,7 @@ def ruckig(goals: Goals, found: Sequence[Assessment], processes: int, show: Any)
     yield from _baseline("ruckig", "from corner to corner", goals, _ruckig, show)
 
 
-def toppra(goals: Goals, found: Sequence[Assessment], processes: int, show: Any) -> Iterator[Candidate]:
+def toppra(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """The fastest motion along the given path.
 
     Raises:

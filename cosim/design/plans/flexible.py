@@ -6,11 +6,12 @@ stiffness and damping.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
@@ -22,8 +23,6 @@ from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
-Show = Callable[[str, float | None], None]
-
 PAYLOADS = 16
 """Payloads of the correction: fewer are overfitted."""
 
@@ -31,7 +30,7 @@ KEPT = 0.99
 """Share of each limit that is used: the correction meets limits to half a percent, and the given torques vary between payloads."""
 
 
-def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: Show) -> Iterator[Candidate]:
+def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """Yield motions with references for the flexible robot.
 
     Args:

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import Polygon
 from flexfmu.cosim.design.plans.goals import RATES, Goals
-from flexfmu.cosim.design.plans.planner import Show
 from flexfmu.cosim.design.plans.robust_optimal import PAYLOADS, TRIES, excesses, robust_optimal
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, RobotLimits
@@ -35,7 +35,7 @@ RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
 
 
-def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Show) -> Iterator[Candidate]:
+def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """Motions by optimal control, from the given one on; see `planner.Stage`."""
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")

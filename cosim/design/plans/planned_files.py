@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -85,13 +83,8 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
     """
     out = OutputFolder(folder)
     out.prepare()
-    text = StringIO()
-    rows = result.rows()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
     written = write_scene(result, folder / FILE)
-    written.append(out.write("front.csv", text.getvalue()))
+    written.append(out.write("front.csv", result.to_csv()))
     written.append(out.write("plan.json", json.dumps(summary(result), indent=1) + "\n"))
     written.append(out.write("plan.html", plan_page(result)))
     return written

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from flexfmu.cosim.design.effects.choice import ShowProgress, quiet
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.baselines import BASELINES, installed
@@ -20,19 +21,14 @@ from flexfmu.cosim.design.plans.goals import Goals, judged_scene
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.cosim.reports.rows import Rows
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.errors import TrajectoryError
 
-if TYPE_CHECKING:
-    import pandas
-
-Show = Callable[[str, float | None], None]
-"""Shows what is being done, and the finished fraction, 0 to 1, where it is known."""
-
-Stage = Callable[[Goals, Sequence[Assessment], int, Show], Iterator[Candidate]]
+Stage = Callable[[Goals, Sequence[Assessment], int, ShowProgress], Iterator[Candidate]]
 """A method: from the goals, what was assessed before, the number of processes and where to show progress to ever better candidates."""
 
 METHODS = ("search", "flexible", "optimal")
@@ -58,7 +54,7 @@ FAILURES = (CosimError, TrajectoryError, SceneError, EquilibriumError)
 
 
 @dataclass(frozen=True, eq=False)
-class PlanResult:
+class PlanResult(Rows):
     """A planned motion, and what it was chosen from.
 
     Attributes:
@@ -154,18 +150,6 @@ class PlanResult:
             for each in self.table
         ]
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """The front as a data frame.
-
-        Raises:
-            InputError: pandas isn't installed.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise InputError('data frames need pandas: pip install "flexfmu[pandas]"') from None
-        return pandas.DataFrame(self.rows())
-
 
 @one_blas_thread()
 def plan_scene(
@@ -176,7 +160,7 @@ def plan_scene(
     processes: int = 1,
     budget: float | None = None,
     robust: bool = True,
-    show: Show = lambda text, fraction: None,
+    show: ShowProgress = quiet,
 ) -> PlanResult:
     """Plan a motion for the wishes of a scene's section `plan`.
 
@@ -258,7 +242,7 @@ def _candidates(
     methods: Sequence[str],
     given: Sequence[Candidate],
     processes: int,
-    show: Show,
+    show: ShowProgress,
     failures: list[str],
 ) -> Iterator[Candidate]:
     """The candidates of all methods; a method that fails doesn't end the plan."""

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
@@ -23,9 +23,6 @@ from flexfmu.model.reference_design.variants import RobotVariant
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.design.plans.planner import Show
 
 INTERVALS = 40
 """Intervals between the knots of the splines: 30 give motions that are 2 % slower."""
@@ -56,7 +53,7 @@ WITH_TORQUE = ("rms_torque", "power", "reaction", "stress")
 """Limits that the programmes don't know, which fall with the torques."""
 
 
-def robust_optimal(goals: Goals, found: Sequence[Assessment], show: Show) -> Iterator[Candidate]:
+def robust_optimal(goals: Goals, found: Sequence[Assessment], show: ShowProgress) -> Iterator[Candidate]:
     """The fastest motions within the bands, from the given one on, each corrected until the FMU finds all limits kept."""
     own, fuller = (goals.variations(count) for count in PAYLOADS)
     groups, nodes = [(goals.scene, own)], _nodes(own, NODES)

@@ -14,10 +14,11 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
 from flexfmu.cosim.design.plans.designs import changed
 from flexfmu.cosim.design.plans.goals import Goals
@@ -28,9 +29,6 @@ from flexfmu.cosim.design.plans.studies import study_of
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.model.one_thread import keep_one_blas_thread
 from flexfmu.trajectories.jets import RealArray
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.design.plans.planner import Show
 
 T = TypeVar("T")
 S = TypeVar("S")
@@ -69,7 +67,7 @@ STRETCHES = (1.05, 1.1, 1.2, 1.35, 1.5)
 """Times of the front's other members, as multiples of the best."""
 
 
-def search(goals: Goals, found: Sequence[Assessment], processes: int, show: Show) -> Iterator[Candidate]:
+def search(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """Yield ever better motions, then what would be possible without the clearance, then slower ones with less vibration.
 
     Args:
