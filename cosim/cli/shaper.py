@@ -51,16 +51,17 @@ def shaper(
     """
     from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data
     from flexfmu.cosim.design.shapers.figure import save_sensitivity
-    from flexfmu.cosim.design.shapers.recommendation import ShaperLimits, write_shaped
+    from flexfmu.cosim.design.shapers.recommendation import write_shaped
     from flexfmu.cosim.design.shapers.table import markdown, to_csv
     from flexfmu.model.scene.keys import parse_setting
 
     # usage
     if not 0.0 <= payload_band < 1.0:
         raise InputError(f"--payload-band must be at least 0 and below 1 (0.3 is 30 %), got {payload_band:g}")
-    limits = ShaperLimits(max_deviation, max_added_time, max_jerk, max_torque)
-    for name, limit in vars(limits).items():
-        if limit is not None and not 0.0 <= limit < float("inf"):
+    given = {"deviation": max_deviation, "added_time": max_added_time, "jerk": max_jerk, "torque": max_torque}
+    limits = {name: limit for name, limit in given.items() if limit is not None}
+    for name, limit in limits.items():
+        if not 0.0 <= limit < float("inf"):
             raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")
     # design, simulate, and write
     robot = load_resolved(scene, settings)
@@ -74,11 +75,12 @@ def shaper(
         folder.write("shapers.csv", to_csv(study.results))
         if payload_errors:
             folder.write("payload_errors.md", markdown(f"Input shapers on {robot.name}", study.results))
-        chosen, band = study.recommendation.result, robot.cosimulation.settling_band
-        save_sensitivity(study.results, study.design, chosen, band, study.vibrations, folder.path)
+        save_sensitivity(study, folder.path)
     # the shaped scene, and standard output
     if output is not None and study.recommendation.keeps_limits:
-        write_shaped(scene, chosen.candidate.section, output, dict(map(parse_setting, settings or ())))
+        write_shaped(
+            scene, study.recommendation.result.candidate.section, output, dict(map(parse_setting, settings or ()))
+        )
     if json:
         print_text(text)
     else:

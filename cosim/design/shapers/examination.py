@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import RenderableType
@@ -12,10 +13,8 @@ from rich.text import Text
 
 from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.shapers.alternatives import DesignModes, alternatives, design_modes
-from flexfmu.cosim.design.shapers.figure import Vibrations
 from flexfmu.cosim.design.shapers.recommendation import (
     Recommendation,
-    ShaperLimits,
     compare_slower,
     recommend,
     shaper_toml,
@@ -23,6 +22,7 @@ from flexfmu.cosim.design.shapers.recommendation import (
 from flexfmu.cosim.design.shapers.study import (
     CandidateResult,
     Drive,
+    Vibrations,
     candidates,
     payload_errors,
     slower,
@@ -76,7 +76,7 @@ def examine(
     count: int,
     show: ShowProgress,
     drive: Drive | None = None,
-    limits: ShaperLimits | None = None,
+    limits: Mapping[str, float] = MappingProxyType({}),
 ) -> ShaperStudy:
     """Design shapers for a scene, co-simulate them and recommend one.
 
@@ -86,13 +86,13 @@ def examine(
         count: number of payload errors, odd.
         show: called with the current activity and the finished fraction.
         drive: perfect drive or the scene's controllers, see `studied`.
-        limits: limits of the recommended motion; None for none.
+        limits: of the recommended motion, see `exceeded`.
 
     Raises:
         InputError: nothing vibrates, or there is no controller.
         CosimError: a simulation failed.
     """
-    show("looking at the modes along the path", None)
+    show("calculating the modes along the path", None)
     # shapers for the modes at the end pose and over the payload band
     errors = payload_errors(scene, band, count)
     design = design_modes(plan(scene), errors)

@@ -3,7 +3,7 @@ and over time without and with the recommended shaper."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter
 
-from flexfmu.cosim.design.shapers.alternatives import DesignModes
-from flexfmu.cosim.design.shapers.study import UNSHAPED_NAME, CandidateResult
+from flexfmu.cosim.design.shapers.examination import ShaperStudy
+from flexfmu.cosim.design.shapers.study import UNSHAPED_NAME
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw, save, style
 
 POINTS = 500
@@ -29,55 +28,37 @@ LOWEST_SHOWN = 1e-3
 STYLES = {"joints": "-", "path": (0, (3, 2)), "-": "-"}
 """Application of a shaper → line style."""
 
+THICK, THIN, DASHED = 2.6, 1.1, (0, (4, 3))
+"""Widths of lines, that of the recommended shaper first; lines of what isn't a shaper."""
 
-Vibrations = Mapping[str, tuple[RealArray, RealArray]]
-"""Label of a motion → times after its end [s] and distances from where the robot comes to rest [m]."""
 
-
-def draw_sensitivity(
-    results: Sequence[CandidateResult],
-    design: DesignModes,
-    recommended: CandidateResult,
-    band: float,
-    vibrations: Vibrations,
-) -> Figure:
-    """Draw the three panels; the recommended shaper has the thickest line.
-
-    Args:
-        results: all results, the unshaped motion included.
-        design: modes that the shapers were designed for.
-        recommended: the recommended result.
-        band: settling band [m].
-        vibrations: of the unshaped motion and the recommended one, with the scene's own payload.
-    """
+def draw_sensitivity(study: ShaperStudy) -> Figure:
+    """Draw the three panels; the recommended shaper has the thickest line."""
     # a colour for each shaper
     figure = draw(14.5, 4.6)
-    names = list(dict.fromkeys(r.candidate.name for r in results if r.candidate.name != UNSHAPED_NAME))
+    names = list(dict.fromkeys(r.candidate.name for r in study.results if r.candidate.name != UNSHAPED_NAME))
     palette = colormaps["turbo"](np.linspace(0.05, 0.95, max(len(names), 1)))
     colours: Mapping[str, Any] = {**dict(zip(names, palette, strict=True)), UNSHAPED_NAME: INK}
     # panels and a common legend
     left, right, last = figure.subplots(1, 3)
-    _closed_form(left, results, design, colours, recommended)
-    _simulated(right, results, colours, recommended, band)
-    _before_and_after(last, vibrations, recommended, band)
+    _closed_form(left, study, colours)
+    _simulated(right, study, colours)
+    _before_and_after(last, study)
+    for axes in (left, right, last):
+        # 0.1, 1, 10 instead of powers of ten
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    styles = [
+        Line2D([], [], color=INK, linewidth=THICK, label=UNSHAPED_NAME),
+        Line2D([], [], color=GREY, linestyle=STYLES["joints"], label="joints shaped"),
+        Line2D([], [], color=GREY, linestyle=STYLES["path"], label="motion along path shaped"),
+    ]
     handles, _ = left.get_legend_handles_labels()
-    figure.legend(handles=[*handles, *_line_styles()], loc="outside lower center", ncols=6, fontsize=8)
+    figure.legend(handles=[*handles, *styles], loc="outside lower center", ncols=6, fontsize=8)
     return figure
 
 
-def _plain_numbers(axes: Axes) -> None:
-    """Label the axis with 0.1, 1, 10 instead of powers of ten."""
-    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-
-
-def save_sensitivity(
-    results: Sequence[CandidateResult],
-    design: DesignModes,
-    recommended: CandidateResult,
-    band: float,
-    vibrations: Vibrations,
-    folder: Path,
-) -> None:
+def save_sensitivity(study: ShaperStudy, folder: Path) -> None:
     """Write ``sensitivity.png`` and ``sensitivity.svg``.
 
     Raises:
@@ -86,104 +67,55 @@ def save_sensitivity(
     stem = folder / "sensitivity"
     try:
         with style():
-            save(draw_sensitivity(results, design, recommended, band, vibrations), stem)
+            save(draw_sensitivity(study), stem)
     except OSError as error:
         raise ResultsError(
             f"can't write {stem}: {error.strerror or error}; choose another folder or free some space"
         ) from error
 
 
-def _closed_form(
-    axes: Axes,
-    results: Sequence[CandidateResult],
-    design: DesignModes,
-    colours: Mapping[str, Any],
-    recommended: CandidateResult,
-) -> None:
+def _closed_form(axes: Axes, study: ShaperStudy, colours: Mapping[str, Any]) -> None:
     """Draw the residual vibration of each sequence over the natural frequency, with the payload band and the modes."""
     # the payload band, and all modes
-    mode = design.modes[0]
+    design, mode = study.design, study.design.modes[0]
     frequency = np.linspace(0.5 * design.band[0], 1.3 * design.band[1], POINTS)
     axes.axvspan(*design.first_band, color=PALE, label="payload band of mode 1")
     for other in design.modes:
-        axes.axvline(other.frequency, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+        axes.axvline(other.frequency, color=GREY, linewidth=0.8, linestyle=DASHED)
     # a line for each sequence, with gaps below the axis
-    for candidate in {result.candidate.name: result.candidate for result in results}.values():
+    for candidate in {result.candidate.name: result.candidate for result in study.results}.values():
         if candidate.name == UNSHAPED_NAME:
             continue
         residual = candidate.sequence.residual(frequency, mode.ratio)
         residual[residual < LOWEST_SHOWN] = np.nan
-        width = 2.6 if candidate.name == recommended.candidate.name else 1.1
+        width = THICK if candidate.name == study.recommendation.result.candidate.name else THIN
         axes.plot(frequency, 100.0 * residual, color=colours[candidate.name], linewidth=width, label=candidate.name)
     axes.axhline(5.0, color=GREY, linewidth=0.8, linestyle=":")
-    axes.set(
-        yscale="log",
-        ylim=(100.0 * LOWEST_SHOWN, 150.0),
-        xlim=(frequency[0], frequency[-1]),
-        xlabel="natural frequency [Hz]",
-        ylabel="residual vibration [% of unshaped impulse]",
-        title="One oscillator, closed form",
-    )
-    _plain_numbers(axes)
+    axes.set(ylim=(100.0 * LOWEST_SHOWN, 150.0), xlim=(frequency[0], frequency[-1]), xlabel="natural frequency [Hz]")
+    axes.set(ylabel="residual vibration [% of unshaped impulse]", title="One oscillator, closed form")
 
 
-def _simulated(
-    axes: Axes,
-    results: Sequence[CandidateResult],
-    colours: Mapping[str, Any],
-    recommended: CandidateResult,
-    band: float,
-) -> None:
-    """Draw the residual vibration of the co-simulated robot over the payload error."""
-    # a line for each motion
-    for result in results:
+def _simulated(axes: Axes, study: ShaperStudy, colours: Mapping[str, Any]) -> None:
+    """Draw the residual vibration of the co-simulated robot over the payload error, a line for each motion."""
+    for result in study.results:
         candidate = result.candidate
         errors = [100.0 * trial.payload_error for trial in result.trials]
         residuals = [1e6 * max(trial.residual, 1e-12) for trial in result.trials]
-        width = 2.6 if result is recommended or candidate.name == UNSHAPED_NAME else 1.1
-        line = STYLES[candidate.application]
-        axes.plot(
-            errors,
-            residuals,
-            color=colours[candidate.name],
-            linewidth=width,
-            linestyle=line,
-            marker="o",
-            markersize=0.5 + width,
-        )
-    # settling band and axes
-    axes.axhline(1e6 * band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="settling band")
-    axes.set(
-        yscale="log",
-        xlabel="payload error [%]",
-        ylabel="residual vibration [µm]",
-        title="Robot, co-simulated",
-    )
-    _plain_numbers(axes)
+        width = THICK if result is study.recommendation.result or candidate.name == UNSHAPED_NAME else THIN
+        (line,) = axes.plot(errors, residuals, color=colours[candidate.name], linewidth=width)
+        line.set(linestyle=STYLES[candidate.application], marker="o", markersize=0.5 + width)
+    band = 1e6 * study.scene.cosimulation.settling_band
+    axes.axhline(band, color=GREY, linewidth=0.9, linestyle=DASHED, label="settling band")
+    axes.set(xlabel="payload error [%]", ylabel="residual vibration [µm]", title="Robot, co-simulated")
 
 
-def _before_and_after(axes: Axes, vibrations: Vibrations, recommended: CandidateResult, band: float) -> None:
+def _before_and_after(axes: Axes, study: ShaperStudy) -> None:
     """Draw the vibration after the motion's end, without and with the recommended shaper."""
-    for label, (time, distance) in vibrations.items():
-        is_before = label == UNSHAPED_NAME
+    for label, (time, distance) in study.vibrations.items():
         # a logarithmic axis has no zero
         shown = 1e6 * np.maximum(distance, 1e-10)
-        axes.plot(1e3 * time, shown, color=GREY if is_before else INK, linewidth=1.2, label=label)
-    axes.axhline(1e6 * band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
-    axes.set(
-        yscale="log",
-        xlabel="time after the motion's end [ms]",
-        ylabel="distance from rest [µm]",
-        title=f"Before and after, {recommended.candidate.label}",
-    )
+        axes.plot(1e3 * time, shown, color=GREY if label == UNSHAPED_NAME else INK, linewidth=1.2, label=label)
+    axes.axhline(1e6 * study.scene.cosimulation.settling_band, color=GREY, linewidth=0.9, linestyle=DASHED)
+    axes.set(xlabel="time after the motion's end [ms]", ylabel="distance from rest [µm]")
+    axes.set_title(f"Before and after, {study.recommendation.result.candidate.label}")
     axes.legend(loc="upper right", fontsize=8)
-    _plain_numbers(axes)
-
-
-def _line_styles() -> list[Line2D]:
-    """Return the legend of line styles in the panel of simulations."""
-    return [
-        Line2D([], [], color=INK, linewidth=2.6, label=UNSHAPED_NAME),
-        Line2D([], [], color=GREY, linestyle=STYLES["joints"], label="joints shaped"),
-        Line2D([], [], color=GREY, linestyle=STYLES["path"], label="motion along path shaped"),
-    ]

@@ -6,56 +6,46 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import tomlkit
 
+from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.scene_files import changed_document
 from flexfmu.cosim.design.shapers.study import UNSHAPED_NAME, CandidateResult
-from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.files import write_whole
 from flexfmu.model.scene.file import load_scene
 
 RESOLUTION = 1e-4
 """Difference of times to rest [s] below which they are equal and the smaller path deviation decides."""
 
 
-@dataclass(frozen=True)
-class ShaperLimits:
-    """Limits of a recommended motion; None for no limit.
-
-    Attributes:
-        deviation: largest path deviation [m].
-        added_time: by the shaper [s].
-        jerk: largest jerk of either joint's reference [rad/s3].
-        torque: largest torque of either motor over the payload band [N.m].
-    """
-
-    deviation: float | None = None
-    added_time: float | None = None
-    jerk: float | None = None
-    torque: float | None = None
-
-    def exceeded(self, result: CandidateResult) -> list[str]:
-        """Return a phrase for each limit that a result exceeds."""
-        return [
-            f"{what} {scale * value:.4g} {unit} above {scale * limit:.4g} {unit}"
-            for what, value, limit, scale, unit in self._compared(result)
-            if value > limit * (1.0 + ROUNDING)
-        ]
-
-    def _compared(self, result: CandidateResult) -> list[tuple[str, float, float, float, str]]:
-        """Return quantity, value, limit, factor to the display unit and that unit, for each limit that isn't None."""
-        rows = (
-            ("path deviation", result.path_deviation, self.deviation, 1e3, "mm"),
-            ("added time", result.added_time, self.added_time, 1e3, "ms"),
-            ("joint jerk", result.peak_jerk, self.jerk, 1.0, "rad/s³"),
-            ("peak torque", result.peak_torque, self.torque, 1.0, "N·m"),
-        )
-        return [(what, value, limit, scale, unit) for what, value, limit, scale, unit in rows if limit is not None]
-
+LIMITS: Mapping[str, tuple[str, str, float, str]] = {
+    "deviation": ("path_deviation", "path deviation", 1e3, "mm"),
+    "added_time": ("added_time", "added time", 1e3, "ms"),
+    "jerk": ("peak_jerk", "joint jerk", 1.0, "rad/s³"),
+    "torque": ("peak_torque", "peak torque", 1.0, "N·m"),
+}
+"""What a recommended motion may be limited in → figure of `CandidateResult`, its name, factor to the unit of messages, and that unit."""
 
 ROUNDING = 1e-9
 """Relative tolerance of the limits."""
+
+
+def exceeded(result: CandidateResult, limits: Mapping[str, float]) -> list[str]:
+    """Return a phrase for each limit that a result exceeds.
+
+    Args:
+        result: the result.
+        limits: key of `LIMITS` → largest value in SI units.
+    """
+    found = []
+    for key, limit in limits.items():
+        figure, name, scale, unit = LIMITS[key]
+        if not Limit(figure, limit, unit, rounding=ROUNDING, value=(value := getattr(result, figure))).met:
+            found.append(f"{name} {scale * value:.4g} {unit} above {scale * limit:.4g} {unit}")
+    return found
 
 
 @dataclass(frozen=True)
@@ -74,7 +64,7 @@ class Recommendation:
 
 
 def recommend(
-    results: Sequence[CandidateResult], settling_band: float, limits: ShaperLimits | None = None
+    results: Sequence[CandidateResult], settling_band: float, limits: Mapping[str, float] = MappingProxyType({})
 ) -> Recommendation:
     """Return the result with the shortest time to rest over the payload band, of equal ones the smallest deviation.
 
@@ -84,17 +74,16 @@ def recommend(
     Args:
         results: the unshaped motion and the shaped ones.
         settling_band: radius around the equilibrium that counts as rest [m].
-        limits: limits of the motion; None for none.
+        limits: see `exceeded`.
     """
     # results that keep the limits
     unshaped = next(result for result in results if result.candidate.name == UNSHAPED_NAME)
-    limits = limits or ShaperLimits()
-    allowed = [result for result in results if not limits.exceeded(result)]
+    allowed = [result for result in results if not exceeded(result, limits)]
     if not allowed:
-        nearest = min(results, key=lambda result: len(limits.exceeded(result)))
+        nearest = min(results, key=lambda result: len(exceeded(result, limits)))
         return Recommendation(
             unshaped,
-            f"nothing keeps the limits; nearest is {nearest.candidate.label}: {', '.join(limits.exceeded(nearest))}",
+            f"nothing keeps the limits; nearest is {nearest.candidate.label}: {', '.join(exceeded(nearest, limits))}",
             keeps_limits=False,
         )
     results = allowed
@@ -172,10 +161,7 @@ def write_shaped(
     # append the new shaper
     if section:
         document.append("shaper", _tables(section))
-    try:
-        target.write_text(tomlkit.dumps(document), encoding="utf-8")
-    except OSError as error:
-        raise ResultsError(f"can't write {target}: {error.strerror or error}; choose another file") from error
+    write_whole(target, tomlkit.dumps(document))
     load_scene(target)
 
 

@@ -43,6 +43,9 @@ SMOOTH = 1e-6
 Drive = Literal["perfect", "controller"]
 """Drive of the robot in a study: motors that follow their references exactly, or the scene's controllers."""
 
+Vibrations = Mapping[str, tuple[RealArray, RealArray]]
+"""Label of a motion → times after its end [s] and distances from where the robot comes to rest [m]."""
+
 
 @dataclass(frozen=True)
 class Trial:

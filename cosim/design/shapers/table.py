@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
@@ -13,25 +11,12 @@ from rich.table import Column, Table
 from flexfmu.cosim.design.shapers.alternatives import DesignModes
 from flexfmu.cosim.design.shapers.recommendation import Recommendation, shaper_toml
 from flexfmu.cosim.design.shapers.study import CandidateResult, Trial
+from flexfmu.cosim.reports.rows import csv_text
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
 
 COLUMNS = ("shaper", "shapes", "added ms", "nominal µm", "worst µm", "at rest ms", "deviation mm", "torque N·m")
 """Columns of the table on the terminal."""
-
-CSV_COLUMNS = (
-    "drive",
-    "shaper",
-    "shapes",
-    "added_time",
-    "path_deviation",
-    "payload_error",
-    "residual_vibration",
-    "settling_time",
-    "peak_torque",
-    "peak_jerk",
-)
-"""Columns of the file with one line for each simulation, in SI units."""
 
 QUANTITIES: tuple[tuple[str, Callable[[Trial], str]], ...] = (
     ("Residual vibration [µm]", lambda trial: f"{1e6 * trial.residual:.2f}"),
@@ -46,22 +31,18 @@ def terminal_table(title: str, results: Sequence[CandidateResult], recommended: 
     figures = [Column(each, justify="right") for each in COLUMNS[2:]]
     table = titled_table(title, *COLUMNS[:2], *figures, keys=2)
     for result in results:
-        table.add_row(*_row(result), style="bold" if result is recommended else None)
+        nominal = result.nominal
+        table.add_row(
+            *_named(result), f"{1e6 * nominal.residual:.2f}", f"{1e6 * result.worst_residual:.2f}",
+            milliseconds(result.time_to_rest), f"{1e3 * result.path_deviation:.3f}", f"{nominal.peak_torque:.1f}",
+            style="bold" if result is recommended else None,
+        )  # fmt: skip
     return table
 
 
-def _row(result: CandidateResult) -> tuple[str, ...]:
-    nominal = result.nominal
-    return (
-        result.candidate.name,
-        result.candidate.application,
-        f"{1e3 * result.added_time:.1f}",
-        f"{1e6 * nominal.residual:.2f}",
-        f"{1e6 * result.worst_residual:.2f}",
-        milliseconds(result.time_to_rest),
-        f"{1e3 * result.path_deviation:.3f}",
-        f"{nominal.peak_torque:.1f}",
-    )
+def _named(result: CandidateResult) -> tuple[str, str, str]:
+    """Name, application and added time [ms]."""
+    return result.candidate.name, result.candidate.application, f"{1e3 * result.added_time:.1f}"
 
 
 def milliseconds(time: float | None) -> str:
@@ -82,14 +63,7 @@ def markdown(title: str, results: Sequence[CandidateResult]) -> str:
     for name, text in QUANTITIES:
         head = ["Shaper", "Shapes", "Added time [ms]", "Path deviation [mm]", *(f"{error:+.0%}" for error in errors)]
         rows = [
-            [
-                result.candidate.name,
-                result.candidate.application,
-                f"{1e3 * result.added_time:.1f}",
-                f"{1e3 * result.path_deviation:.3f}",
-                *map(text, result.trials),
-            ]
-            for result in results
+            [*_named(result), f"{1e3 * result.path_deviation:.3f}", *map(text, result.trials)] for result in results
         ]
         rule = ["---", "---", *["---:"] * (len(head) - 2)]
         parts.append(f"## {name}, {drive_of(results)}, by payload error\n")
@@ -99,28 +73,31 @@ def markdown(title: str, results: Sequence[CandidateResult]) -> str:
 
 def to_csv(results: Sequence[CandidateResult]) -> str:
     """Return CSV with one line for each simulation, in SI units; a settling time beyond the dwell is left empty."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    # cells in the order of `CSV_COLUMNS`
-    for result in results:
-        for trial in result.trials:
-            settling = "" if trial.settling_time is None else trial.settling_time
-            writer.writerow(
-                [
-                    drive_of(results),
-                    result.candidate.name,
-                    result.candidate.application,
-                    result.added_time,
-                    result.path_deviation,
-                    trial.payload_error,
-                    trial.residual,
-                    settling,
-                    trial.peak_torque,
-                    result.peak_jerk,
-                ]
-            )
-    return buffer.getvalue()
+    return csv_text(
+        [
+            {
+                "drive": drive_of(results),
+                "shaper": result.candidate.name,
+                "shapes": result.candidate.application,
+                "added_time": result.added_time,
+                "path_deviation": result.path_deviation,
+                **trial_data(trial),
+                "peak_jerk": result.peak_jerk,
+            }
+            for result in results
+            for trial in result.trials
+        ]
+    )
+
+
+def trial_data(trial: Trial) -> dict[str, float | None]:
+    """Return a simulation as plain data in SI units."""
+    return {
+        "payload_error": trial.payload_error,
+        "residual_vibration": trial.residual,
+        "settling_time": trial.settling_time,
+        "peak_torque": trial.peak_torque,
+    }
 
 
 def design_data(design: DesignModes) -> dict[str, Any]:
@@ -149,15 +126,7 @@ def result_data(result: CandidateResult) -> dict[str, Any]:
         "worst_peak_torque": result.peak_torque,
         "peak_jerk": result.peak_jerk if isfinite(result.peak_jerk) else None,
         "section": dict(candidate.section),
-        "trials": [
-            {
-                "payload_error": trial.payload_error,
-                "residual_vibration": trial.residual,
-                "settling_time": trial.settling_time,
-                "peak_torque": trial.peak_torque,
-            }
-            for trial in result.trials
-        ],
+        "trials": [trial_data(trial) for trial in result.trials],
     }
 
 

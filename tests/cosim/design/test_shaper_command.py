@@ -16,7 +16,7 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.design.shapers import alternatives as shaping_design
 from flexfmu.cosim.design.shapers.alternatives import Alternative, alternatives, design_modes
-from flexfmu.cosim.design.shapers.recommendation import ShaperLimits, compare_slower, recommend, write_shaped
+from flexfmu.cosim.design.shapers.recommendation import compare_slower, recommend, write_shaped
 from flexfmu.cosim.design.shapers.study import (
     Candidate,
     CandidateResult,
@@ -212,13 +212,13 @@ def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_p
 @pytest.mark.parametrize(
     ("limits", "name"),
     [
-        (ShaperLimits(), "zv"),
-        (ShaperLimits(deviation=1e-3), "mzv"),
-        (ShaperLimits(deviation=1e-3, added_time=9e-3), "unshaped"),
-        (ShaperLimits(torque=60.0), "zv"),
+        ({}, "zv"),
+        ({"deviation": 1e-3}, "mzv"),
+        ({"deviation": 1e-3, "added_time": 9e-3}, "unshaped"),
+        ({"torque": 60.0}, "zv"),
     ],
 )
-def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: ShaperLimits, name: str) -> None:
+def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: dict[str, float], name: str) -> None:
     """A shaper that strays, takes or asks for more than allowed isn't recommended however soon it rests."""
     found = [
         result(motion, "unshaped", 0.0, 0.05),
@@ -231,7 +231,7 @@ def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: S
 
 def test_limits_that_nothing_keeps_are_told_with_the_nearest(motion: MotionPlan) -> None:
     """Nothing is recommended; the sentence says by how much the nearest misses."""
-    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, ShaperLimits(torque=10.0, jerk=1e4))
+    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, {"jerk": 1e4, "torque": 10.0})
     assert not chosen.keeps_limits
     assert (
         "nearest is unshaped: joint jerk inf rad/s³ above 1e+04 rad/s³, peak torque 50 N·m above 10 N·m"
