@@ -19,7 +19,7 @@ from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.c_function import c_function
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque
 from flexfmu.cosim.control.controllers.own_function import controller
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.outcome import Outcome

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from flexfmu import load_scene
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.fmu_build.block_build import build_block_fmu
 

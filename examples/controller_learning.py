@@ -7,7 +7,7 @@ import numpy as np
 
 from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import run_loop

@@ -5,7 +5,7 @@ python controller_pd.py
 
 from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.computed_torque import inverse_dynamics_feedforward
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.model.numeric import inverse_dynamics
 

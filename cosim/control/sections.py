@@ -23,6 +23,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
 from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.trajectories.along_path import positions_along
 from flexfmu.trajectories.trajectory import Trajectory
 
 S = TypeVar("S", bound=Section)
@@ -54,6 +55,11 @@ class LoopContext:
     sample_time: float
     before: Callable[[str], Sequence[float]]
     is_about_rest: bool = False
+
+    def position(self, pose: str) -> tuple[float, float]:
+        """Position of the end effector [m] at the ``start``, ``middle`` or ``end`` of its path."""
+        x, y = positions_along(self.along_path, {"start": 0.0, "middle": 0.5, "end": 1.0}[pose])[0].tolist()
+        return x, y
 
 
 _BUILDERS: dict[type[Section], Callable[[Any, LoopContext], Any]] = {}

@@ -134,7 +134,7 @@ class CascadeSection(SampledSection):
     torque_limit: TorqueLimit = None
     anti_windup: AntiWindupSection = ClampingSection()
 
-    def sampling(self, loop: LoopOfCascade) -> Sampling:
+    def sampling_of(self, loop: LoopOfCascade) -> Sampling:
         """Sample time and offset [s] of a loop."""
         return Sampling(
             sample_time=loop.sample_time or self.sample_time,

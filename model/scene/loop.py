@@ -75,6 +75,11 @@ class SampledSection(LoopSection):
     sample_time: Seconds
     offset: SecondsOrZero = 0.0
 
+    @property
+    def sampling(self) -> Sampling:
+        """Sample time and offset [s]."""
+        return Sampling(sample_time=self.sample_time, offset=self.offset)
+
 
 class PythonSection(LoopSection):
     """A slave, block or python-control system that a Python function or class returns.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
-from typing import Any
+from typing import Any, Required, TypedDict
 
 import casadi
 import numpy as np
@@ -23,13 +23,26 @@ Equations = Callable[[Vector, Vector, Vector], tuple[Vector, Vector]]
 """(x, u, p) → (y, next x), all column vectors."""
 
 
+class BlockOptions(TypedDict, total=False):
+    """What every function that makes a block takes beside its own arguments.
+
+    ``sample_time`` is the time between samples and ``offset`` the first sample instant [s]; ``name`` is the block's name, by default that of
+    its kind.
+    """
+
+    sample_time: Required[float]
+    offset: float
+    name: str
+
+
 def block(
-    name: str,
+    kind: str,
     description: str,
     equations: Equations,
     *,
     sample_time: float,
     offset: float = 0.0,
+    name: str = "",
     instants: Sequence[float] = (),
     inputs: Sequence[Variable],
     outputs: Sequence[Variable],
@@ -43,9 +56,9 @@ def block(
     """Build a block from equations; an output has direct feedthrough from every input that it depends on structurally.
 
     Args:
-        name, description: of the block.
+        kind, description: of the block.
         equations: (x, u, p) → (y, next x); called once, with symbols.
-        sample_time, offset: sample time and first sample instant [s].
+        sample_time, offset, name: see `BlockOptions`.
         instants: further sample instants [s]; with an infinite sample time there are no others.
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of x.
@@ -58,6 +71,7 @@ def block(
         InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of
             range.
     """
+    name = name or kind
     if sample_time < math.inf or not instants:
         check_sampling(sample_time, offset, name)
     # CasADi functions of the equations
@@ -89,8 +103,10 @@ def block(
 def split(vector: Vector, *sizes: int) -> list[Vector]:
     """Split a vector into pieces of these sizes; what remains is split into pieces of the last size.
 
-    With a last size of zero nothing may remain.
+    With a last size of zero nothing may remain. An empty vector has no pieces.
     """
+    if not vector.numel():
+        return []
     edges = list(accumulate(sizes, initial=0))
     if sizes[-1]:
         edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])

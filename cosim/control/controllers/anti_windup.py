@@ -5,9 +5,9 @@ K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, section 3.5.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, isfinite
-from typing import Protocol
 
 import casadi
 
@@ -17,37 +17,9 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene import controllers as scene
 
 
-class AntiWindup(Protocol):
-    """A rule for the integral of a saturated controller."""
-
-    def integrate(
-        self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
-    ) -> tuple[Vector, Vector]:
-        """Return the integral for this sample's output, and the integral that the next sample starts from [N.m].
-
-        Args:
-            integral: from the last sample [N.m].
-            increment: of this sample [N.m].
-            rest: all other terms of the controller [N.m].
-            lower: lower torque limits [N.m].
-            upper: upper torque limits [N.m].
-            sample_time: h [s].
-        """
-
-
 @dataclass(frozen=True)
 class Clamping:
     """Conditional integration: leaves out an increment that would drive the output further into saturation."""
-
-    def integrate(
-        self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
-    ) -> tuple[Vector, Vector]:
-        """Add the increment, unless the sum of all terms is beyond a limit and the increment drives it further."""
-        candidate = rest + integral + increment
-        above = casadi.logic_and(candidate > upper, increment > 0.0)
-        below = casadi.logic_and(candidate < lower, increment < 0.0)
-        result = integral + casadi.if_else(casadi.logic_or(above, below), 0.0, increment)
-        return result, result
 
 
 @dataclass(frozen=True)
@@ -70,33 +42,49 @@ class BackCalculation:
         if not (isfinite(self.tracking_time) and self.tracking_time >= 0.0):
             raise InputError(f"the tracking time must be zero or positive, got {self.tracking_time} s")
 
-    def integrate(
-        self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
-    ) -> tuple[Vector, Vector]:
-        """Add the full increment; the next sample starts from the corrected integral."""
-        share = 1.0 - exp(-sample_time / self.tracking_time) if self.tracking_time else 1.0
-        now = integral + increment
-        total = rest + now
-        return now, now + share * (saturate(total, lower, upper) - total)
-
 
 @dataclass(frozen=True)
 class Unprotected:
     """No anti-windup: integrates whether or not the output is saturated."""
 
-    def integrate(
-        self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
-    ) -> tuple[Vector, Vector]:
-        """Add the full increment."""
-        return integral + increment, integral + increment
+
+AntiWindup = Clamping | BackCalculation | Unprotected
 
 
-def from_section(section: scene.AntiWindupSection) -> AntiWindup:
+def limited_sum(
+    rest: Vector, integral: Vector, increment: Vector, bounds: Sequence[Vector], rule: AntiWindup, sample_time: float
+) -> tuple[Vector, Vector]:
+    """Return the limited sum of all terms of a controller, and the integral that the next sample starts from [N.m].
+
+    Args:
+        rest: all terms but the integral [N.m].
+        integral: from the last sample [N.m].
+        increment: of this sample [N.m].
+        bounds: lower and upper torque limits [N.m]; empty for none.
+        rule: what the integral does at the limits.
+        sample_time: h [s].
+    """
+    if not bounds:
+        return rest + integral + increment, integral + increment
+    lower, upper = bounds
+    if isinstance(rule, Clamping):
+        # leave the increment out where the sum is beyond a limit and the increment drives it further
+        candidate = rest + integral + increment
+        above = casadi.logic_and(candidate > upper, increment > 0.0)
+        below = casadi.logic_and(candidate < lower, increment < 0.0)
+        increment = casadi.if_else(casadi.logic_or(above, below), 0.0, increment)
+    now = integral + increment
+    total = rest + now
+    torque = saturate(total, lower, upper)
+    if not isinstance(rule, BackCalculation):
+        return torque, now
+    # the next sample starts from the corrected integral
+    share = 1.0 - exp(-sample_time / rule.tracking_time) if rule.tracking_time else 1.0
+    return torque, now + share * (torque - total)
+
+
+def rule_of(section: scene.AntiWindupSection) -> AntiWindup:
     """Return the rule of a section of the scene file."""
-    match section:
-        case scene.BackCalculationSection(tracking_time=time):
-            return BackCalculation(time)
-        case scene.ClampingSection():
-            return Clamping()
-        case scene.UnprotectedSection():
-            return Unprotected()
+    if isinstance(section, scene.BackCalculationSection):
+        return BackCalculation(section.tracking_time)
+    return Clamping() if isinstance(section, scene.ClampingSection) else Unprotected()

@@ -1,49 +1,49 @@
-"""Feedforwards that compensate single effects: friction of the motors, and gravity.
+"""Feedforwards against friction and disturbances, added to the torque of another controller; shared arguments: `joints`.
 
-Both are added to the torque of another controller. They read the references, which are known ahead and free of noise, or the
-measurements, which are there without a reference too (B. Armstrong-Hélouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis
-tools and compensation methods for the control of machines with friction, Automatica 30 (1994), section 6.3; gravity: B. Siciliano et al.,
-Robotics, 2009, section 8.5.1).
+The observer estimates the torque that the model lacks from the motion. At the instant k, with the torque T_k-1 that was held since the last
+instant, sample time h, the mean velocity w between both instants and the mean angle q, and the model's torque ID for the measured
+acceleration::
+
+    f_k = a f_k-1 + (1 - a) (T_k-1 - ID(q, w, (w_k - w_k-1) / h))        a = exp(-h / T)
+
+On a joint with the inertia that the model assumes, under a held torque and a constant disturbance d, the bracket is -d exactly, so that
+f_k = -d (1 - a^k) whatever the torques are. K. Ohnishi, M. Shibata, T. Murakami, Motion control for advanced mechatronics, IEEE/ASME
+Trans. Mechatronics 1 (1996) 56, with the difference quotient in place of the derivative. Friction: B. Armstrong-Hélouvry, P. Dupont,
+C. Canudas de Wit, A survey of models, analysis tools and compensation methods for the control of machines with friction, Automatica 30
+(1994), section 6.3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal
+from typing import Unpack
 
 import casadi
 
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.controllers.computed_torque import assumed_dynamics, check_dynamics
+from flexfmu.cosim.control.blocks.equations import Vector, split
+from flexfmu.cosim.control.controllers.computed_torque import Motion, assumed_dynamics, check_dynamics, read
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    JointQuantity,
+    Gains,
+    JointOptions,
     PerJoint,
-    feedforward_outputs,
-    gains,
-    measurements,
+    TorqueLimits,
+    joint_block,
+    limited,
     per_joint,
-    references,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.controllers import FrictionCompensationSection, GravityFeedforwardSection
-from flexfmu.model.symbolic import SymbolicBlock, Variable
-
-Motion = Literal["reference", "measured"]
-"""Which motion a feedforward reads."""
+from flexfmu.model.scene.controllers import DisturbanceObserverSection, FrictionCompensationSection
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 def friction_compensation(
     viscous: PerJoint,
     coulomb: PerJoint,
     *,
-    sample_time: float,
-    offset: float = 0.0,
     velocity: float = 0.01,
     motion: Motion = "reference",
-    joints: Sequence[str] = JOINTS,
-    name: str = "friction_compensation",
+    **options: Unpack[JointOptions],
 ) -> SymbolicBlock:
     """Build the block: feedforward = viscous w + coulomb w / sqrt(w² + velocity²), with the motor rate w; without states.
 
@@ -56,116 +56,113 @@ def friction_compensation(
     Args:
         viscous: coefficient [N.m.s/rad].
         coulomb: dry friction [N.m].
-        sample_time, offset: sample time and first sample instant [s].
         velocity: rate [rad/s] that smooths the change of sign; 71 % of the dry friction at this rate.
         motion: whether w is that of the reference or measured.
-        joints: names of the joints.
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
 
     Raises:
-        InputError: a coefficient is negative or not finite, the smoothing velocity or the sample time isn't positive.
+        InputError: the smoothing velocity isn't positive, or see `joints`.
     """
+    name = options.get("name", "friction_compensation")
     (smoothing,) = per_joint(("the motors",), "velocity", velocity, "rad/s")
     if smoothing <= 0.0:
         raise InputError(f"{name}: the smoothing velocity must be above 0 rad/s, got {velocity}; try 0.01")
 
-    def equations(x: Vector, w: Vector, p: Vector) -> tuple[Vector, Vector]:
-        d, c = split(p, len(joints))
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        (w,), (d, c) = signals, gains
         return d * w + c * w / casadi.sqrt(w**2 + smoothing**2), x
 
-    return block(
-        name,
+    return joint_block(
+        "friction_compensation",
         "Compensation of the motors' friction",
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=_inputs(joints, "velocity", motion, name),
-        outputs=feedforward_outputs(joints, "Torque against the friction"),
-        parameters=[
-            *gains(joints, "viscous_friction", viscous, "N.m.s/rad", "Viscous friction that is compensated"),
-            *gains(joints, "coulomb_friction", coulomb, "N.m", "Dry friction that is compensated"),
-        ],
+        law,
+        [read("velocity", motion, name)],
+        ("feedforward", "Torque against the friction of {}"),
+        {
+            "viscous_friction": (viscous, "N.m.s/rad", "Viscous friction that is compensated"),
+            "coulomb_friction": (coulomb, "N.m", "Dry friction that is compensated"),
+        },
+        **options,
     )
-
-
-def gravity_feedforward(
-    inverse_dynamics: casadi.Function,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    motion: Motion = "reference",
-    joints: Sequence[str] = JOINTS,
-    name: str = "gravity_feedforward",
-) -> SymbolicBlock:
-    """Build the block: feedforward = ID(q, 0, 0), the torques that hold the rigid robot at rest in its pose q; without states.
-
-    Input: ``joint1.reference.position`` or ``joint1.position``; output ``joint1.feedforward``.
-
-    Args:
-        inverse_dynamics: (q, v, a) → torque [rad, rad/s, rad/s2 → N.m], as of `flexfmu.model.numeric.inverse_dynamics`.
-        sample_time, offset: sample time and first sample instant [s].
-        motion: whether q is that of the reference or measured.
-        joints: names of the joints.
-        name: name of the block.
-
-    Raises:
-        InputError: the inverse dynamics don't fit the joints, or the sample time isn't positive.
-    """
-    check_dynamics(inverse_dynamics, joints, name)
-
-    def equations(x: Vector, q: Vector, p: Vector) -> tuple[Vector, Vector]:
-        rest = casadi.SX.zeros(len(joints))
-        return inverse_dynamics.call([q, rest, rest])[0], x
-
-    return block(
-        name,
-        "Torques that hold the rigid robot at rest",
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=_inputs(joints, "position", motion, name),
-        outputs=feedforward_outputs(joints, "Torque against gravity"),
-    )
-
-
-def _inputs(joints: Sequence[str], kind: JointQuantity, motion: Motion, name: str) -> list[Variable]:
-    """Return the references or the measurements of this kind.
-
-    Raises:
-        InputError: the motion is neither.
-    """
-    if motion not in ("reference", "measured"):
-        raise InputError(f"{name}: the motion is 'reference' or 'measured', got {motion!r}")
-    return references(joints, kind) if motion == "reference" else measurements(joints, kind)
 
 
 @builds(FrictionCompensationSection)
-def _friction_from_section(section: FrictionCompensationSection, context: LoopContext) -> SymbolicBlock:
+def _friction_of_section(s: FrictionCompensationSection, context: LoopContext) -> SymbolicBlock:
     # the scene's own friction, unless the section has its own
     friction = context.scene.effects.joint_friction
-    viscous = friction.viscous if section.viscous is None else section.viscous
-    coulomb = friction.coulomb if section.coulomb is None else section.coulomb
-    smoothing = getattr(friction, "velocity", 0.01) if section.velocity is None else section.velocity
-    if section.viscous is None and section.coulomb is None and not friction.is_there:
+    viscous = friction.viscous if s.viscous is None else s.viscous
+    coulomb = friction.coulomb if s.coulomb is None else s.coulomb
+    smoothing = getattr(friction, "velocity", 0.01) if s.velocity is None else s.velocity
+    if s.viscous is None and s.coulomb is None and not friction.is_there:
         raise InputError(
             f"{context.name} has no friction to compensate: give it `viscous` [N.m.s/rad] or `coulomb` [N.m], or the robot "
             "`effects.joint_friction`"
         )
-    return friction_compensation(
-        viscous,
-        coulomb,
-        velocity=smoothing,
-        motion=section.motion,
-        sample_time=section.sample_time,
-        offset=section.offset,
+    return friction_compensation(viscous, coulomb, velocity=smoothing, motion=s.motion, **s.sampling)
+
+
+def disturbance_observer(
+    model: casadi.Function | PerJoint,
+    time_constant: PerJoint,
+    *,
+    limits: TorqueLimits = None,
+    **options: Unpack[JointOptions],
+) -> SymbolicBlock:
+    """Build the block of the observer at the top of this module; its output has no direct feedthrough of the torque.
+
+    It must sample at the instants at which the torque changes: a torque that changes in between isn't the one that it reads.
+
+    Inputs: ``joint1.position`` (with inverse dynamics), ``joint1.velocity``, ``joint1.torque``; output ``joint1.feedforward``, zero at the
+    first sample. Inertias and time constants are tunable parameters ``joint1.inertia``, ``.time_constant``.
+
+    Args:
+        model: inverse dynamics (q, v, a) → torque [rad, rad/s, rad/s2 → N.m] of the robot without the disturbance, or the inertia of each
+            joint [kg.m2], of which then gravity and all other joints are disturbances.
+        time_constant: T [s], zero or positive: 1 / (2 pi f) for a bandwidth f [Hz].
+        limits: limits of the feedforward.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
+
+    Raises:
+        InputError: the inverse dynamics don't fit the joints, or see `joints`.
+    """
+    n, h = len(options.get("joints", JOINTS)), options["sample_time"]
+    dynamics: casadi.Function | None = None
+    kinds: tuple[str, ...] = ("velocity",)
+    gains: Gains = {"time_constant": (time_constant, "s", "Time constant of the observer")}
+    if isinstance(model, casadi.Function):
+        check_dynamics(model, "disturbance_observer", options)
+        dynamics, kinds = model, ("position", "velocity")
+    else:
+        gains = {**gains, "inertia": (model, "kg.m2", "Inertia that the observer assumes")}
+
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        started, feedforward, last_torque, *last = split(x, 1, n)
+        *now, torque = signals
+        time, *rest = gains
+        # the torque of the model for the motion since the last instant
+        means = [0.5 * (each + before) for each, before in zip(now, last, strict=True)]
+        acceleration = (now[-1] - last[-1]) / h
+        known = rest.pop(0) * acceleration if dynamics is None else dynamics.call([*means, acceleration])[0]
+        # the filtered difference; nothing is known at the first sample
+        a = casadi.exp(-h / time)
+        estimate = a * feedforward + (1.0 - a) * (last_torque - known)
+        feedforward = casadi.if_else(casadi.repmat(started, n, 1), estimate, 0.0)
+        return limited(feedforward, rest), casadi.vertcat(1.0, feedforward, torque, *now)
+
+    return joint_block(
+        "disturbance_observer",
+        "Disturbance observer",
+        law,
+        (*kinds, "torque"),
+        ("feedforward", "Torque against the observed disturbance of {}"),
+        gains,
+        limits=limits,
+        states=[0.0] * (1 + n * (2 + len(kinds))),
+        **options,
     )
 
 
-@builds(GravityFeedforwardSection)
-def _gravity_from_section(section: GravityFeedforwardSection, context: LoopContext) -> SymbolicBlock:
-    return gravity_feedforward(
-        assumed_dynamics(context, section.payload),
-        motion=section.motion,
-        sample_time=section.sample_time,
-        offset=section.offset,
-    )
+@builds(DisturbanceObserverSection)
+def _observer_of_section(s: DisturbanceObserverSection, context: LoopContext) -> SymbolicBlock:
+    model = assumed_dynamics(context, s.payload) if s.inertia is None else s.inertia
+    return disturbance_observer(model, s.time_constant, limits=s.torque_limit, **s.sampling)

@@ -1,36 +1,55 @@
-"""Computed-torque control, and the rigid inverse dynamics of the reference motion as a feedforward alone."""
+"""Torques of the robot's own dynamics: computed-torque control, and feedforwards of the rigid robot, of gravity and of the flexible robot.
+
+Inverse dynamics are functions (q, v, a) → torque [rad, rad/s, rad/s2 → N.m], for example that of `flexfmu.model.numeric.inverse_dynamics`.
+`BlockSlave` compiles large ones, such as those of a five-bar. Other shared arguments: `joints`.
+
+The torques of the flexible robot's motors in a known motion come from its elastic motion, integrated once from static equilibrium
+(`ElasticResponse`). The block holds the mean torque of each sample, so that the hold between samples moves the motors as the torques in
+continuous time would.
+
+Raises:
+    InputError: the inverse dynamics don't fit the joints, or see `joints`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
+from typing import Literal, Unpack
 
 import casadi
+import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.controllers.flexible_feedforward import mean_torques, tabulated_feedforward
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block, rows_in_turn
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    JointQuantity,
-    Limits,
+    TORQUE,
+    JointOptions,
     PerJoint,
-    feedforward_outputs,
-    feedforwards,
-    gains,
-    measurements,
-    references,
-    torque_equations,
-    torque_limits,
-    torques,
+    TorqueLimits,
+    joint_block,
+    joint_outputs,
+    limited,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.numeric import inverse_dynamics
-from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.model import numeric
+from flexfmu.model.radau import radau
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection, GravityFeedforwardSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.trajectories.trajectory import Trajectory
 
-MOTION: tuple[JointQuantity, ...] = ("position", "velocity", "acceleration")
+MOTION = "reference.position", "reference.velocity", "reference.acceleration"
 """Arguments of the inverse dynamics."""
+
+STEP = 5e-4
+"""Largest step of the integration [s]; it divides the sample time."""
+
+Motion = Literal["reference", "measured"]
+"""Which motion a feedforward reads."""
 
 
 def computed_torque(
@@ -38,11 +57,8 @@ def computed_torque(
     proportional: PerJoint,
     derivative: PerJoint,
     *,
-    sample_time: float,
-    offset: float = 0.0,
-    limits: Limits | None = None,
-    joints: Sequence[str] = JOINTS,
-    name: str = "computed_torque",
+    limits: TorqueLimits = None,
+    **options: Unpack[JointOptions],
 ) -> SymbolicBlock:
     """Build the block: torque = sat(ID(q, v, a_r + K_d (v_r - v) + K_p (q_r - q)) + feedforward).
 
@@ -52,129 +68,180 @@ def computed_torque(
     Robotics, 3rd ed. 2005, section 10.4; B. Siciliano et al., Robotics, 2009, section 8.5.2.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``, ``joint1.position``, ``joint1.velocity``,
-    ``joint1.feedforward`` (zero unless connected); output ``joint1.torque``. Gains and limits are tunable parameters
-    ``joint1.proportional_gain``, ``joint1.derivative_gain``, ``joint1.torque.minimum``, ``joint1.torque.maximum``.
-    `BlockSlave` compiles large inverse dynamics, such as those of a five-bar.
+    ``joint1.feedforward``; output ``joint1.torque``. Gains are ``joint1.proportional_gain``, ``joint1.derivative_gain``.
 
     Args:
-        inverse_dynamics: (q, v, a) → torque [rad, rad/s, rad/s2 → N.m], for example that of
-            `flexfmu.model.numeric.inverse_dynamics`.
+        inverse_dynamics: ID.
         proportional: K_p [1/s2].
         derivative: K_d [1/s].
-        sample_time: time between samples [s].
-        offset: first sample instant [s].
-        limits: torque limits; None for none.
-        joints: names of the joints.
-        name: name of the block.
+        limits: torque limits.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
 
     Raises:
-        InputError: the inverse dynamics don't fit the joints, a gain is negative or not finite, or the sample time
-            isn't positive.
+        InputError: see above.
     """
-    check_dynamics(inverse_dynamics, joints, name)
+    check_dynamics(inverse_dynamics, "computed_torque", options)
 
-    def law(x: Vector, signals: list[Vector], k: list[Vector]) -> tuple[Vector, Vector]:
-        q_r, v_r, a_r, q, v = signals
-        k_p, k_d = k
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        q_r, v_r, a_r, q, v, feedforward = signals
+        k_p, k_d, *bounds = gains
         # inverse dynamics of the reference acceleration, corrected by PD feedback
-        return inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0], x
+        torque = inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0]
+        return limited(torque + feedforward, bounds), x
 
-    return block(
-        name,
+    return joint_block(
+        "computed_torque",
         "Computed-torque control: rigid inverse dynamics and PD",
-        torque_equations(law, joints, limits),
-        sample_time=sample_time,
-        offset=offset,
-        inputs=[*references(joints, *MOTION), *measurements(joints, "position", "velocity"), *feedforwards(joints)],
-        outputs=torques(joints),
-        parameters=[
-            *gains(joints, "proportional_gain", proportional, "1/s2", "Stiffness per inertia"),
-            *gains(joints, "derivative_gain", derivative, "1/s", "Damping per inertia"),
-            *(limits.parameters(joints) if limits else ()),
-        ],
+        law,
+        (*MOTION, "position", "velocity", "feedforward"),
+        TORQUE,
+        {
+            "proportional_gain": (proportional, "1/s2", "Stiffness per inertia"),
+            "derivative_gain": (derivative, "1/s", "Damping per inertia"),
+        },
+        limits=limits,
+        **options,
     )
 
 
-def inverse_dynamics_feedforward(
-    inverse_dynamics: casadi.Function,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    joints: Sequence[str] = JOINTS,
-    name: str = "feedforward",
-) -> SymbolicBlock:
-    """Build the block: feedforward = ID(q_r, v_r, a_r), the rigid torques of the reference motion.
+@builds(ComputedTorqueSection)
+def _of_section(s: ComputedTorqueSection, context: LoopContext) -> SymbolicBlock:
+    dynamics = assumed_dynamics(context, s.payload)
+    return computed_torque(dynamics, s.proportional, s.derivative, limits=s.torque_limit, **s.sampling)
+
+
+def inverse_dynamics_feedforward(inverse_dynamics: casadi.Function, **options: Unpack[JointOptions]) -> SymbolicBlock:
+    """Build the block: feedforward = ID(q_r, v_r, a_r), the rigid torques of the reference motion; without states.
 
     Connect it to the feedforward input of a PD or PID controller.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``; output ``joint1.feedforward``. Arguments
     and errors as for `computed_torque`.
     """
-    check_dynamics(inverse_dynamics, joints, name)
-
-    # a function of the references alone, without states
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        return inverse_dynamics.call(split(u, len(joints)))[0], x
-
-    return block(
-        name,
-        "Rigid inverse dynamics of the reference motion",
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=references(joints, *MOTION),
-        outputs=feedforward_outputs(joints, "Rigid torque of the reference motion"),
+    check_dynamics(inverse_dynamics, "feedforward", options)
+    gives = "feedforward", "Rigid torque of the reference motion of {}"
+    what = "Rigid inverse dynamics of the reference motion"
+    return joint_block(
+        "feedforward", what, lambda x, u, p: (inverse_dynamics.call(u)[0], x), MOTION, gives, {}, **options
     )
 
 
-def check_dynamics(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:
-    """Check that the inverse dynamics map three vectors to one, each with one element for each joint.
+def gravity_feedforward(
+    inverse_dynamics: casadi.Function, *, motion: Motion = "reference", **options: Unpack[JointOptions]
+) -> SymbolicBlock:
+    """Build the block: feedforward = ID(q, 0, 0), the torques that hold the rigid robot at rest in its pose q; without states.
+
+    It reads the reference, which is known ahead and free of noise, or the measurement, which is there without a reference too
+    (B. Siciliano et al., Robotics, 2009, section 8.5.1).
+
+    Input: ``joint1.reference.position`` or ``joint1.position``; output ``joint1.feedforward``. Arguments and errors as for
+    `computed_torque`; ``motion`` is whether q is that of the reference or measured.
+    """
+    check_dynamics(inverse_dynamics, "gravity_feedforward", options)
+
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        rest = casadi.SX.zeros(signals[0].numel())
+        return inverse_dynamics.call([*signals, rest, rest])[0], x
+
+    gives, takes = ("feedforward", "Torque against gravity of {}"), [read("position", motion, "gravity_feedforward")]
+    what = "Torques that hold the rigid robot at rest"
+    return joint_block("gravity_feedforward", what, law, takes, gives, {}, **options)
+
+
+builds(GravityFeedforwardSection)(
+    lambda s, c: gravity_feedforward(assumed_dynamics(c, s.payload), motion=s.motion, **s.sampling)
+)
+
+
+def tabulated_feedforward(
+    torques: RealArray, *, joints: Sequence[str] = JOINTS, **options: Unpack[BlockOptions]
+) -> SymbolicBlock:
+    """Build the block: the torques of each sample in turn, (N, n) [N m] for n joints; the last ones hold on.
+
+    It has no inputs; outputs ``joint1.feedforward``. Options and errors as for `computed_torque`.
+    """
+    return block(
+        "feedforward",
+        "Torques of the flexible robot in its motion",
+        rows_in_turn(torques, "torques"),
+        inputs=(),
+        outputs=joint_outputs(joints, "feedforward", "Torque of the flexible robot's motion of {}"),
+        states=(0.0,),
+        symbol=casadi.MX,
+        **options,
+    )
+
+
+def mean_torques(
+    scene: Scene, joints: Trajectory, stop_time: float, sample_time: float, offset: float = 0.0
+) -> RealArray:
+    """Mean motor torques of each sample, (N, 2) [N m], from static equilibrium on.
+
+    Args:
+        scene: the robot, with its payload.
+        joints: motion of the motors q11, q21 [rad]; they rest after it.
+        stop_time: how long the robot is simulated [s]; the last torque holds on.
+        sample_time, offset: sample time and first sample instant [s].
 
     Raises:
-        InputError: they don't.
+        EquilibriumError: the links are too soft for the motion.
     """
-    found = [inverse_dynamics.numel_in(i) for i in range(inverse_dynamics.n_in())]
-    results = [inverse_dynamics.numel_out(i) for i in range(inverse_dynamics.n_out())]
-    n = len(joints)
-    if found != [n] * 3 or results != [n]:
-        raise InputError(
-            f"{name}: the inverse dynamics must take (q, v, a) of {n} each and give {n} torques for {', '.join(joints)}; "
-            f"{inverse_dynamics.name()} takes {found} and gives {results}"
-        )
-
-
-@builds(ComputedTorqueSection)
-def _from_section(section: ComputedTorqueSection, context: LoopContext) -> SymbolicBlock:
-    return computed_torque(
-        assumed_dynamics(context, section.payload),
-        section.proportional,
-        section.derivative,
-        limits=torque_limits(section.torque_limit),
-        sample_time=section.sample_time,
-        offset=section.offset,
-    )
+    # equal steps, some of them before the first sample
+    before, count = ceil(offset / sample_time), max(1, ceil((stop_time - offset) / sample_time))
+    duration, parts = (before + count) * sample_time, ceil(sample_time / STEP)
+    response = ElasticResponse(scene, [{}], joints.evaluate(0.0, 0, "left")[0, 0], (before + count) * parts)
+    instants = offset - before * sample_time + duration * response.fractions
+    # the motors rest before and after the motion
+    references = joints.evaluate(np.clip(instants, 0.0, joints.duration), 2, "left")
+    references[1:, (instants < 0.0) | (instants > joints.duration)] = 0.0
+    torques = response.respond(np.hstack(list(references)), duration).torque[0]
+    # the mean over a step by the weights of Radau's quadrature, then over a sample
+    means = np.einsum("s,kpsj->kj", radau(3).matrix[-1], torques.reshape(before + count, parts, 3, 2)) / parts
+    return np.asarray(means[before:])
 
 
 @builds(FeedforwardSection)
-def _feedforward_from_section(section: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
-    if section.robot == "flexible":
-        return _flexible_feedforward(section, context)
-    dynamics = assumed_dynamics(context, section.payload)
-    return inverse_dynamics_feedforward(dynamics, sample_time=section.sample_time, offset=section.offset)
+def _feedforward_of_section(s: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
+    if s.robot == "rigid":
+        return inverse_dynamics_feedforward(assumed_dynamics(context, s.payload), **s.sampling)
+    scene, motion = _assumed(context, s.payload), context.shaped
+    torques = mean_torques(scene, motion, motion.duration + scene.trajectory.dwell, **s.sampling)
+    return tabulated_feedforward(torques, **s.sampling)
 
 
 def assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
     """Return the rigid inverse dynamics with the payload [kg] that a controller assumes; None for the scene's own."""
-    return inverse_dynamics(_assumed(context, payload))
-
-
-def _flexible_feedforward(section: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
-    """The torques of the flexible robot in the motion that runs."""
-    scene, motion = _assumed(context, section.payload), context.shaped
-    torques = mean_torques(scene, motion, motion.duration + scene.trajectory.dwell, section.sample_time, section.offset)
-    return tabulated_feedforward(torques, sample_time=section.sample_time, offset=section.offset)
+    return numeric.inverse_dynamics(_assumed(context, payload))
 
 
 def _assumed(context: LoopContext, payload: float | None) -> Scene:
     """The scene with the payload [kg] that a controller assumes."""
     return context.scene if payload is None else context.scene.replace({"payload.mass": payload})
+
+
+def check_dynamics(inverse_dynamics: casadi.Function, kind: str, options: JointOptions) -> None:
+    """Check that the inverse dynamics map three vectors to one, each with one element for each joint.
+
+    Raises:
+        InputError: they don't.
+    """
+    joints: Sequence[str] = options.get("joints", JOINTS)
+    found = [inverse_dynamics.numel_in(i) for i in range(inverse_dynamics.n_in())]
+    results = [inverse_dynamics.numel_out(i) for i in range(inverse_dynamics.n_out())]
+    n = len(joints)
+    if found != [n] * 3 or results != [n]:
+        raise InputError(
+            f"{options.get('name', kind)}: the inverse dynamics must take (q, v, a) of {n} each and give {n} torques for "
+            f"{', '.join(joints)}; {inverse_dynamics.name()} takes {found} and gives {results}"
+        )
+
+
+def read(kind: str, motion: Motion, name: str) -> str:
+    """Return the name of the signal that a feedforward reads: that of the reference, or the measured one.
+
+    Raises:
+        InputError: the motion is neither.
+    """
+    if motion not in ("reference", "measured"):
+        raise InputError(f"{name}: the motion is 'reference' or 'measured', got {motion!r}")
+    return f"reference.{kind}" if motion == "reference" else kind

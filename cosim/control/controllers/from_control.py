@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from math import isclose, isfinite, pi, tan
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypedDict, Unpack, get_args
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -37,46 +37,38 @@ SAME_SAMPLE_TIME = 1e-9
 """Relative difference below which two sample times are the same: divisions such as 1 / 4000 are rounded."""
 
 
+class Conversion(TypedDict, total=False):
+    """Keyword arguments of `from_control`."""
+
+    method: Method | None
+    sample_time: float | None
+    prewarp: float | None
+    inputs: Sequence[str] | None
+    outputs: Sequence[str] | None
+    units: Mapping[str, str]
+
+
 def control_block(
     system: Any,
     *,
-    method: Method | None = None,
-    sample_time: float | None = None,
-    prewarp: float | None = None,
     offset: float = 0.0,
     start: Sequence[float] | None = None,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    units: Mapping[str, str] | None = None,
     name: str = "controller",
+    **conversion: Unpack[Conversion],
 ) -> SymbolicBlock:
     """Build the block of a `control.StateSpace` or `control.TransferFunction`.
 
     Args:
         system: as for `from_control`.
-        method: as for `from_control`.
-        sample_time: as for `from_control`.
-        prewarp: as for `from_control`.
-        inputs: as for `from_control`.
-        outputs: as for `from_control`.
-        units: as for `from_control`.
         offset: first sample instant [s].
         start: start states of a state space (n,); zero when left out.
         name: name of the block.
+        conversion: as for `from_control`.
 
     Raises:
         InputError: as for `from_control`.
     """
-    linear = from_control(
-        system,
-        method=method,
-        sample_time=sample_time,
-        prewarp=prewarp,
-        inputs=inputs,
-        outputs=outputs,
-        units=units,
-    )
-    return state_space(linear, offset=offset, start=start, name=name)
+    return state_space(from_control(system, **conversion), offset=offset, start=start, name=name)
 
 
 def from_control(
@@ -100,8 +92,7 @@ def from_control(
         method: discretisation of a continuous system, see `Method`.
         sample_time: [s] of a continuous system, or of a discrete one whose ``dt`` is True.
         prewarp: frequency [rad/s] at which Tustin's rule is exact; for that method only.
-        inputs: names that replace the labels of the inputs.
-        outputs: names that replace the labels of the outputs.
+        inputs, outputs: names that replace the labels.
         units: name → unit; a signal without a unit connects to any unit.
 
     Raises:
@@ -109,10 +100,10 @@ def from_control(
             it is continuous without method or sample time, sample times contradict each other, or a name is unknown.
     """
     # matrices and names of the system
-    matrices = _matrices(system)
+    matrices, units = _matrices(system), units or {}
     names_in = _names(inputs, system.input_labels, "inputs")
     names_out = _names(outputs, system.output_labels, "outputs")
-    _check_units(units or {}, [*names_in, *names_out])
+    _check_units(units, [*names_in, *names_out])
     # discretise a continuous system, check the sample time of a discrete one
     if system.isctime(strict=True):
         method, sample_time = _explicit(method, sample_time)
@@ -124,7 +115,7 @@ def from_control(
 
     # a signal without a unit connects to any unit
     def signals(names: Sequence[str]) -> tuple[Signal, ...]:
-        return tuple(Signal(name, (units or {}).get(name, "1")) for name in names)
+        return tuple(Signal(name, units.get(name, "1")) for name in names)
 
     return LinearSystem(*matrices, sample_time, signals(names_in), signals(names_out))
 

@@ -107,18 +107,22 @@ def _interpolated(signal: Vector, at: np.ndarray, values: np.ndarray) -> Vector:
 
 
 def with_schedule(
-    controller: SymbolicBlock, schedule: ScheduleSection | None, gains: Mapping[str, str], context: LoopContext
+    controller: SymbolicBlock,
+    schedule: ScheduleSection | None,
+    context: LoopContext,
+    proportional: str = "proportional_gain",
 ) -> SymbolicBlock:
     """Return the controller with the schedule of its section, if there is one.
 
     Args:
         controller: the controller.
-        schedule: the schedule.
-        gains: key of the schedule → last part of the gain's name.
+        schedule: the schedule, whose keys name gains.
         context: has the payload that controllers assume.
+        proportional: what the controller calls its proportional gain.
     """
     if schedule is None:
         return controller
-    factors = {gains[key]: table for key, table in schedule.factors.items()}
+    names = {"proportional": proportional, "integral": "integral_gain", "derivative": "derivative_gain"}
+    factors = {names.get(key, key): table for key, table in schedule.factors.items()}
     start = context.scene.payload.mass if schedule.over == PAYLOAD else 0.0
     return scheduled(controller, schedule.over, schedule.at, factors, start=start)

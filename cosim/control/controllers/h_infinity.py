@@ -15,28 +15,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
+from typing import Unpack
 
 import casadi
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector
 from flexfmu.cosim.control.controllers.from_control import from_control
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    Limits,
+    TORQUE,
+    JointOptions,
     PerJoint,
-    feedforwards,
-    measurements,
+    TorqueLimits,
+    joint_block,
+    limited,
     per_joint,
-    references,
-    saturate,
-    torque_limits,
-    torques,
 )
 from flexfmu.cosim.control.controllers.linear_system import times
-from flexfmu.cosim.control.controllers.lqg import POSITIONS, TORQUES
-from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.cosim.control.controllers.state_feedback import POSITIONS, TORQUES
+from flexfmu.cosim.control.sections import builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray, check_sampling
 from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
@@ -44,7 +43,6 @@ from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.controllers import HInfinitySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.along_path import positions_along
 
 SUBOPTIMAL = 1.1
 """Ratio of gamma to its smallest value: at the smallest one the controller's equations are singular."""
@@ -202,10 +200,8 @@ def h_infinity(
     bandwidth: PerJoint,
     integral_time: PerJoint | None = None,
     *,
-    sample_time: float,
-    offset: float = 0.0,
-    limits: Limits | None = None,
-    name: str = "h_infinity",
+    limits: TorqueLimits = None,
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """Build the block: torque = sat(u_0 + W(z) K(z) (q - q_r) + feedforward), from measured angles alone.
 
@@ -218,75 +214,59 @@ def h_infinity(
         position: end-effector position of the rigid robot at the pose (2,) [m].
         bandwidth: frequency at which each joint's loop crosses 1 [Hz], below half the sampling frequency.
         integral_time: of each joint [s]; None for 5 / (2 pi bandwidth).
-        sample_time, offset: [s].
         limits: torque limits; None for none.
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``name``.
 
     Raises:
         InputError: python-control is missing, a frequency or time isn't positive, or there is no stable loop.
         EquilibriumError: there is no equilibrium at the pose.
     """
-    check_sampling(sample_time, offset, name)
+    name, h = options.get("name", "h_infinity"), options["sample_time"]
+    check_sampling(h, options.get("offset", 0.0), name)
     frequency = _positive(bandwidth, "bandwidth", "Hz", name)
-    if (frequency >= 0.5 / sample_time).any():
+    if (frequency >= 0.5 / h).any():
         raise InputError(
-            f"{name}: bandwidth must be below half the sampling frequency, {0.5 / sample_time:g} Hz, got {frequency.max():g} Hz"
+            f"{name}: bandwidth must be below half the sampling frequency, {0.5 / h:g} Hz, got {frequency.max():g} Hz"
         )
     rate = 2.0 * pi * frequency
     times_i = INTEGRAL / rate if integral_time is None else _positive(integral_time, "integral_time", "s", name)
     scene = without_coulomb_friction(scene)
-    robot = from_control(
-        linearize(scene, position, POSITIONS)[:, :2],
-        method="zoh",
-        sample_time=sample_time,
-        inputs=TORQUES,
-        outputs=POSITIONS,
+    plant = linearize(scene, position, POSITIONS)[:, :2]
+    robot = from_control(plant, method="zoh", sample_time=h, inputs=TORQUES, outputs=POSITIONS)
+    loop = shape_loop(System(robot.A, robot.B, robot.C, robot.D), h, rate, times_i)
+    return shaped_block(loop, operating_point(scene, position).inputs[:2], limits, **options)
+
+
+builds(HInfinitySection)(
+    lambda s, c: h_infinity(
+        c.scene, c.position(s.pose), s.bandwidth, s.integral_time, limits=s.torque_limit, **s.sampling
     )
-    loop = shape_loop(System(robot.A, robot.B, robot.C, robot.D), sample_time, rate, times_i)
-    holding = operating_point(scene, position).inputs[:2]
-    return _block(loop, holding, sample_time=sample_time, offset=offset, limits=limits, name=name)
+)
 
 
-def _block(
-    loop: ShapedLoop,
-    holding: Sequence[float] | RealArray,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    limits: Limits | None = None,
-    joints: Sequence[str] = JOINTS,
-    name: str = "h_infinity",
+def shaped_block(
+    loop: ShapedLoop, holding: Sequence[float] | RealArray, limits: TorqueLimits = None, **options: Unpack[JointOptions]
 ) -> SymbolicBlock:
     """Build the block of a design; ``holding`` are the torques u_0 at the equilibrium [N.m], the rest as for `h_infinity`."""
-    W, K, n = loop.weights, loop.controller, len(joints)
-    order, u_0 = len(K.A), np.asarray(holding, dtype=float)
+    W, K, u_0 = loop.weights, loop.controller, np.asarray(holding, dtype=float)
+    order, size = len(K.A), len(K.A) + len(u_0)
 
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+    def law(x: Vector, signals: list[Vector], bounds: list[Vector]) -> tuple[Vector, Vector]:
         inside, outside = x[:order], x[order:]
-        reference, angle, feedforward = split(u, n)
+        reference, angle, feedforward = signals
         # controller, then weights
         deviation = angle - reference
         shaped = times(K.C, inside) + times(K.D, deviation)
         wanted = u_0 + feedforward + times(W.C, outside) + times(W.D, shaped)
-        torque = saturate(wanted, *split(p, n)) if limits else wanted
+        torque = limited(wanted, bounds)
         # the weights get the input that would have given this torque
-        applied = (
-            shaped + times(np.asarray(np.linalg.inv(W.D), dtype=np.float64), torque - wanted) if limits else shaped
-        )
+        inverse = np.asarray(np.linalg.inv(W.D), dtype=np.float64)
+        applied = shaped + times(inverse, torque - wanted) if bounds else shaped
         updated = times(K.A, inside) + times(K.B, deviation), times(W.A, outside) + times(W.B, applied)
         return torque, casadi.vertcat(*updated)
 
-    return block(
-        name,
-        f"H-infinity loop shaping of order {order + n}",
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=[*references(joints, "position"), *measurements(joints, "position"), *feedforwards(joints)],
-        outputs=torques(joints),
-        parameters=limits.parameters(joints) if limits else (),
-        states=[0.0] * (order + n),
-    )
+    what, takes = f"H-infinity loop shaping of order {size}", ("reference.position", "position", "feedforward")
+    return joint_block("h_infinity", what, law, takes, TORQUE, {}, limits=limits, states=[0.0] * size, **options)
 
 
 def _positive(values: PerJoint, what: str, unit: str, name: str) -> RealArray:
@@ -300,17 +280,3 @@ def _positive(values: PerJoint, what: str, unit: str, name: str) -> RealArray:
         if not each > 0.0:
             raise InputError(f"{name}: {what} must be positive, got {each:g} {unit}")
     return found
-
-
-@builds(HInfinitySection)
-def _from_section(section: HInfinitySection, context: LoopContext) -> SymbolicBlock:
-    x, y = positions_along(context.along_path, {"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose])[0].tolist()
-    return h_infinity(
-        context.scene,
-        (x, y),
-        section.bandwidth,
-        section.integral_time,
-        limits=torque_limits(section.torque_limit),
-        sample_time=section.sample_time,
-        offset=section.offset,
-    )

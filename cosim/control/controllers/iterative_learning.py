@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
+from typing import Unpack
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector, block
-from flexfmu.cosim.control.controllers.joints import (
-    JOINTS,
-    JointQuantity,
-    PerJoint,
-    feedforward_outputs,
-    gains,
-    measurements,
-    references,
-)
+from flexfmu.cosim.control.blocks.equations import Vector
+from flexfmu.cosim.control.controllers.joints import JOINTS, JointOptions, JointQuantity, PerJoint, joint_block
 from flexfmu.cosim.control.controllers.learning_laws import LearningLaw, norm_optimal_law, proportional_law, zero_phase
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
@@ -46,14 +39,11 @@ def iterative_learning(
     gain: PerJoint,
     cycle: int,
     *,
-    sample_time: float,
-    offset: float = 0.0,
     shift: int = 1,
     forgetting: float = 0.0,
     q_filter: float | None = None,
     learn_from: JointQuantity = "position",
-    joints: Sequence[str] = JOINTS,
-    name: str = "learning",
+    **options: Unpack[JointOptions],
 ) -> SymbolicBlock:
     """Build the block whose output w is the learned feedforward: for each joint, cycle j and sample k = 0 .. N - 1 ::
 
@@ -70,41 +60,34 @@ def iterative_learning(
     Args:
         gain: learning gain [N.m/rad] (or [N.m.s/rad] for velocities).
         cycle: N, samples in a cycle.
-        sample_time: time between samples [s].
-        offset: first sample instant [s].
         shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
         forgetting: share that is forgotten in each cycle, from 0 to below 1; a few percent add robustness and leave an
             error.
         q_filter: cut-off of the low-pass without phase, `zero_phase` [Hz]; None for none.
         learn_from: quantity whose error is learned from: ``position``, ``velocity`` or ``acceleration``.
-        joints: names of the joints.
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
 
     Raises:
         InputError: cycle, shift, forgetting, a gain, the cut-off or the sample time is out of range.
     """
-    _check_cycle(cycle, forgetting, name)
+    name, joints = _check_cycle(cycle, forgetting, options)
     if shift != int(shift) or not 0 <= shift < cycle:
         raise InputError(f"{name}: the shift must be 0 to {cycle - 1} samples, less than a cycle, got {shift}")
-    law = proportional_law(shift, forgetting, zero_phase(q_filter, sample_time, (cycle - 1 - shift) // 2), len(joints))
-    learning_gains = gain, GAIN_UNITS[learn_from]
-    return _block(
-        "P-type iterative learning", law, cycle, None, learning_gains, sample_time, offset, learn_from, joints, name
-    )
+    taps = zero_phase(q_filter, options["sample_time"], (cycle - 1 - shift) // 2)
+    law = proportional_law(shift, forgetting, taps, len(joints))
+    unit = GAIN_UNITS[learn_from]
+    return _block("P-type iterative learning", law, cycle, None, (gain, unit), learn_from, **options)
 
 
 def norm_optimal_learning(
     response: RealArray,
     places: RealArray,
     *,
-    sample_time: float,
-    offset: float = 0.0,
     regularisation: float = 1e-3,
     forgetting: float = 0.0,
     q_filter: float | None = None,
     gain: PerJoint = 1.0,
-    joints: Sequence[str] = JOINTS,
-    name: str = "learning",
+    **options: Unpack[JointOptions],
 ) -> SymbolicBlock:
     """Build the block that learns by the norm-optimal law of `learning_laws`; signals as for `iterative_learning`.
 
@@ -119,49 +102,35 @@ def norm_optimal_learning(
         regularisation: r, relative to the largest squared gain of P.
         forgetting, q_filter: as for `iterative_learning`.
         gain: factor of what is learned from a cycle, ``joint1.learning_gain``.
-        joints: names of the joints.
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
 
     Raises:
         InputError: an argument is out of range, or the response has another shape or isn't finite.
     """
-    cycle, n = len(places), len(joints)
-    _check_cycle(cycle, forgetting, name)
-    shape = response.shape
-    if (
-        len(shape) != 4
-        or not shape[1] > 0
-        or shape[2:] != (n, n)
-        or not np.isfinite(response).all()
-        or not response.any()
-    ):
+    cycle, shape = len(places), response.shape
+    name, joints = _check_cycle(cycle, forgetting, options)
+    n = len(joints)
+    fits = len(shape) == 4 and shape[1] > 0 and shape[2:] == (n, n)
+    if not (fits and np.isfinite(response).all() and response.any()):
         raise InputError(
             f"{name}: the response must be finite angles of {n} joints after torques of {n} joints, (places, samples, {n}, {n}), got shape {shape}"
         )
     if not (isfinite(regularisation) and regularisation > 0.0):
         raise InputError(f"{name}: the regularisation must be above 0, got {regularisation}")
     longest = max(1, (cycle - 1) // 2)
-    law = norm_optimal_law(response, regularisation, forgetting, zero_phase(q_filter, sample_time, longest), longest)
-    return _block(
-        "Norm-optimal iterative learning",
-        law,
-        cycle,
-        places,
-        (gain, "1"),
-        sample_time,
-        offset,
-        "position",
-        joints,
-        name,
-    )
+    taps = zero_phase(q_filter, options["sample_time"], longest)
+    law = norm_optimal_law(response, regularisation, forgetting, taps, longest)
+    return _block("Norm-optimal iterative learning", law, cycle, places, (gain, "1"), "position", **options)
 
 
-def _check_cycle(cycle: int, forgetting: float, name: str) -> None:
-    """Check number of samples and forgetting; errors as above."""
+def _check_cycle(cycle: int, forgetting: float, options: JointOptions) -> tuple[str, Sequence[str]]:
+    """Check number of samples and forgetting; return the block's name and its joints. Errors as above."""
+    name = options.get("name", "learning")
     if cycle != int(cycle) or not 1 <= cycle <= MAXIMUM_TABLE:
         raise InputError(f"{name}: a cycle must have 1 to {MAXIMUM_TABLE} samples, got {cycle}")
     if not (isfinite(forgetting) and 0.0 <= forgetting < 1.0):
         raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")
+    return name, options.get("joints", JOINTS)
 
 
 def _block(
@@ -170,18 +139,15 @@ def _block(
     cycle: int,
     places: RealArray | None,
     gain: tuple[PerJoint, str],
-    sample_time: float,
-    offset: float,
     learn_from: JointQuantity,
-    joints: Sequence[str],
-    name: str,
+    **options: Unpack[JointOptions],
 ) -> SymbolicBlock:
     """Build the block of a law; places (N,) may be None with a law for one place. A sample's torque is learned ``ahead`` samples later.
 
     States are the number of the sample within the cycle, and of each joint: torques of the next N samples, of which the last ``ahead``
     haven't learned yet; torques of the m samples before those, as they were; the last V - 1 errors.
     """
-    n, ahead, m = len(joints), max(law.ahead, law.behind), law.behind
+    n, ahead, m = len(options.get("joints", JOINTS)), max(law.ahead, law.behind), law.behind
     # errors in the order of time: the last one is the present one
     error = np.pad(law.error, ((0, 0), (0, ahead - law.ahead), (0, 0), (0, 0)))
     count = error.shape[1]
@@ -190,8 +156,8 @@ def _block(
 
     ends = np.cumsum([1, n * cycle, n * m, n * (count - 1)])
 
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        k, now = x[0], u[:n] - u[n:]
+    def equations(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        k, now = x[0], signals[0] - signals[1]
         if law.stops:
             now = casadi.if_else(k >= ahead, now, casadi.MX.zeros(n))
         queues, olds, lasts = (
@@ -209,7 +175,7 @@ def _block(
         for i, queue in enumerate(queues):
             # the sample that learns, with the torques before and after it
             around = casadi.vertcat(olds[i], queue[cycle - ahead :, 0], queue[0])
-            new = casadi.dot(torque, around[: 2 * m + 1, 0]) + p[i] * learned[i]
+            new = casadi.dot(torque, around[: 2 * m + 1, 0]) + gains[0][i] * learned[i]
             rest = (queue[cycle - ahead + 1 :, 0], queue[0]) if ahead else ()
             moved.append(casadi.vertcat(queue[1 : cycle - ahead, 0], new, *rest))
             kept.append(around[1 : m + 1, 0])
@@ -220,18 +186,16 @@ def _block(
         return output, casadi.vertcat(following, *moved, *(kept if m else ()), *memory)
 
     after = np.zeros(0) if places is None else np.roll(places, ahead)
-    values, unit = gain
-    return block(
-        name,
+    return joint_block(
+        "learning",
         f"{what} over cycles",
         equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=[*references(joints, learn_from), *measurements(joints, learn_from)],
-        outputs=feedforward_outputs(joints, "Learned torque"),
-        parameters=gains(joints, "learning_gain", values, unit, "Learning gain"),
+        (f"reference.{learn_from}", learn_from),
+        ("feedforward", "Learned torque of {}"),
+        {"learning_gain": (*gain, "Learning gain")},
         states=[0.0] * int(ends[-1]),
         symbol=casadi.MX,
+        **options,
     )
 
 
@@ -261,48 +225,36 @@ def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
 
 def law_of(section: LearningSection, cycle: int) -> tuple[LearningLaw, tuple[float, float]]:
     """The law of a section that leaves nothing open, and its gains, for a cycle of so many samples; errors as above."""
-    cut_off = None if section.cut_off == "auto" else section.cut_off
-    if section.response is None:
-        taps = zero_phase(cut_off, section.sample_time, (cycle - 1 - section.lead) // 2)
-        return proportional_law(section.lead, section.forgetting, taps, len(JOINTS)), section.gain or (1.0, 1.0)
-    taps, longest = zero_phase(cut_off, section.sample_time, (cycle - 1) // 2), (cycle - 1) // 2
-    return norm_optimal_law(np.array(section.response), section.regularisation, section.forgetting, taps, longest), (
-        1.0,
-        1.0,
-    )
+    s, cut_off = section, None if section.cut_off == "auto" else section.cut_off
+    if s.response is None:
+        taps = zero_phase(cut_off, s.sample_time, (cycle - 1 - s.lead) // 2)
+        return proportional_law(s.lead, s.forgetting, taps, len(JOINTS)), s.gain or (1.0, 1.0)
+    longest = (cycle - 1) // 2
+    taps = zero_phase(cut_off, s.sample_time, longest)
+    return norm_optimal_law(np.array(s.response), s.regularisation, s.forgetting, taps, longest), (1.0, 1.0)
 
 
 @builds(LearningSection)
-def _from_section(section: LearningSection, context: LoopContext) -> SymbolicBlock:
-    h, offset = section.sample_time, section.offset
+def _from_section(s: LearningSection, context: LoopContext) -> SymbolicBlock:
     if context.is_about_rest:
-        return iterative_learning(1.0, 1, shift=0, sample_time=h, offset=offset, name=PROBE)
-    cycle = samples_in_a_cycle(context.period, h)
-    if section.cut_off == "auto" or (section.law == "norm-optimal" and section.response is None):
-        what = "the cut-off of the Q-filter" if section.cut_off == "auto" else "the `response` of its law"
+        return iterative_learning(1.0, 1, shift=0, name=PROBE, **s.sampling)
+    cycle = samples_in_a_cycle(context.period, s.sample_time)
+    if s.cut_off == "auto" or (s.law == "norm-optimal" and s.response is None):
+        what = "the cut-off of the Q-filter" if s.cut_off == "auto" else "the `response` of its law"
         raise InputError(
             f"{context.name} leaves {what} open: run the scene with `flexfmu.run`, or choose first, with "
             f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
         )
-    if section.response is None:
-        gain, cut_off = section.gain or (0.0, 0.0), section.cut_off
-        return iterative_learning(
-            gain,
-            cycle,
-            shift=section.lead,
-            forgetting=section.forgetting,
-            q_filter=cut_off,
-            sample_time=h,
-            offset=offset,
-        )
+    if s.response is None:
+        gain, lost = s.gain or (0.0, 0.0), s.forgetting
+        return iterative_learning(gain, cycle, shift=s.lead, forgetting=lost, q_filter=s.cut_off, **s.sampling)
     return norm_optimal_learning(
-        np.array(section.response),
-        places_of(context, np.asarray(offset + h * np.arange(cycle), dtype=float)),
-        regularisation=section.regularisation,
-        forgetting=section.forgetting,
-        q_filter=section.cut_off,
-        sample_time=h,
-        offset=offset,
+        np.array(s.response),
+        places_of(context, np.asarray(s.offset + s.sample_time * np.arange(cycle), dtype=float)),
+        regularisation=s.regularisation,
+        forgetting=s.forgetting,
+        q_filter=s.cut_off,
+        **s.sampling,
     )
 
 

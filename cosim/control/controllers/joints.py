@@ -1,18 +1,28 @@
-"""Variables, gains, torque limits and equations that all joint controllers share."""
+"""What all joint controllers share: their signals, gains and limits, and the block of a law.
+
+A maker of a joint controller takes its gains, one number for all joints or one for each, and the options of `JointOptions`. Gains and
+limits are tunable parameters of the block, ``joint1.<gain>``, ``joint1.torque.minimum``, ``joint1.torque.maximum``; signals are named
+``joint1.<signal>``, and a feedforward that isn't connected is zero. ``limits`` are torque limits [N.m]: `Limits`, a number or one for each
+joint for both ways, or None for none.
+
+Raises:
+    InputError: a gain is negative or not finite, their number doesn't fit, a lower limit isn't below its upper one, or the sample time
+        isn't positive.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal, Unpack
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Equations, Vector, split
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block, split
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 JOINTS = ("joint1", "joint2")
 """Actuated joints of the five-bar."""
@@ -23,53 +33,42 @@ UNITS: dict[JointQuantity, str] = {"position": "rad", "velocity": "rad/s", "acce
 PerJoint = float | Sequence[float]
 """One number for all joints, or one for each."""
 
+Gains = Mapping[str, tuple[PerJoint, str, str]]
+"""Last part of a parameter's name → values, unit, description."""
 
-def references(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
-    """Return the inputs ``joint1.reference.position`` and so on, those of the first kind first."""
+
+class JointOptions(BlockOptions, total=False):
+    """Options of all blocks of joints; ``joints`` are their names."""
+
+    joints: Sequence[str]
+
+
+SIGNALS: dict[str, tuple[str, str]] = {
+    **{str(kind): (unit, f"Measured {kind} of") for kind, unit in UNITS.items()},
+    **{f"reference.{kind}": (unit, f"Reference {kind} of") for kind, unit in UNITS.items()},
+    "command.velocity": ("rad/s", "Velocity that the outer loop commands of"),
+    "command.torque": ("N.m", "Torque that the outer loop commands of"),
+    "torque": ("N.m", "Torque that drives"),
+    "feedforward": ("N.m", "Torque added to that of the controller of"),
+}
+"""Name of a joint's signal → unit, description."""
+
+TORQUE = "torque", "Torque of {}, counter-clockwise"
+"""Output of a controller."""
+
+
+def joint_inputs(joints: Sequence[str], *names: str) -> list[Variable]:
+    """Return the inputs ``joint1.<name>`` and so on, out of `SIGNALS`, those of the first name first."""
     return [
-        Variable(f"{joint}.reference.{kind}", UNITS[kind], f"Reference {kind} of {joint}", "input", 0.0)
-        for kind in kinds
+        Variable(f"{joint}.{name}", SIGNALS[name][0], f"{SIGNALS[name][1]} {joint}", "input", 0.0)
+        for name in names
         for joint in joints
     ]
 
 
-def measurements(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
-    """Return the inputs ``joint1.position`` and so on, those of the first kind first."""
-    return [
-        Variable(f"{joint}.{kind}", UNITS[kind], f"Measured {kind} of {joint}", "input", 0.0)
-        for kind in kinds
-        for joint in joints
-    ]
-
-
-def feedforwards(joints: Sequence[str]) -> list[Variable]:
-    """Return the inputs ``joint1.feedforward``: torques that are added before the limits."""
-    return [
-        Variable(f"{joint}.feedforward", "N.m", f"Torque added to that of the controller of {joint}", "input", 0.0)
-        for joint in joints
-    ]
-
-
-def feedforward_outputs(joints: Sequence[str], what: str) -> list[Variable]:
-    """Return the outputs ``joint1.feedforward`` of a slave that calculates feedforward torques."""
-    return [Variable(f"{joint}.feedforward", "N.m", f"{what} of {joint}", "output") for joint in joints]
-
-
-def torques(joints: Sequence[str]) -> list[Variable]:
-    """Return the outputs ``joint1.torque``."""
-    return [Variable(f"{joint}.torque", "N.m", f"Torque of {joint}, counter-clockwise", "output") for joint in joints]
-
-
-def gains(joints: Sequence[str], name: str, values: PerJoint, unit: str, what: str) -> list[Variable]:
-    """Return the tunable parameters ``joint1.<name>``, zero or positive.
-
-    Raises:
-        InputError: there isn't one finite, non-negative value for each joint.
-    """
-    return [
-        Variable(f"{joint}.{name}", unit, f"{what} of {joint}", "parameter", value, minimum=0.0, tunable=True)
-        for joint, value in zip(joints, per_joint(joints, name, values, unit, minimum=0.0), strict=True)
-    ]
+def joint_outputs(joints: Sequence[str], name: str, text: str) -> list[Variable]:
+    """Return the outputs ``joint1.<name>`` and so on; {} in the text stands for the joint."""
+    return [Variable(f"{joint}.{name}", SIGNALS[name][0], text.format(joint), "output") for joint in joints]
 
 
 def per_joint(
@@ -107,24 +106,9 @@ class Limits:
     lower: PerJoint
     upper: PerJoint
 
-    def parameters(self, joints: Sequence[str]) -> list[Variable]:
-        """Return the tunable parameters ``joint1.torque.minimum``, ..., ``joint1.torque.maximum``, ...
 
-        Raises:
-            InputError: a limit isn't finite, or the lower one isn't below the upper one.
-        """
-        # lower limit below upper limit for every joint
-        lower = per_joint(joints, "the lower torque limit", self.lower, "N.m")
-        upper = per_joint(joints, "the upper torque limit", self.upper, "N.m")
-        for joint, low, high in zip(joints, lower, upper, strict=True):
-            if not low < high:
-                raise InputError(f"{joint}: the lower torque limit {low} N.m must be below the upper one, {high} N.m")
-        # all minima, then all maxima: the order in which equations split them
-        return [
-            Variable(f"{joint}.torque.{end}", "N.m", f"The {end} torque of {joint}", "parameter", value, tunable=True)
-            for end, values in (("minimum", lower), ("maximum", upper))
-            for joint, value in zip(joints, values, strict=True)
-        ]
+TorqueLimits = Limits | PerJoint | None
+"""Limits, or one number for both ways; None for none."""
 
 
 def symmetric(limit: PerJoint) -> Limits:
@@ -133,9 +117,30 @@ def symmetric(limit: PerJoint) -> Limits:
     return Limits(lower, limit)
 
 
-def torque_limits(limit: PerJoint | None) -> Limits | None:
-    """Return the limits ±limit [N.m] of a section of the scene file; None for none."""
-    return None if limit is None else symmetric(limit)
+def bounds_of(limits: TorqueLimits, joints: Sequence[str]) -> tuple[tuple[float, ...], ...]:
+    """Return lower and upper limits of each joint; empty for none.
+
+    Raises:
+        InputError: a limit isn't finite, or the lower one isn't below the upper one.
+    """
+    if limits is None:
+        return ()
+    limits = limits if isinstance(limits, Limits) else symmetric(limits)
+    lower = per_joint(joints, "the lower torque limit", limits.lower, "N.m")
+    upper = per_joint(joints, "the upper torque limit", limits.upper, "N.m")
+    for joint, low, high in zip(joints, lower, upper, strict=True):
+        if not low < high:
+            raise InputError(f"{joint}: the lower torque limit {low} N.m must be below the upper one, {high} N.m")
+    return lower, upper
+
+
+def limit_parameters(limits: TorqueLimits, joints: Sequence[str]) -> list[Variable]:
+    """Return the tunable parameters of limits: all minima, then all maxima; errors as for `bounds_of`."""
+    return [
+        Variable(f"{joint}.torque.{end}", "N.m", f"The {end} torque of {joint}", "parameter", value, tunable=True)
+        for end, values in zip(("minimum", "maximum"), bounds_of(limits, joints), strict=False)
+        for joint, value in zip(joints, values, strict=True)
+    ]
 
 
 def saturate(value: Vector, lower: Vector, upper: Vector) -> Vector:
@@ -143,31 +148,65 @@ def saturate(value: Vector, lower: Vector, upper: Vector) -> Vector:
     return casadi.if_else(value > upper, upper, casadi.if_else(value < lower, lower, value))
 
 
+def limited(value: Vector, bounds: Sequence[Vector]) -> Vector:
+    """Return the value within its lower and upper bounds; as it is where there are none."""
+    return saturate(value, *bounds) if bounds else value
+
+
 Law = Callable[[Vector, list[Vector], list[Vector]], tuple[Vector, Vector]]
-"""(states, signals, gains) → (torques before feedforward and limits, next states); every signal and every gain is a
-vector with one element for each joint."""
+"""(states, signals, gains and limits) → (outputs, next states); every signal, gain and limit is a vector with one element for each
+joint."""
 
 
-def torque_equations(law: Law, joints: Sequence[str], limits: Limits | None) -> Equations:
-    """Return the equations of torque = sat(law + feedforward).
-
-    The block's inputs must end with `feedforwards`, its parameters with those of the limits.
+def joint_block(
+    kind: str,
+    description: str,
+    law: Law,
+    takes: Sequence[str],
+    gives: tuple[str, str],
+    gains: Gains,
+    *,
+    limits: TorqueLimits = None,
+    further: Sequence[Variable] = (),
+    states: Sequence[float] = (),
+    latency: Sequence[float] = (),
+    symbol: Any = casadi.SX,
+    joints: Sequence[str] = JOINTS,
+    **options: Unpack[BlockOptions],
+) -> SymbolicBlock:
+    """Build the block of a law.
 
     Args:
-        law: the control law.
-        joints: names of the joints.
-        limits: torque limits; None for none.
+        kind, description: of the block; the kind is its name by default.
+        law: the law, in which limits follow the gains.
+        takes: names of its signals, out of `SIGNALS`.
+        gives: name of its output, and description with {} for the joint.
+        gains: its tunable parameters, zero or positive.
+        limits: torque limits.
+        further: parameters after those of the limits.
+        states: start values.
+        latency: delay of each output at low frequency [s].
+        symbol: see `block`.
+        joints, options: see `JointOptions`.
+
+    Raises:
+        InputError: as above.
     """
-    n = len(joints)
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # signals, gains and limits, each with one element for each joint
-        *signals, feedforward = split(u, n)
-        gains = split(p, n)
-        lower, upper = (gains.pop(-2), gains.pop()) if limits else (None, None)
-        # the law, the feedforward, then the limits
-        torque, following = law(x, signals, gains)
-        torque = torque + feedforward
-        return saturate(torque, lower, upper) if limits else torque, following
-
-    return equations
+    parameters = [
+        Variable(f"{joint}.{name}", unit, f"{what} of {joint}", "parameter", value, minimum=0.0, tunable=True)
+        for name, (values, unit, what) in gains.items()
+        for joint, value in zip(joints, per_joint(joints, name, values, unit, minimum=0.0), strict=True)
+    ]
+    outputs, n = joint_outputs(joints, *gives), len(joints)
+    return block(
+        kind,
+        description,
+        lambda x, u, p: law(x, split(u, n), split(p, n)),
+        inputs=joint_inputs(joints, *takes),
+        outputs=outputs,
+        parameters=[*parameters, *limit_parameters(limits, joints), *further],
+        states=states,
+        symbol=symbol,
+        latency={each.name: delay for each, delay in zip(outputs, latency, strict=False)},
+        **options,
+    )

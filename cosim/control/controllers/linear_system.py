@@ -179,13 +179,7 @@ def variables(signals: Sequence[Signal], causality: Causality) -> list[Variable]
 
 @builds(StateSpaceSection)
 def _from_section(section: StateSpaceSection, context: LoopContext) -> SymbolicBlock:
-    system = linear_system(
-        section.A,
-        section.B,
-        section.C,
-        section.D,
-        sample_time=section.sample_time,
-        inputs=section.inputs,
-        outputs=section.outputs,
+    s, h = section, section.sample_time
+    return state_space(
+        linear_system(s.A, s.B, s.C, s.D, sample_time=h, inputs=s.inputs, outputs=s.outputs), offset=s.offset
     )
-    return state_space(system, offset=section.offset)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.control.controllers.function_controller import FunctionController
-from flexfmu.cosim.control.controllers.joints import JOINTS, measurements, references, torques
+from flexfmu.cosim.control.controllers.joints import JOINTS, TORQUE, joint_inputs, joint_outputs
 from flexfmu.cosim.control.controllers.named_signals import named_signals
 from flexfmu.cosim.engine.errors import InputError
 
@@ -60,9 +60,9 @@ def controller(
         InputError: an argument has no default, a name is repeated, a number isn't finite, or the sample time isn't positive.
     """
     units = units or {}
-    standard = [*references(JOINTS, "position", "velocity"), *measurements(JOINTS, "position", "velocity")]
+    standard = joint_inputs(JOINTS, "reference.position", "reference.velocity", "position", "velocity")
     taken = standard if inputs is None else named_signals(inputs, "input", units)
-    given = torques(JOINTS) if outputs is None else named_signals(outputs, "output", units)
+    given = joint_outputs(JOINTS, *TORQUE) if outputs is None else named_signals(outputs, "output", units)
     states = tuple(float(value) for value in np.atleast_1d(np.asarray(state, dtype=float)))
 
     def decorate(function: Callable[..., Any]) -> FunctionController:

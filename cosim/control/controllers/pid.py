@@ -1,6 +1,6 @@
-"""PID control of the joints, from measured angles alone.
+"""PD control of the joints from measured angles and rates, and PID control from measured angles alone; shared arguments: `joints`.
 
-The continuous controller I' = K_i (q_r - q), T_f D' + D = K_d (c q_r - q)' is discretised exactly for signals that are
+The continuous PID controller I' = K_i (q_r - q), T_f D' + D = K_d (c q_r - q)' is discretised exactly for signals that are
 linear between the samples (triangle-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of
 Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, sample time h and a = exp(-h / T_f)::
 
@@ -17,76 +17,73 @@ Control, ISA 2006, sections 3.3 to 3.5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
+from typing import Unpack
 
 import casadi
 
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping, from_section
+from flexfmu.cosim.control.blocks.equations import Vector, split
+from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping, limited_sum, rule_of
 from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    Limits,
+    TORQUE,
+    JointOptions,
     PerJoint,
-    feedforwards,
-    gains,
-    measurements,
+    TorqueLimits,
+    joint_block,
+    limited,
     per_joint,
-    references,
-    saturate,
-    torque_limits,
-    torques,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.controllers import FeedforwardSection, GravityFeedforwardSection, PidSection
+from flexfmu.model.scene.controllers import FeedforwardSection, GravityFeedforwardSection, PdSection, PidSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
 
 
-@dataclass(frozen=True)
-class PidLaw:
-    """The PID law at the top of this module, for all joints at once.
+def pd(
+    proportional: PerJoint, derivative: PerJoint, *, limits: TorqueLimits = None, **options: Unpack[JointOptions]
+) -> SymbolicBlock:
+    """Build the block: torque = sat(K_p (q_r - q) + K_d (v_r - v) + feedforward) for each joint, without states.
 
-    Attributes:
-        joints: number of joints n.
-        sample_time: h [s].
-        setpoint_weight, derivative_weight: b and c.
-        anti_windup: rule for the integral at the torque limits; None for no limits.
+    Inputs: ``joint1.reference.position``, ``.velocity``, ``joint1.position``, ``joint1.velocity``, ``joint1.feedforward``; output
+    ``joint1.torque``. The gains are ``joint1.proportional_gain`` and ``joint1.derivative_gain``.
+
+    Args:
+        proportional: K_p [N.m/rad].
+        derivative: K_d [N.m.s/rad].
+        limits: torque limits.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
+
+    Raises:
+        InputError: see `joints`.
     """
 
-    joints: int
-    sample_time: float
-    setpoint_weight: float
-    derivative_weight: float
-    anti_windup: AntiWindup | None
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        q_r, v_r, q, v, feedforward = signals
+        k_p, k_d, *bounds = gains
+        return limited(k_p * (q_r - q) + k_d * (v_r - v) + feedforward, bounds), x
 
-    def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return torques (n, 1) and next states: a flag, 1 after the first sample, and the last I, D, e and d."""
-        n, h = self.joints, self.sample_time
-        started, carried, slope, last_e, last_d = split(x, 1, n)
-        q_r, q, feedforward = split(u, n)
-        k_p, k_i, k_d, t_f, *bounds = split(p, n)
-        e, d = q_r - q, self.derivative_weight * q_r - q
-        # the weight acts on changes of the reference since the first sample: angles have any origin
-        running = casadi.repmat(started, n, 1)
-        if self.setpoint_weight != 1.0:
-            carried = carried + casadi.if_else(running, 0.0, (1.0 - self.setpoint_weight) * k_p * q_r)
-        # integral and filtered derivative; both stay as they are at the first sample
-        increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
-        fading = casadi.exp(-h / t_f)
-        slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
-        rest = k_p * (self.setpoint_weight * q_r - q) + slope + feedforward
-        # limits, with anti-windup
-        if self.anti_windup is None:
-            torque, carried = rest + carried + increment, carried + increment
-        else:
-            lower, upper = bounds
-            now, carried = self.anti_windup.integrate(carried, increment, rest, lower, upper, h)
-            torque = saturate(rest + now, lower, upper)
-        return torque, casadi.vertcat(1.0, carried, slope, e, d)
+    return joint_block(
+        "pd",
+        "PD control of the joints",
+        law,
+        ("reference.position", "reference.velocity", "position", "velocity", "feedforward"),
+        TORQUE,
+        {
+            "proportional_gain": (proportional, "N.m/rad", "Proportional gain"),
+            "derivative_gain": (derivative, "N.m.s/rad", "Derivative gain"),
+        },
+        limits=limits,
+        **options,
+    )
+
+
+@builds(PdSection)
+def _pd_of_section(s: PdSection, context: LoopContext) -> SymbolicBlock:
+    return with_schedule(pd(s.proportional, s.derivative, limits=s.torque_limit, **s.sampling), s.schedule, context)
 
 
 def pid(
@@ -94,75 +91,78 @@ def pid(
     integral: PerJoint,
     derivative: PerJoint,
     *,
-    sample_time: float,
-    offset: float = 0.0,
     filter_time: PerJoint = 0.0,
     setpoint_weight: float = 1.0,
     derivative_weight: float = 1.0,
-    limits: Limits | None = None,
+    limits: TorqueLimits = None,
     anti_windup: AntiWindup = CLAMPING,
     initial_torque: PerJoint = 0.0,
-    joints: Sequence[str] = JOINTS,
-    name: str = "pid",
+    **options: Unpack[JointOptions],
 ) -> SymbolicBlock:
     """Build the block: PID control of each joint by the law at the top of this module, plus a feedforward.
 
-    Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless connected); output
-    ``joint1.torque``. Gains, filter times and limits are tunable parameters ``joint1.proportional_gain``,
-    ``.integral_gain``, ``.derivative_gain``, ``.filter_time``, ``.torque.minimum``, ``.torque.maximum``.
+    Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward``; output ``joint1.torque``. Gains and filter times
+    are ``joint1.proportional_gain``, ``.integral_gain``, ``.derivative_gain``, ``.filter_time``.
 
     Args:
         proportional: K_p [N.m/rad].
         integral: K_i [N.m/(rad.s)].
         derivative: K_d [N.m.s/rad].
-        sample_time: time between samples [s].
-        offset: first sample instant [s].
         filter_time: T_f [s] of the derivative.
         setpoint_weight: b; below 1 it reduces the overshoot after a step of the reference. It counts from the first sample on.
         derivative_weight: c; with 0 only the measurement is differentiated.
-        limits: torque limits; None for none.
+        limits: torque limits.
         anti_windup: rule for the integral at the limits.
         initial_torque: torque at the first sample [N.m], without what an error there and the feedforward add: with that which
             holds the robot nothing moves.
-        joints: names of the joints.
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
 
     Raises:
-        InputError: a gain or time is negative or not finite, their number doesn't fit, or the sample time isn't
-            positive.
+        InputError: a weight isn't finite, or see `joints`.
     """
     # weights are constants, not parameters, so they are checked here
     for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):
         if not isfinite(weight):
+            name = options.get("name", "pid")
             raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
+    joints, h, b, c = options.get("joints", JOINTS), options["sample_time"], setpoint_weight, derivative_weight
     n = len(joints)
-    law = PidLaw(n, sample_time, setpoint_weight, derivative_weight, anti_windup if limits else None)
-    # start states: no sample yet, I at its initial torque, D, e and d zero
-    return block(
-        name,
+
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        # states: a flag, 1 after the first sample, and the last I, D, e and d
+        started, carried, slope, last_e, last_d = split(x, 1, n)
+        q_r, q, feedforward = signals
+        k_p, k_i, k_d, t_f, *bounds = gains
+        e, d = q_r - q, c * q_r - q
+        # the weight acts on changes of the reference since the first sample: angles have any origin
+        running = casadi.repmat(started, n, 1)
+        if b != 1.0:
+            carried = carried + casadi.if_else(running, 0.0, (1.0 - b) * k_p * q_r)
+        # integral and filtered derivative; both stay as they are at the first sample
+        increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
+        fading = casadi.exp(-h / t_f)
+        slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
+        torque, carried = limited_sum(
+            k_p * (b * q_r - q) + slope + feedforward, carried, increment, bounds, anti_windup, h
+        )
+        return torque, casadi.vertcat(1.0, carried, slope, e, d)
+
+    return joint_block(
+        "pid",
         "PID control of the joints",
-        law.equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=[*references(joints, "position"), *measurements(joints, "position"), *feedforwards(joints)],
-        outputs=torques(joints),
-        parameters=[
-            *gains(joints, "proportional_gain", proportional, "N.m/rad", "Proportional gain"),
-            *gains(joints, "integral_gain", integral, "N.m/rad/s", "Integral gain"),
-            *gains(joints, "derivative_gain", derivative, "N.m.s/rad", "Derivative gain"),
-            *gains(joints, "filter_time", filter_time, "s", "Time constant of the derivative filter"),
-            *(limits.parameters(joints) if limits else ()),
-        ],
+        law,
+        ("reference.position", "position", "feedforward"),
+        TORQUE,
+        {
+            "proportional_gain": (proportional, "N.m/rad", "Proportional gain"),
+            "integral_gain": (integral, "N.m/rad/s", "Integral gain"),
+            "derivative_gain": (derivative, "N.m.s/rad", "Derivative gain"),
+            "filter_time": (filter_time, "s", "Time constant of the derivative filter"),
+        },
+        limits=limits,
         states=[0.0, *per_joint(joints, "initial_torque", initial_torque, "N.m"), *[0.0] * (3 * n)],
+        **options,
     )
-
-
-GAINS = {
-    "proportional": "proportional_gain",
-    "integral": "integral_gain",
-    "derivative": "derivative_gain",
-}
-"""Key of a schedule → gain."""
 
 
 def _initial_torque(section: PidSection, context: LoopContext) -> Sequence[float]:
@@ -180,18 +180,17 @@ def _initial_torque(section: PidSection, context: LoopContext) -> Sequence[float
 
 
 @builds(PidSection)
-def _from_section(section: PidSection, context: LoopContext) -> SymbolicBlock:
+def _pid_of_section(s: PidSection, context: LoopContext) -> SymbolicBlock:
     controller = pid(
-        section.proportional,
-        section.integral,
-        section.derivative,
-        filter_time=section.filter_time,
-        setpoint_weight=section.setpoint_weight,
-        derivative_weight=section.derivative_weight,
-        limits=torque_limits(section.torque_limit),
-        anti_windup=from_section(section.anti_windup),
-        initial_torque=_initial_torque(section, context),
-        sample_time=section.sample_time,
-        offset=section.offset,
+        s.proportional,
+        s.integral,
+        s.derivative,
+        filter_time=s.filter_time,
+        setpoint_weight=s.setpoint_weight,
+        derivative_weight=s.derivative_weight,
+        limits=s.torque_limit,
+        anti_windup=rule_of(s.anti_windup),
+        initial_torque=_initial_torque(s, context),
+        **s.sampling,
     )
-    return with_schedule(controller, section.schedule, GAINS, context)
+    return with_schedule(controller, s.schedule, context)

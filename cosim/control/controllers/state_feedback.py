@@ -1,18 +1,30 @@
-"""State feedback with a prediction observer, reference feedforward and input limits."""
+"""State feedback with a prediction observer, reference feedforward and input limits; and its design for the torque-driven robot.
+
+The linear-quadratic regulator with a Kalman filter (LQG) is designed at a pose. Its gains solve the discrete algebraic Riccati
+equations of the sampled, linearised robot and of its dual: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic
+Systems, 3rd ed. 1998, sections 9.3 and 9.5.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector, block
-from flexfmu.cosim.control.controllers.joints import saturate
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block
+from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.joints import TorqueLimits, bounds_of, limited
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, matrix, times, variables
+from flexfmu.cosim.control.sections import builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
+from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.controllers import StateFeedbackSection
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -41,57 +53,6 @@ class Equilibrium:
     outputs: Sequence[float]
 
 
-@dataclass(frozen=True)
-class InputLimits:
-    """Lower and upper limit of each plant input, as absolute values, not deviations from the equilibrium."""
-
-    lower: Sequence[float]
-    upper: Sequence[float]
-
-
-@dataclass(frozen=True, eq=False)
-class StateFeedbackLaw:
-    """u = sat(u_0 + Nu r - K (x̂ - Nx r)), with the prediction observer ::
-
-        x̂_k+1 = A x̂_k + B (u_k - u_0) + L (y_k - y_0 - C x̂_k - D (u_k - u_0))
-
-    The estimation error has the poles of A - L C, the plant those of A - B K (separation). The observer uses the
-    saturated input, so the estimate stays right at the limits; no other anti-windup is needed. G. F. Franklin,
-    J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
-    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. K comes from `control.dlqr`, L from
-    `control.dlqe`.
-
-    Attributes:
-        plant: A, B, C, D.
-        K: (plant inputs, n) feedback gains.
-        L: (n, plant outputs) observer gains.
-        reference: Nx, Nu and the references r.
-        u_0, y_0: inputs and outputs at the equilibrium.
-        bounds: lower and upper limits of the inputs, (plant inputs,) each; None for none.
-    """
-
-    plant: LinearSystem
-    K: RealArray
-    L: RealArray
-    reference: ReferenceFeedforward
-    u_0: RealArray
-    y_0: RealArray
-    bounds: tuple[RealArray, RealArray] | None
-
-    def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return plant inputs and next estimate from the estimate x, u = [y, r] and no parameters."""
-        # deviations of measurements and references from the equilibrium
-        plant, r, outputs = self.plant, self.reference, len(self.plant.outputs)
-        deviation, target = u[:outputs, 0] - self.y_0, u[outputs:, 0] - np.reshape(r.base, (-1, 1))
-        # feedback and feedforward, within the limits
-        wanted = self.u_0 + times(r.Nu, target) - times(self.K, x - times(r.Nx, target))
-        applied = saturate(wanted, *self.bounds) if self.bounds else wanted
-        # the observer sees the limited input
-        effect = applied - self.u_0
-        innovation = deviation - times(plant.C, x) - times(plant.D, effect)
-        return applied, times(plant.A, x) + times(plant.B, effect) + times(self.L, innovation)
-
-
 def state_feedback(
     plant: LinearSystem,
     K: Any,
@@ -100,11 +61,19 @@ def state_feedback(
     offset: float = 0.0,
     reference: ReferenceFeedforward | None = None,
     equilibrium: Equilibrium | None = None,
-    limits: InputLimits | None = None,
+    limits: TorqueLimits = None,
     estimate: Sequence[float] | None = None,
     name: str = "state_feedback",
 ) -> SymbolicBlock:
-    """Build the block of `StateFeedbackLaw`.
+    """Build the block u = sat(u_0 + Nu r - K (x̂ - Nx r)), with the prediction observer ::
+
+        x̂_k+1 = A x̂_k + B (u_k - u_0) + L (y_k - y_0 - C x̂_k - D (u_k - u_0))
+
+    The estimation error has the poles of A - L C, the plant those of A - B K (separation). The observer uses the
+    saturated input, so the estimate stays right at the limits; no other anti-windup is needed. G. F. Franklin,
+    J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
+    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. K comes from `control.dlqr`, L from
+    `control.dlqe`.
 
     Its inputs are the plant's outputs and the references, its outputs the plant's inputs, under the same names. Only
     the references have direct feedthrough, the measurements have none.
@@ -116,7 +85,7 @@ def state_feedback(
         offset: first sample instant [s].
         reference: reference feedforward, for example `static_feedforward`; None regulates to the equilibrium.
         equilibrium: u_0 and y_0; zero when left out.
-        limits: limits of the plant's inputs; None for none.
+        limits: limits of the plant's inputs, as absolute values, not deviations from the equilibrium; None for none.
         estimate: x̂_0 (n,); zero when left out.
         name: name of the block.
 
@@ -126,26 +95,35 @@ def state_feedback(
     """
     # check every matrix and vector against the plant
     n, m, outputs = plant.order, len(plant.inputs), len(plant.outputs)
-    r = _checked(reference, plant, name)
-    law = StateFeedbackLaw(
-        plant,
-        matrix(K, (m, n), f"{name}: K"),
-        matrix(L, (n, outputs), f"{name}: L"),
-        r,
-        _values(equilibrium.inputs if equilibrium else None, m, f"{name}: equilibrium.inputs"),
-        _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs"),
-        _bounds(limits, m, name),
-    )
+    K, L = matrix(K, (m, n), f"{name}: K"), matrix(L, (n, outputs), f"{name}: L")
+    given = reference or ReferenceFeedforward((), np.zeros((n, 0)), np.zeros((m, 0)))
+    count = len(given.signals)
+    Nx, Nu = matrix(given.Nx, (n, count), f"{name}: Nx"), matrix(given.Nu, (m, count), f"{name}: Nu")
+    base = _values(given.base or None, count, f"{name}: base of the references")
+    u_0 = _values(equilibrium.inputs if equilibrium else None, m, f"{name}: equilibrium.inputs")
+    y_0 = _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs")
+    bounds = [np.array(each) for each in bounds_of(limits, [signal.name for signal in plant.inputs])]
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        # deviations of measurements and references from the equilibrium
+        deviation, target = u[:outputs, 0] - y_0, u[outputs:, 0] - np.reshape(base, (-1, 1))
+        # feedback and feedforward, within the limits
+        applied = limited(u_0 + times(Nu, target) - times(K, x - times(Nx, target)), bounds)
+        # the observer sees the limited input
+        effect = applied - u_0
+        innovation = deviation - times(plant.C, x) - times(plant.D, effect)
+        return applied, times(plant.A, x) + times(plant.B, effect) + times(L, innovation)
+
     # inputs: measurements, then references; states: the estimate
     return block(
         name,
         f"State feedback from an observer of order {n}",
-        law.equations,
+        equations,
         sample_time=plant.sample_time,
         offset=offset,
-        inputs=variables((*plant.outputs, *r.signals), "input"),
+        inputs=variables((*plant.outputs, *given.signals), "input"),
         outputs=variables(plant.inputs, "output"),
-        states=np.asarray(_values(estimate, n, f"{name}: estimate")).ravel().tolist(),
+        states=_values(estimate, n, f"{name}: estimate").tolist(),
     )
 
 
@@ -195,18 +173,6 @@ def reference_name(name: str) -> str:
     return f"{place}{dot}reference.{kind}"
 
 
-def _checked(reference: ReferenceFeedforward | None, plant: LinearSystem, name: str) -> ReferenceFeedforward:
-    """Return the feedforward with checked matrices; one without references for None."""
-    given = reference or ReferenceFeedforward((), np.zeros((plant.order, 0)), np.zeros((len(plant.inputs), 0)))
-    count = len(given.signals)
-    return ReferenceFeedforward(
-        given.signals,
-        matrix(given.Nx, (plant.order, count), f"{name}: Nx"),
-        matrix(given.Nu, (len(plant.inputs), count), f"{name}: Nu"),
-        [float(value) for value in np.asarray(_values(given.base or None, count, f"{name}: base of the references"))],
-    )
-
-
 def _values(values: Sequence[float] | None, count: int, what: str) -> RealArray:
     """Return (count,) finite numbers; zeros for None."""
     if values is None:
@@ -215,12 +181,102 @@ def _values(values: Sequence[float] | None, count: int, what: str) -> RealArray:
     return matrix(array.reshape(-1, 1), (count, 1), what)[:, 0]
 
 
-def _bounds(limits: InputLimits | None, count: int, name: str) -> tuple[RealArray, RealArray] | None:
-    """Return lower and upper limits, each (count,); None for none."""
-    if limits is None:
-        return None
-    lower = _values(limits.lower, count, f"{name}: limits.lower")
-    upper = _values(limits.upper, count, f"{name}: limits.upper")
-    if not (lower < upper).all():
-        raise InputError(f"{name}: every lower limit must be below its upper one, got {lower} and {upper}")
-    return lower, upper
+POSITIONS = ("joint1.position", "joint2.position")
+RATES = ("joint1.velocity", "joint2.velocity")
+TORQUES = ("joint1.torque", "joint2.torque")
+
+
+@dataclass(frozen=True)
+class LqgWeights:
+    """Deviations that cost one unit each (Bryson's rule), and the noise that the filter is designed for.
+
+    Attributes:
+        position_error: of each joint [rad].
+        velocity_error: of each joint [rad/s].
+        torque_deviation: of each motor, from its torque at the equilibrium [N.m].
+        torque_noise: standard deviation of a white disturbance torque [N.m].
+        measurement_noise: standard deviation of the measured angles [rad].
+    """
+
+    position_error: tuple[float, float] = (1e-3, 1e-3)
+    velocity_error: tuple[float, float] = (0.1, 0.1)
+    torque_deviation: tuple[float, float] = (10.0, 10.0)
+    torque_noise: float = 1.0
+    measurement_noise: float = 1e-5
+
+
+@one_blas_thread()
+def lqg(
+    scene: Scene,
+    position: tuple[float, float],
+    weights: LqgWeights | StateFeedbackSection | None = None,
+    *,
+    limits: TorqueLimits = None,
+    **options: Unpack[BlockOptions],
+) -> SymbolicBlock:
+    """Build the block: state feedback with a full-order observer, from measured angles alone.
+
+    The robot is linearised about its equilibrium at a pose, without Coulomb friction, and discretised with a zero-order hold of
+    the torques; `control.dlqr` and `control.dlqe` calculate the gains. Constant references are tracked without static error in
+    the linearised robot.
+
+    Args:
+        scene: the robot.
+        position: end-effector position of the rigid robot at the pose (2,) [m].
+        weights: of cost and noise; `LqgWeights()` when left out.
+        limits: torque limits; None for none.
+        options: ``sample_time`` [s], ``offset`` [s], ``name``.
+
+    Raises:
+        InputError: python-control is missing.
+        EquilibriumError: there is no equilibrium at the pose.
+    """
+    scene, h = without_coulomb_friction(scene), options["sample_time"]
+    # the plant: the linearised robot with zero-order hold; the cost needs the rates too
+    robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
+    units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")
+    every = (*POSITIONS, *RATES)
+    full = from_control(robot, method="zoh", sample_time=h, inputs=TORQUES, outputs=every, units=units)
+    K, L = _gains(full, weights or LqgWeights())
+    # the observer measures positions alone
+    units = {name: unit for name, unit in units.items() if name not in RATES}
+    measured = from_control(robot[:2, :], method="zoh", sample_time=h, inputs=TORQUES, outputs=POSITIONS, units=units)
+    # feedforward of the steady state that belongs to each reference, about the equilibrium
+    point = operating_point(scene, position)
+    rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())
+    reference = static_feedforward(measured, POSITIONS, rest)
+    start = np.asarray(motor_angles(scene.mechanism, scene.start)) - point.coordinates[:2]
+    estimate = (reference.Nx @ start).tolist()
+    return state_feedback(
+        measured,
+        K,
+        L,
+        offset=options.get("offset", 0.0),
+        reference=reference,
+        equilibrium=rest,
+        limits=limits,
+        estimate=estimate,
+        name=options.get("name", "state_feedback"),
+    )
+
+
+def _gains(robot: LinearSystem, weights: LqgWeights | StateFeedbackSection) -> tuple[RealArray, RealArray]:
+    """Return feedback gains K and observer gains L for a robot whose outputs are angles, then rates.
+
+    Raises:
+        InputError: python-control is missing.
+    """
+    try:
+        import control
+    except ImportError:
+        raise InputError("state feedback needs python-control; run: pip install flexfmu[control]") from None
+    # the regulator, by Bryson's rule: each deviation relative to its unit of cost
+    cost = robot.C.T @ np.diag(1.0 / np.square([*weights.position_error, *weights.velocity_error])) @ robot.C
+    K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(weights.torque_deviation)))
+    # the filter, from measured angles alone
+    noise = weights.torque_noise**2 * np.eye(2), weights.measurement_noise**2 * np.eye(2)
+    L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
+    return K, L
+
+
+builds(StateFeedbackSection)(lambda s, c: lqg(c.scene, c.position(s.pose), s, limits=s.torque_limit, **s.sampling))

@@ -12,7 +12,7 @@ import pytest
 from scipy import signal
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.control.filters import biquad, filter_block, high_pass, lead_lag, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel

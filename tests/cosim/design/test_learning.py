@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import flexfmu
-from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.computed_torque import tabulated_feedforward
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.design.effects.choice import resolved

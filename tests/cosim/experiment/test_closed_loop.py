@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.cli import run_scene as command
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.imperfections.payload_error import PayloadError
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.master import Outcome

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.master.algorithms import GaussSeidel, Implicit, Jacobi
@@ -236,7 +236,7 @@ def test_learning_controllers_share_their_motion(robot: Scene) -> None:
 
 
 CONTROLLERS = """
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 
 def damper(gain):
     return pd(gain, {derivative}, sample_time=1e-3, name="damper")

@@ -8,8 +8,7 @@ from typing import Any
 
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.control.imperfections.lag import lag

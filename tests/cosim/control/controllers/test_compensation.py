@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.compensation import friction_compensation, gravity_feedforward
-from flexfmu.cosim.control.controllers.disturbance_observer import disturbance_observer
+from flexfmu.cosim.control.controllers.compensation import disturbance_observer, friction_compensation
+from flexfmu.cosim.control.controllers.computed_torque import gravity_feedforward
 from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect

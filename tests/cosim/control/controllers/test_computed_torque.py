@@ -16,7 +16,7 @@ from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.block_codegen import sample_function

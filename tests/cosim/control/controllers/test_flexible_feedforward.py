@@ -8,7 +8,7 @@ from scipy.integrate import fixed_quad
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.flexible_feedforward import mean_torques, tabulated_feedforward
+from flexfmu.cosim.control.controllers.computed_torque import mean_torques, tabulated_feedforward
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene

@@ -15,8 +15,7 @@ from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.cascade import velocity_loop
 from flexfmu.cosim.control.controllers.gain_schedule import scheduled
 from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene

@@ -17,14 +17,14 @@ from scipy.linalg import expm
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.h_infinity import (
     System,
-    _block,
     closed_loop,
     coprime_controller,
     h_infinity,
     shape_loop,
+    shaped_block,
 )
 from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.lqg import lqg
+from flexfmu.cosim.control.controllers.state_feedback import lqg
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -120,7 +120,7 @@ def test_the_block_is_its_recursion_beside_an_exact_plant(limit: float | None) -
     plant = two_joints()
     found = shape_loop(plant, H, BANDWIDTH, TIMES)
     W, K, holding, target = found.weights, found.controller, np.array([1.5, -0.5]), np.array([0.02, -0.01])
-    slave = BlockSlave(_block(found, holding, sample_time=H, limits=None if limit is None else symmetric(limit)))
+    slave = BlockSlave(shaped_block(found, holding, sample_time=H, limits=None if limit is None else symmetric(limit)))
     names = [each.name for each in slave.variables]
 
     def places(text: str) -> NDArray[np.intp]:

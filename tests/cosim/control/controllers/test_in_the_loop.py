@@ -17,9 +17,14 @@ from flexfmu.cosim.control.controllers.from_control import control_block, from_c
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, state_space
-from flexfmu.cosim.control.controllers.lqg import LqgWeights, lqg
 from flexfmu.cosim.control.controllers.pid import pid
-from flexfmu.cosim.control.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
+from flexfmu.cosim.control.controllers.state_feedback import (
+    Equilibrium,
+    LqgWeights,
+    lqg,
+    state_feedback,
+    static_feedforward,
+)
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.function_controller import FunctionController, function_block
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.controllers.python_slave import FunctionSlave
 from flexfmu.cosim.engine.errors import InputError, SlaveError
 from flexfmu.cosim.exchange.slave_export import export_slaves

@@ -14,8 +14,7 @@ from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.gain_schedule import scheduled
 from flexfmu.cosim.control.controllers.joints import Limits, symmetric
-from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.symbolic import SymbolicBlock
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.joints import Limits
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, linear_system
 from flexfmu.cosim.control.controllers.state_feedback import (
     Equilibrium,
-    InputLimits,
     ReferenceFeedforward,
     reference_name,
     state_feedback,
@@ -114,7 +114,7 @@ def test_estimate_stays_right_at_the_limits() -> None:
     plant = two_masses()
     K, L = gains(plant)
     start = np.array([0.3, 0.0, 0.3, 0.0])
-    block = state_feedback(plant, K, L, limits=InputLimits([-1.0], [2.0]))
+    block = state_feedback(plant, K, L, limits=Limits([-1.0], [2.0]))
     states, estimates, actions = close(plant, block, start, {}, 60)
     assert actions.min() == -1.0
     assert actions.max() == 2.0
@@ -165,7 +165,7 @@ def test_reference_names(name: str, expected: str) -> None:
     ({"K": 3.0}, "K must be 1 x 4, got a number"),
     ({"estimate": [1.0]}, "state_feedback: estimate must be 4 x 1, got 1 x 1"),
     ({"equilibrium": Equilibrium([1.0, 2.0], [0.0])}, "equilibrium.inputs must be 1 x 1, got 2 x 1"),
-    ({"limits": InputLimits([1.0], [-1.0])}, "every lower limit must be below its upper one"),
+    ({"limits": Limits([1.0], [-1.0])}, "the lower torque limit 1.0 N.m must be below the upper one, -1.0 N.m"),
     ({"offset": -1.0}, "the offset must be zero or positive"),
     ({"reference": ReferenceFeedforward((), np.zeros((3, 0)), np.zeros((1, 0)))}, "Nx must be 4 x 0, got 3 x 0"),
 ])  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.imperfections.channels import Channel, chain, joint_channels, per_second
 from flexfmu.cosim.control.imperfections.delay import Lagrange, Thiran, delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import lag

@@ -12,8 +12,7 @@ import pytest
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.control.imperfections.delay import whole_delay

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from export_support.blocks import SAMPLE_TIME, expected
 from flexfmu.cosim.control.controllers.c_function import c_function
 from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
-from flexfmu.cosim.control.controllers.compensation import friction_compensation, gravity_feedforward
-from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
-from flexfmu.cosim.control.controllers.disturbance_observer import disturbance_observer
-from flexfmu.cosim.control.controllers.flexible_feedforward import tabulated_feedforward
+from flexfmu.cosim.control.controllers.compensation import disturbance_observer, friction_compensation
+from flexfmu.cosim.control.controllers.computed_torque import (
+    computed_torque,
+    gravity_feedforward,
+    inverse_dynamics_feedforward,
+    tabulated_feedforward,
+)
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.control.controllers.function_controller import function_block
 from flexfmu.cosim.control.controllers.gain_schedule import scheduled
@@ -28,11 +31,9 @@ from flexfmu.cosim.control.controllers.h_infinity import h_infinity
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning, norm_optimal_learning
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
-from flexfmu.cosim.control.controllers.lqg import lqg
 from flexfmu.cosim.control.controllers.own_function import controller
-from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.control.controllers.pid import pid
-from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
+from flexfmu.cosim.control.controllers.pid import pd, pid
+from flexfmu.cosim.control.controllers.state_feedback import lqg, state_feedback, static_feedforward
 from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import joint_channels
