@@ -52,9 +52,9 @@ def assert_rounding(found: Any, exact: Any, name: str = "") -> None:
 
 
 def test_no_kind_is_left_out() -> None:
-    """A new kind of block is tried in other importers, too; `lqg` and `h_infinity` find the gains of others, `with_schedule` reads a section for
+    """A new kind of block is tried in other importers, too; `shaped_block` is that of `h_infinity`, `with_schedule` reads a section for
     `scheduled`, and the others make the block of any law."""
-    others = {"lqg", "shaped_block", "with_schedule", "joint_block", "channel_block"}
+    others = {"shaped_block", "with_schedule", "joint_block", "channel_block"}
     found = makers(control, controllers, imperfections)
     assert {name.partition(":")[0] for name in KINDS} == found - others
 
