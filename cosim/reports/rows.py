@@ -1,51 +1,86 @@
-"""Results that are rows of figures: as a data frame, and as CSV."""
+"""Results that are rows of figures: as a data frame, as CSV, as JSON, and in notebooks."""
 
 from __future__ import annotations
 
 import csv
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from pydantic_core import to_json
+
 from flexfmu.cosim.engine.errors import extra
+from flexfmu.cosim.engine.showing import html_table
 
 if TYPE_CHECKING:
     import pandas
 
 
-class Rows:
-    """What a result with rows has in common with all others.
+SHOWN = 10
+"""Number of rows that a notebook shows."""
+
+
+class Rows(ABC):
+    """What a result with rows has in common with all others: it becomes a data frame, CSV, JSON, and a table in a notebook.
 
     Attributes:
-        index: name of the rows' key that is the data frame's index; None for numbers from 0.
+        row_name: column that is the data frame's index; empty for numbers from 0.
     """
 
-    index: ClassVar[str | None] = None
+    row_name: ClassVar[str] = ""
 
     @abstractmethod
-    def rows(self) -> list[dict[str, Any]]:
-        """The rows: name of a figure → its value; all have the same names."""
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The rows: name of a figure → its value in SI units; all have the same names."""
+
+    def row_columns(self) -> Mapping[str, Any]:
+        """Name of a figure → its values, one for each row."""
+        rows = self.rows()
+        return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
+
+    def row_units(self) -> Mapping[str, str]:
+        """Name of a figure, or of a row where these are the figures → unit; those without one are left out."""
+        return {}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The rows as a data frame.
+        """The rows as a data frame, whose ``attrs["units"]`` has the units.
 
         Raises:
             InputError: pandas isn't installed.
         """
         with extra("pandas"):
             import pandas
-        frame = pandas.DataFrame(self.rows())
-        return frame if self.index is None else frame.set_index(self.index)
+        frame = pandas.DataFrame(self.row_columns())
+        frame = frame.set_index(self.row_name) if self.row_name else frame
+        frame.attrs["units"] = {**self.row_units()}
+        return frame
+
+    def to_json(self) -> str:
+        """The rows as JSON; what isn't a number, or is infinite, is null."""
+        return to_json([*map(dict, self.rows())], indent=2, inf_nan_mode="null").decode() + "\n"
+
+    def _repr_html_(self) -> str:
+        units, rows = self.row_units(), self.rows()
+        names = [*rows[0]] if rows else []
+        header = [f"{name} [{units[name]}]" if units.get(name) else name for name in names]
+        table = html_table(header, ([_cell(row[name]) for name in names] for row in rows[:SHOWN]))
+        return table + (f"<p>{len(rows) - SHOWN} more</p>" if len(rows) > SHOWN else "")
 
     def to_csv(self) -> str:
         """The rows as CSV, with a line of names."""
         return csv_text(self.rows())
 
 
-def csv_text(rows: list[dict[str, Any]]) -> str:
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows of the same names as CSV, with a line of names."""
     text = StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    """A value of a row, rounded."""
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -50,7 +50,7 @@ class TuneResult(Rows):
         interrupted: whether Ctrl-C ended it.
     """
 
-    index = "trial"
+    row_name = "trial"
 
     study: Study
     given: Trial

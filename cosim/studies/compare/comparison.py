@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import InputError, extra
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines, html_table
@@ -28,6 +29,7 @@ from flexfmu.cosim.reports.comparison import (
 )
 from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table
+from flexfmu.cosim.reports.rows import Rows
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.svg import INK, PALETTE
 from flexfmu.cosim.reports.text import to_json
@@ -41,9 +43,6 @@ from flexfmu.cosim.studies.compare.alignment import (
     estimate_delay,
 )
 from flexfmu.cosim.studies.compare.measured import Log, Mapped, read_log
-
-if TYPE_CHECKING:
-    import pandas
 
 POINTS, FEWEST = 12000, 40
 """Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""
@@ -70,13 +69,15 @@ class Measured:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(Rows):
     """Runs side by side.
 
     Attributes:
         runs: the runs; `metrics` and `recording` of each.
         measured: the measurement; None without.
     """
+
+    row_name = "metric"
 
     runs: tuple[ComparedRun, ...]
     measured: Measured | None = None
@@ -109,34 +110,37 @@ class Comparison:
         ]
         return {"runs": runs} if self.measured is None else {"runs": runs, "measured": _measured_data(self.measured)}
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return the metrics as a data frame, a row each, a column for each run; units in ``attrs["units"]``.
+    def rows(self) -> list[dict[str, Any]]:
+        """The metrics, a row each with the value of every run, NaN for none.
 
         Below them ``cpu_time`` and margins of scenes that were run, and ``worst.<metric>`` over a band of payloads.
-
-        Raises:
-            InputError: pandas isn't installed.
         """
-        with extra("pandas"):
-            import pandas
         none = Measurement(None)
-        names = self.metric_names
-        values = {run.name: [run.metrics.get(name, none).value for name in names] for run in self.runs}
-        units = {name: ALL_METRICS[name].unit for name in names}
-        # figures of loops, and the worst over a band
-        for name, (_, unit, _, _) in LOOP_FIGURES.items():
-            if any(name in run.loop for run in self.runs):
-                units[name] = unit
-                for run in self.runs:
-                    values[run.name].append(run.loop.get(name))
-        for name in BAND_METRICS:
-            if any(run.band and name in run.band.worst for run in self.runs):
-                units[f"worst.{name}"] = ALL_METRICS[name].unit
-                for run in self.runs:
-                    values[run.name].append(run.band.worst.get(name) if run.band else None)
-        frame = pandas.DataFrame(values, index=pandas.Index([*units], name="metric"), dtype=float)
-        frame.attrs["units"] = units
-        return frame
+        found = {name: [run.metrics.get(name, none).value for run in self.runs] for name in self.metric_names}
+        found |= {
+            name: [run.loop.get(name) for run in self.runs]
+            for name in LOOP_FIGURES
+            if any(name in run.loop for run in self.runs)
+        }
+        worst = [run.band.worst if run.band else {} for run in self.runs]
+        found |= {
+            f"worst.{name}": [each.get(name) for each in worst]
+            for name in BAND_METRICS
+            if any(name in each for each in worst)
+        }
+        names = [run.name for run in self.runs]
+        return [
+            {"metric": name} | {run: nan if value is None else value for run, value in zip(names, values, strict=True)}
+            for name, values in found.items()
+        ]
+
+    def row_units(self) -> Mapping[str, str]:
+        """Metric → unit."""
+        units = {row["metric"]: row["metric"].removeprefix("worst.") for row in self.rows()}
+        return {
+            row: LOOP_FIGURES[name][1] if name in LOOP_FIGURES else ALL_METRICS[name].unit
+            for row, name in units.items()
+        }
 
     def page(self) -> str:
         """Return the page of the comparison as HTML: metrics, signals over each other, spectra."""

@@ -13,22 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import InputError, extra
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.reports.rows import Rows
 from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.store import TABLE, signal_file, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pandas import DataFrame
-
-SHOWN = 10
-"""Number of cases that a notebook shows."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SweepResult(Sequence[dict[str, Any]]):
+class SweepResult(Rows, Sequence[dict[str, Any]]):
     """The cases of a sweep with their metrics, in SI units: a sequence of rows, each a dict from key or metric to value.
 
     Attributes:
@@ -41,6 +38,8 @@ class SweepResult(Sequence[dict[str, Any]]):
         recordings: number of a case → recorded signals, where they are in memory.
         folder: where the results are; None where they are in memory alone.
     """
+
+    row_name = "case"
 
     name: str
     cases: Cases
@@ -92,20 +91,22 @@ class SweepResult(Sequence[dict[str, Any]]):
             )
         return Recording.read_csv(signal_file(self.folder, number))
 
-    def to_pandas(self) -> DataFrame:
-        """The table as a data frame, indexed by ``case``; its ``attrs["units"]`` has the units.
+    def rows(self) -> Sequence[dict[str, Any]]:
+        """The rows of all cases."""
+        return self
 
-        Raises:
-            InputError: pandas isn't installed.
-        """
-        with extra("pandas"):
-            from pandas import DataFrame, RangeIndex
-        columns: dict[str, Any] = dict(zip(self.cases.keys, self.columns(), strict=True))
-        columns |= {name: self.values[:, i] for i, name in enumerate(self.metrics)}
-        columns["message"] = [self.messages.get(number, "") for number in range(len(self))]
-        frame = DataFrame(columns, index=RangeIndex(len(self), name="case"))
-        frame.attrs["units"] = {name: unit for name, unit in self.units.items() if unit}
-        return frame
+    def row_columns(self) -> Mapping[str, Any]:
+        """Number, keys, metrics (NaN for no value) and message of all cases."""
+        return {
+            "case": range(len(self)),
+            **dict(zip(self.cases.keys, self.columns(), strict=True)),
+            **dict(zip(self.metrics, self.values.T, strict=True)),
+            "message": [self.messages.get(number, "") for number in range(len(self))],
+        }
+
+    def row_units(self) -> Mapping[str, str]:
+        """Key or metric → unit."""
+        return {name: unit for name, unit in self.units.items() if unit}
 
     def columns(self) -> list[list[Any]]:
         """The values of each key, one for each case."""
@@ -156,18 +157,8 @@ class SweepResult(Sequence[dict[str, Any]]):
 
     def _repr_html_(self) -> str:
         """The first cases as a table."""
-        names = [*self.cases.keys, *self.metrics]
-        head = "".join(f"<th>{escape(_titled(name, self.units))}</th>" for name in ("case", *names))
-        rows = ["".join(f"<td>{escape(_shown(row[name]))}</td>" for name in ("case", *names)) for row in self[:SHOWN]]
-        more = f"<p>{len(self) - SHOWN} more</p>" if len(self) > SHOWN else ""
         title = f"Sweep of {self.name}: {len(self)} cases, {len(self.messages)} failed"
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        return f"<p>{escape(title)}</p><table><tr>{head}</tr>{body}</table>{more}"
-
-
-def _titled(name: str, units: Mapping[str, str]) -> str:
-    """A name with its unit."""
-    return f"{name} [{units[name]}]" if units.get(name) else name
+        return f"<p>{escape(title)}</p>{super()._repr_html_()}"
 
 
 def _value_text(value: Any) -> str:
@@ -175,11 +166,6 @@ def _value_text(value: Any) -> str:
     if isinstance(value, Mapping) and ("kind" in value or "name" in value):
         return str(value.get("kind", value.get("name")))
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _shown(value: Any) -> str:
-    """A value of a row, rounded."""
-    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 GROUP = 10_000
