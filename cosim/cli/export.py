@@ -1,19 +1,156 @@
-"""`flexfmu export`: a scene as one SSP file."""
+"""`flexfmu build`, `fmus` and `export`: the FMU of a scene's robot, every slave of a scene as an FMU, and a scene as one SSP file."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from math import gcd, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from flexfmu.cosim.cli.console import load_resolved, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument, SetOption, option
+from flexfmu.cosim.cli.console import load_changed, load_resolved, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.options import (
+    JsonOption,
+    NamingOption,
+    PlatformOption,
+    SceneArgument,
+    SetOption,
+    flag,
+    naming_convention,
+    option,
+)
+from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from rich.table import Table
+
     from flexfmu.cosim.engine.master.system import System
+    from flexfmu.cosim.exchange.slave_export import ExportedSystem
+
+
+def build(
+    scene: SceneArgument,
+    output: Annotated[Path | None, option("FILE.fmu", "Default: the scene's name, here.", "--output", "-o")] = None,
+    platform: PlatformOption = None,
+    naming: NamingOption = "structured",
+    enumerations: Annotated[
+        bool,
+        flag(
+            "Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
+            "--enumerations",
+        ),
+    ] = False,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
+    from flexfmu.cosim.experiment.scene_build import build_scene
+    from flexfmu.model.choice_text import choice_sentence
+
+    # choose effects where the scene leaves them open, then build
+    convention = naming_convention(naming)
+    robot = load_changed(scene, settings)
+    target = output or Path(f"{robot.name}.fmu")
+    with progress() as show:
+        if robot.effects.select is not None:
+            from flexfmu.cosim.design.effects.choice import resolved
+
+            robot = resolved(robot, show)
+        built = build_scene(
+            robot,
+            output=target,
+            platforms=platform or None,
+            naming=convention,
+            enumerations=enumerations,
+            progress=lambda text: show(text, None),
+        )
+    # standard output
+    if json:
+        from flexfmu.cosim.reports.summary import choice_summary
+
+        choice = choice_summary(robot)
+        chosen = {"effect_choice": choice} if choice else {}
+        print_text(to_json(asdict(built) | {"path": str(built.path)} | chosen))
+        return 0
+    if robot.effects.choice is not None:
+        print_text(f"{choice_sentence(robot)}\n")
+    origin = "taken from the cache" if built.cached else "built"
+    print_text(
+        f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
+        f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}\n"
+    )
+    return 0
+
+
+def fmus(
+    scene: SceneArgument,
+    out: Annotated[Path | None, option("DIR", "Folder of the FMUs. Default: results/<name of the scene>/fmus.")] = None,
+    slave: Annotated[
+        list[str] | None, option("NAME", "Name of a slave in the scene; may be repeated. Default: all of them.")
+    ] = None,
+    platform: PlatformOption = None,
+    naming: NamingOption = "structured",
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Export a scene's slaves as FMUs: robot, trajectory, controllers, shapers and imperfections.
+
+    With --json it also lists the connections between them.
+    """
+    from flexfmu.cosim.exchange.slave_export import export_slaves
+
+    # choose effects where the scene leaves them open, then export
+    convention = naming_convention(naming)
+    robot = load_resolved(scene, settings)
+    folder = out or usual_folder(robot.name, settings) / "fmus"
+    with progress() as show:
+        show("building the FMU of the robot", None)
+        system = export_slaves(
+            robot, folder, names=slave or None, platforms=platform or None, naming=convention, progress=show
+        )
+    # standard output
+    if json:
+        print_text(to_json(_facts(system)))
+    else:
+        from rich.text import Text
+
+        connected = f"connections between them: {len(system.connections)}, listed by --json"
+        print_rich(_table(system), Text(f"{folder}: {len(system.slaves)} FMUs; {connected}"))
+    return 0
+
+
+def _facts(system: ExportedSystem) -> dict[str, object]:
+    """What `--json` prints."""
+    # slaves by the names that the connections refer to
+    slaves = [
+        {
+            "name": each.name,
+            "description": each.facts.description,
+            "fmu": str(each.path),
+            "sample_time": each.facts.sample_time,
+            "offset": each.facts.offset,
+            "parameters": dict(each.parameters),
+        }
+        for each in system.slaves
+    ]
+    connections = [{"from": source, "to": target} for source, target in system.connections]
+    return {"slaves": slaves, "connections": connections, "step": system.step, "stop_time": system.stop_time}
+
+
+def _table(system: ExportedSystem) -> Table:
+    """A line for each slave."""
+    from rich.text import Text
+
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    table = titled_table("", "FMU", "what it is", "sample time", "set before the start")
+    for each in system.slaves:
+        sample_time = "" if each.facts.sample_time is None else f"{each.facts.sample_time:g} s"
+        starts = ", ".join(f"{name} = {value}" for name, value in each.parameters.items())
+        table.add_row(Text(each.path.name), Text(each.facts.description), sample_time, Text(starts))
+    return table
 
 
 def export(

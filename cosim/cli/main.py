@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.build import build
+from flexfmu.cosim.cli.analysis import effects, margins, modes
 from flexfmu.cosim.cli.compare import compare
 from flexfmu.cosim.cli.console import (
     FAILURE,
@@ -27,21 +27,15 @@ from flexfmu.cosim.cli.console import (
     print_text,
     show_note,
 )
-from flexfmu.cosim.cli.effects import effects
-from flexfmu.cosim.cli.export import export
-from flexfmu.cosim.cli.fmus import fmus
-from flexfmu.cosim.cli.margins import margins
-from flexfmu.cosim.cli.modes import modes
-from flexfmu.cosim.cli.paper import paper
+from flexfmu.cosim.cli.export import build, export, fmus
 from flexfmu.cosim.cli.plan import plan
 from flexfmu.cosim.cli.run import run
-from flexfmu.cosim.cli.scenes import new, scenes
-from flexfmu.cosim.cli.schema import schema
+from flexfmu.cosim.cli.scenes import new, scenes, schema
 from flexfmu.cosim.cli.shaper import shaper
+from flexfmu.cosim.cli.studies import paper, workprec
 from flexfmu.cosim.cli.sweep import sweep
 from flexfmu.cosim.cli.tune import tune
 from flexfmu.cosim.cli.validate import validate
-from flexfmu.cosim.cli.workprec import workprec
 
 app = typer.Typer(
     name="flexfmu",

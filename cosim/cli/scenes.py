@@ -1,4 +1,4 @@
-"""`flexfmu scenes` and `flexfmu new`: the shipped scenes, and a scene file to start from."""
+"""`flexfmu scenes`, `new` and `schema`: the shipped scenes, a scene file to start from, and what editors need to complete one."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.console import print_rich, print_text
+from flexfmu.cosim.cli.console import print_rich, print_text, show_note
 from flexfmu.cosim.cli.options import JsonOption, flag, option
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.files import write_whole
 
 if TYPE_CHECKING:
     from rich.table import Table
+
 
 USUAL = "starter"
 """The scene that `new` starts from."""
@@ -101,4 +103,24 @@ def new(
         print_text(to_json({"path": str(file), "name": name, "from": origin}))
     else:
         print_text(f"{file}: the scene {origin} as {name}; run it with: flexfmu run {quote(str(file))}\n")
+    return 0
+
+
+def schema(
+    output: Annotated[
+        Path | None, option("FILE.json", "File to write. Default: standard output.", "-o", "--output")
+    ] = None,
+) -> int:
+    """JSON Schema of scene files, by which editors complete keys and show their units.
+
+    Editors with taplo (Even Better TOML) read it where a scene file begins with a line [i]#:schema ./scene.schema.json[/i].
+    """
+    from flexfmu.model.scene.file import scene_schema
+
+    text = scene_schema()
+    if output is None:
+        print_text(text)
+        return 0
+    write_whole(output, text)
+    show_note(f"{output}: a scene file beside it begins with the line  #:schema ./{output.name}")
     return 0

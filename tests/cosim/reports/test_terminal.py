@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from flexfmu.cosim.cli.compare import _metrics_table as compare_table
-from flexfmu.cosim.cli.fmus import _table as fmus_table
+from flexfmu.cosim.cli.export import _table as fmus_table
 from flexfmu.cosim.cli.run_ssp import _ranges as ranges_table
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
 from flexfmu.cosim.cli.run_summary import _motors_table as motors_table

@@ -1,0 +1,115 @@
+"""`flexfmu modes`, `margins` and `effects`: natural frequencies, distance from instability, and what each effect is worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, print_rich, print_text, progress
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
+from flexfmu.cosim.reports.text import to_json
+
+
+def modes(
+    scene: SceneArgument,
+    poses: Annotated[
+        int, option("N", "Poses along the path: an odd number, so that the middle is one.", min=3, max=10_001)
+    ] = 11,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Natural frequencies along the path, with the motors locked, about the static equilibrium."""
+    from flexfmu.cosim.experiment.planning import plan
+    from flexfmu.cosim.reports.modes_table import modes_along_path, modes_table
+
+    robot = load_resolved(scene, settings)
+    with progress() as show:
+        show("frequencies along the path", None)
+        found = modes_along_path(plan(robot), poses, lambda fraction: show("frequencies along the path", fraction))
+    # standard output
+    if json:
+        print_text(to_json({"scene": robot.name, "poses": [pose.to_dict() for pose in found]}))
+    else:
+        print_rich(*modes_table(robot.name, found))
+    return 0
+
+
+def margins(
+    scene: SceneArgument,
+    poses: Annotated[
+        int, option("N", "Poses, equally spaced along the path, beside the worst ones; 1 for its end alone.", min=1)
+    ] = 5,
+    payload_band: Annotated[
+        str | None,
+        option(
+            "BAND",
+            "Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 "
+            "for 4 to 8 kg. Default: the scene's alone.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        option("DIR", "Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files."),
+    ] = None,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Gain, phase, delay and disk margins of a sampled loop, about standstill along the path.
+
+    The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays, encoders, lags and several sample rates count exactly;
+    rounding and limits don't count. The exit status is 1 if the loop is unstable.
+    """
+    from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
+    from flexfmu.cosim.design.margins.pictures import margins_data, margins_table
+    from flexfmu.cosim.design.margins.scene_margins import scene_margins
+    from flexfmu.cosim.engine.files import OutputFolder
+    from flexfmu.cosim.reports.text import to_json
+
+    robot = load_changed(scene, settings)
+    if out is not None:
+        OutputFolder(out).prepare()
+    masses = () if payload_band is None else band_masses(robot, parse_band(payload_band))
+    with progress() as show:
+        result = scene_margins(
+            robot, poses=poses, payloads=masses, progress=lambda fraction: show("margins along the path", fraction)
+        )
+        files: list[Path] = []
+        if out is not None:
+            from flexfmu.cosim.design.margins.pictures import write_margins
+
+            show("drawing", None)
+            files = write_margins(result, out)
+    if json:
+        print_text(to_json({**margins_data(result), "files": [str(path) for path in files]}))
+    else:
+        print_rich(*margins_table(result))
+        if files:
+            print_text(f"files: {', '.join(map(str, files))}\n")
+    return 0 if result.is_stable else FAILURE
+
+
+def effects(
+    scene: SceneArgument,
+    tolerance: Annotated[float | None, option("RELATIVE", "Largest error. Default: the scene's, or 0.01.")] = None,
+    of: Annotated[
+        list[str] | None, option("METRIC", "A metric to hold; may be repeated. Default: the scene's, or three of them.")
+    ] = None,
+    check: Annotated[
+        bool, flag("Run the chosen set beside the next richer ones; builds their FMUs. Default: don't.", "--check")
+    ] = False,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Choose the cheapest elastic effects within a tolerance; shows what each is worth and what it costs."""
+    from flexfmu.cosim.design.effects.study import check_choice, comparison_table, report, study_data, study_effects
+
+    robot = load_changed(scene, settings)
+    with progress() as show:
+        study = study_effects(robot, tolerance, tuple(of or []), show)
+        comparisons = check_choice(study, show=show) if check else ()
+    # standard output
+    if json:
+        print_text(to_json(study_data(study, comparisons)))
+    else:
+        print_rich(*report(study), *([comparison_table(comparisons)] if check else ()))
+    return 0
