@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
 from flexfmu.cosim.engine.master.delays import SignalDelay
@@ -33,6 +33,9 @@ from flexfmu.cosim.experiment.system import PLANT, TORQUES, coupling_of, scene_s
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.metrics.run_metrics import RunMetrics
 
 __all__ = ["Health", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
 
@@ -251,6 +254,7 @@ class PreparedScene:
             parameters=parts.changes,
             companion=self._companion(parts.changes),
             rests=self._rests,
+            measure=_measured,
         )
         if run.outcome in (Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE):
             return run
@@ -361,6 +365,13 @@ class PreparedScene:
     def isolate_python_slaves(self) -> None:
         """Isolate Python slaves passed as objects too, so that runs don't change them, unless isolation is switched off."""
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
+
+
+def _measured(run: Run) -> RunMetrics:
+    """The metrics of a run."""
+    from flexfmu.cosim.metrics.run_metrics import RunMetrics  # which runs whose metrics aren't asked for do without
+
+    return RunMetrics(run)
 
 
 def _with_keys(message: str) -> str:

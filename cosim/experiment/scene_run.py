@@ -7,13 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import flexfmu  # the front door, which finds what is above this room: `Run.metrics`
-from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import parameter_names
@@ -111,6 +110,7 @@ class Run:
         parameters: parameters of the robot that differ from the scene's.
         companion: more accurate repetition, run only to estimate errors; None if there is none.
         rests: rest positions after the motion, shared by runs of the same motion; None if there are none to share.
+        measure: function from the run to its `metrics`; None for a run that is only recorded.
     """
 
     plan: MotionPlan
@@ -128,6 +128,7 @@ class Run:
     parameters: Mapping[str, float] = field(default_factory=dict)
     companion: Companion | None = field(default=None, repr=False, compare=False)
     rests: RestPositions | None = field(default=None, repr=False, compare=False)
+    measure: Callable[[Run], Any] | None = field(default=None, repr=False, compare=False)
 
     @property
     def scene(self) -> Scene:
@@ -145,9 +146,15 @@ class Run:
         return self.outcome is Outcome.COMPLETED
 
     @cached_property
-    def metrics(self) -> flexfmu.RunMetrics:
-        """The metrics as numbers with units and errors: ``run.metrics.peak_torque_1``; see `flexfmu.RunMetrics`."""
-        return flexfmu.RunMetrics(self)
+    def metrics(self) -> Any:
+        """The metrics as numbers with units and errors: ``run.metrics.peak_torque_1``; see `flexfmu.RunMetrics`.
+
+        Raises:
+            ResultsError: nothing measures this run.
+        """
+        if self.measure is None:
+            raise ResultsError("this run has no metrics of its own: take flexfmu.measure_run(run)")
+        return self.measure(self)
 
     def to_pandas(self, names: Names = None) -> pandas.DataFrame:
         """Return recorded signals as a data frame; see `flexfmu.cosim.engine.results.Recording.to_pandas`."""
