@@ -72,28 +72,21 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
     except ImportError:
         raise ImportError("linearize needs python-control; run: pip install flexfmu[control]") from None
 
-    # the plant, its operating point and the chosen outputs
-    plant, point = _plant(scene)[0], operating_point(scene, position)
+    plant = _plant(scene)[0]
     names = [variable.name for variable in plant.outputs]
     for name in outputs or ():
         if name not in names:
             near = sorted(get_close_matches(name, names, cutoff=0.0), key=names.index)
             listed = f"{', '.join(near)} and {len(names) - len(near)} others"
             raise ValueError(f"the plant has no output `{name}`; its outputs: {listed}")
-    rows = list(range(len(names))) if outputs is None else [names.index(name) for name in outputs]
+    linear = linear_plant(scene, position, names if outputs is None else outputs)
     # states are the unknowns and their rates
-    a, b, c, d = _matrices(scene, point)
-    rates = [f"der({name})" for name in plant.unknowns]
-    return control.ss(
-        a,
-        b,
-        c[rows],
-        d[rows],
-        states=[signal_label(name) for name in (*plant.unknowns, *rates)],
-        inputs=[signal_label(variable.name) for variable in plant.inputs],
-        outputs=[signal_label(plant.outputs[row].name) for row in rows],
-        name=signal_label(plant.name),
-    )
+    states = [*plant.unknowns, *(f"der({name})" for name in plant.unknowns)]
+    labels = {
+        key: [signal_label(name) for name in each]
+        for key, each in (("states", states), ("inputs", linear.inputs), ("outputs", linear.outputs))
+    }
+    return control.ss(linear.a, linear.b, linear.c, linear.d, name=signal_label(plant.name), **labels)
 
 
 @dataclass(frozen=True, eq=False)

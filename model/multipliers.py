@@ -99,22 +99,9 @@ def motion_driven_accelerations(
         motor_acceleration: q_a'' (2,) [rad/s²].
         baumgarte: stabilisation rate [1/s]; 0 lets the constraints drift.
     """
-    # equations of motion and constraints at this state
-    size, psi = 10 + model.n, model.jacobian(q).full()
-    mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
-    # Baumgarte stabilisation drives the constraints back to zero
-    drift = (
-        model.curvature(q, v).full().ravel()
-        + 2 * baumgarte * (psi @ v)
-        + baumgarte**2 * model.constraints(q).full().ravel()
-    )
-    # prescribed motor accelerations: two more constraints
-    prescribed = np.zeros((2, size))
-    prescribed[:, :2] = np.eye(2)
-    rows = np.vstack([psi, prescribed])
-    # accelerations and multipliers in one linear system
-    kkt = np.block([[mass, rows.T], [rows, np.zeros((PASSIVE + 2, PASSIVE + 2))]])
-    solution = np.linalg.solve(kkt, np.concatenate([-bias, -drift, motor_acceleration]))
+    prescribed = np.eye(2, 10 + model.n)
+    solution = _solved(model, q, v, np.zeros(2), baumgarte, prescribed, motor_acceleration)
+    size = 10 + model.n
     return ConstrainedMotion(solution[:size], solution[size : size + PASSIVE], -solution[size + PASSIVE :])
 
 
@@ -122,19 +109,33 @@ def torque_driven_accelerations(
     model: ConstrainedModel, q: RealArray, v: RealArray, torque: RealArray, baumgarte: float = 0.0
 ) -> ConstrainedMotion:
     """Accelerations and reactions for motor torques (2,) [N m]; arguments as in `motion_driven_accelerations`."""
-    size, psi = 10 + model.n, model.jacobian(q).full()
-    mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
+    size = 10 + model.n
+    solution = _solved(model, q, v, torque, baumgarte, np.empty((0, size)), np.empty(0))
+    return ConstrainedMotion(solution[:size], solution[size:], np.asarray(torque, dtype=float))
+
+
+def _solved(
+    model: ConstrainedModel,
+    q: RealArray,
+    v: RealArray,
+    torque: RealArray,
+    baumgarte: float,
+    rows: RealArray,
+    wanted: RealArray,
+) -> RealArray:
+    """Accelerations and multipliers of the constraints and of further ones, ``rows`` q'' = ``wanted``."""
+    psi, mass = model.jacobian(q).full(), model.mass_matrix(q).full()
+    forces = -model.bias(q, v).full().ravel()
+    forces[:2] += torque
     # Baumgarte stabilisation drives the constraints back to zero
     drift = (
         model.curvature(q, v).full().ravel()
         + 2 * baumgarte * (psi @ v)
         + baumgarte**2 * model.constraints(q).full().ravel()
     )
-    # accelerations and multipliers in one linear system
-    applied = np.concatenate([torque, np.zeros(size - 2)])
-    kkt = np.block([[mass, psi.T], [psi, np.zeros((PASSIVE, PASSIVE))]])
-    solution = np.linalg.solve(kkt, np.concatenate([applied - bias, -drift]))
-    return ConstrainedMotion(solution[:size], solution[size:], np.asarray(torque, dtype=float))
+    rows = np.vstack([psi, rows])
+    kkt = np.block([[mass, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+    return np.asarray(np.linalg.solve(kkt, np.concatenate([forces, -drift, wanted])))
 
 
 def _split(q: casadi.SX, n: int) -> tuple[casadi.SX, casadi.SX, casadi.SX]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -19,14 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
-from flexfmu.trajectories.trajectory import Trajectory, limits
-
-SAMPLES_PER_INTERVAL = 200
-"""Initial samples of margins and angles between two breakpoints, so dense that a margin has at most one minimum between two of
-them."""
-
-MOST_SAMPLES, LEAST_SAMPLES = 40_000, 8
-"""Samples of a motion with many breakpoints, such as a spline, and fewest samples between two of them."""
+from flexfmu.trajectories.trajectory import Trajectory, limits, sampled_positions
 
 LARGEST_TURN = 1.0
 """Largest rotation of a joint between two samples [rad], far below π, where unwrapping becomes ambiguous. Samples are added where a
@@ -154,14 +146,6 @@ class JointTrajectory:
             time = np.insert(time, wide + 1, 0.5 * (time[wide] + time[wide + 1]))
             positions = np.asarray(self.task.evaluate(time, 0)[0])
         return time, angles
-
-
-def sampled_positions(task: Trajectory) -> tuple[RealArray, RealArray]:
-    """Return sample times (N,) [s] from 0 to the duration, breakpoints included, and end-effector positions (N, 2) [m]."""
-    count = min(SAMPLES_PER_INTERVAL, max(MOST_SAMPLES // len(task.breakpoints), LEAST_SAMPLES))
-    spans = [np.linspace(a, b, count, endpoint=False) for a, b in pairwise(task.breakpoints)]
-    time = np.concatenate([*spans, [task.duration]])
-    return time, np.asarray(task.evaluate(time, 0)[0])
 
 
 def check_margins(

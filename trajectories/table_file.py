@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -104,13 +105,7 @@ def _read(file: Path, coordinates: Coordinates | None, changed: int, size: int) 
     chosen = _chosen(names, coordinates, where)
     columns = ("time", *(name for pair in COLUMNS[chosen] for name in pair if name in names))
     places = [(name, names.index(name)) for name in columns]
-    # all rows, value by value
-    values, lines = list[list[float]](), list[int]()
-    for line, row in rows:
-        if len(row) != len(names):
-            raise TrajectoryError(f"{file}, line {line}: {len(row)} values for {len(names)} columns; give one for each")
-        values.append([_number(row[place], f"{file}, line {line}, column {name}") for name, place in places])
-        lines.append(line)
+    lines, values = _numbers(file, rows, len(names), places)
     if len({row[0] for row in values}) < 2:
         raise TrajectoryError(
             f"{file}: a motion needs 2 or more rows of different times, got {min(len(values), 1)}; add rows below the header"
@@ -152,18 +147,12 @@ def read_signal(path: str | Path, column: str, unit: str) -> tuple[RealArray, Re
     places = [
         _place(header, names, unit, f"{file}, line {line}") for names, unit in ((("time", "t"), "s"), ((column,), unit))
     ]
-    found, before = list[list[float]](), -math.inf
-    for line, row in rows:
-        if len(row) != len(header):
-            raise TrajectoryError(
-                f"{file}, line {line}: {len(row)} values for {len(header)} columns; give one for each"
-            )
-        found.append([_number(row[place], f"{file}, line {line}, column {header[place]}") for place in places])
-        if found[-1][0] <= before:
-            raise TrajectoryError(f"{file}, line {line}: {found[-1][0]} s comes after {before} s; times have to ascend")
-        before = found[-1][0]
+    lines, found = _numbers(file, rows, len(header), [(header[place], place) for place in places])
     if not found:
         raise TrajectoryError(f"{file} has no rows below its header")
+    for line, ((before, _), (now, _)) in zip(lines[1:], pairwise(found), strict=True):
+        if now <= before:
+            raise TrajectoryError(f"{file}, line {line}: {now} s comes after {before} s; times have to ascend")
     times, values = np.array(found).T
     return times, values
 
@@ -245,19 +234,31 @@ def _chosen(names: Sequence[str], wanted: Coordinates | None, where: str) -> Coo
     return chosen
 
 
-def _number(text: str, where: str) -> float:
-    """The number of a cell.
+def _numbers(
+    file: Path, rows: Iterator[tuple[int, list[str]]], count: int, places: Sequence[tuple[str, int]]
+) -> tuple[list[int], list[list[float]]]:
+    """Number of each row's line, and the values of the named columns at these places among ``count``.
 
     Raises:
-        TrajectoryError: it isn't a finite number.
+        TrajectoryError: a row has another number of values, or one isn't a finite number.
     """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise TrajectoryError(f"{where}: {text!r} is not a finite number; numbers are written like 0.25 or 1e-3")
-    return value
+    lines, values = list[int](), list[list[float]]()
+    for line, row in rows:
+        if len(row) != count:
+            raise TrajectoryError(f"{file}, line {line}: {len(row)} values for {count} columns; give one for each")
+        lines.append(line)
+        values.append([])
+        for name, place in places:
+            try:
+                value = float(row[place])
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
+                raise TrajectoryError(
+                    f"{file}, line {line}, column {name}: {row[place]!r} is not a finite number; numbers are written like 0.25 or 1e-3"
+                )
+            values[-1].append(value)
+    return lines, values
 
 
 def _join(file: str, coordinates: Coordinates, time: RealArray, derivatives: RealArray, lines: Sequence[int]) -> None:

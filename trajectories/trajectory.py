@@ -27,6 +27,14 @@ SAME_TIME = 1e-12
 is at the breakpoint. Far above the rounding of integer ticks, far below any communication step."""
 
 
+SAMPLES_PER_INTERVAL = 200
+"""Initial samples of margins and angles between two breakpoints, so dense that a margin has at most one minimum between two of
+them."""
+
+MOST_SAMPLES, LEAST_SAMPLES = 40_000, 8
+"""Samples of a motion with many breakpoints, such as a spline, and fewest samples between two of them."""
+
+
 class Trajectory(Protocol):
     """A motion of two coordinates in time; standstill before 0 and after ``duration``."""
 
@@ -239,3 +247,29 @@ def merged(kept: Sequence[float], others: Sequence[float], near: float = SAME_TI
         if min(abs(time - other) for other in found) > near:
             found.append(time)
     return tuple(sorted(found))
+
+
+def sampled_positions(task: Trajectory) -> tuple[RealArray, RealArray]:
+    """Return sample times (N,) [s] from 0 to the duration, breakpoints included, and end-effector positions (N, 2) [m]."""
+    count = min(SAMPLES_PER_INTERVAL, max(MOST_SAMPLES // len(task.breakpoints), LEAST_SAMPLES))
+    spans = [np.linspace(a, b, count, endpoint=False) for a, b in pairwise(task.breakpoints)]
+    time = np.concatenate([*spans, [task.duration]])
+    return time, np.asarray(task.evaluate(time, 0)[0])
+
+
+def positions_along(motion: Trajectory, fractions: ArrayLike) -> RealArray:
+    """Return positions (N, 2) [m] at fractions (N,) of the path's length, from start to end.
+
+    They are exact for a `TaskTrajectory`. For other motions the path is that of thousands of samples: a place is known to
+    about a millionth of the path's length.
+
+    Args:
+        motion: motion of the end effector, x and y [m].
+        fractions: 0 to 1.
+    """
+    share = np.atleast_1d(np.asarray(fractions, dtype=float))
+    if isinstance(motion, TaskTrajectory):
+        return np.stack([jet.value for jet in motion.path.jets(share * motion.path.length, order=0)], axis=-1)
+    _, positions = sampled_positions(motion)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
+    return np.stack([np.interp(share * arc[-1], arc, coordinate) for coordinate in positions.T], axis=-1)

@@ -41,7 +41,7 @@ from flexfmu.model.scene.filters import (
     TunedSection,
 )
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.along_path import positions_along
+from flexfmu.trajectories.trajectory import positions_along
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.along_path import positions_along
-from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.trajectories.trajectory import Trajectory, positions_along
 
 S = TypeVar("S", bound=Section)
 

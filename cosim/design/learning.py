@@ -27,8 +27,8 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.along_path import positions_along
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import positions_along
 
 PLACES = 9
 """Number of places on the path of the norm-optimal law."""

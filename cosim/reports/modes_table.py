@@ -16,8 +16,8 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.trajectories.along_path import positions_along
 from flexfmu.trajectories.jets import Jet
+from flexfmu.trajectories.trajectory import positions_along
 
 SHOWN_FREQUENCIES = 6
 """Largest number of frequency columns in the table; the JSON has all frequencies."""

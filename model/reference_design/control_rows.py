@@ -308,5 +308,4 @@ def constant(matrix: Matrix) -> casadi.DM:
         return casadi.DM(matrix)
     columns = sparse.csc_matrix(matrix)
     columns.sort_indices()
-    pattern = casadi.Sparsity(*columns.shape, columns.indptr.tolist(), columns.indices.tolist())
-    return casadi.DM(pattern, columns.data)
+    return casadi.DM(columns)

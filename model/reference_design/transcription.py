@@ -247,7 +247,9 @@ class Transcription:
             if not n:
                 return np.asarray(elastic)
             z = self.arguments(joints, elastic)
-            matrix: Matrix = self._jacobians(z) @ self.lift[1]
+            # derivatives of the elastic forces of all points, side by side
+            blocks = self.functions.jacobian.map(z.shape[1])(z)[:n, :]
+            matrix: Matrix = casadi.diagcat(*casadi.horzsplit(blocks, 3 * n + 7)).sparse() @ self.lift[1]
             step = splu(matrix.tocsc()).solve(self.values(z)[:n].T.ravel())
             elastic = elastic - step
             if not np.isfinite(step).all():
@@ -257,18 +259,6 @@ class Transcription:
         raise EquilibriumError(
             f"the elastic motion under the joints' motion isn't found within {MOST_STEPS} iterations"
         )
-
-    def _jacobians(self, z: RealArray) -> Matrix:
-        """Derivatives of the elastic forces by the arguments, point after point, (K n, K (3 n + 7))."""
-        n, count = self.n, len(self.grid.points)
-        function = self.functions.jacobian
-        pattern = function.sparsity_out(0)
-        rows, columns = np.array(pattern.row()), np.array(pattern.get_col())
-        entries = np.array(function.map(count)(z).nonzeros()).reshape(count, -1)
-        of_forces = rows < n
-        at = np.arange(count)[:, np.newaxis]
-        where = (rows[of_forces] + n * at).ravel(), (columns[of_forces] + (3 * n + 7) * at).ravel()
-        return sparse.csr_matrix((entries[:, of_forces].ravel(), where), (count * n, count * (3 * n + 7)))
 
 
 def _placed(block: Matrix, rows: NDArray[np.int_], columns: NDArray[np.int_], shape: tuple[int, int]) -> Matrix:

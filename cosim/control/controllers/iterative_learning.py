@@ -18,8 +18,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.controllers import LearningSection
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.along_path import positions_along
-from flexfmu.trajectories.trajectory import SAME_TIME
+from flexfmu.trajectories.trajectory import SAME_TIME, positions_along
 
 MAXIMUM_TABLE = 1_000_000
 """Largest number of samples in a cycle; more are probably a mistake in the cycle's unit."""

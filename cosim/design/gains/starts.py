@@ -25,7 +25,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.along_path import positions_along
+from flexfmu.trajectories.trajectory import positions_along
 
 StartKind = Literal["pd", "pid", "cascade"]
 """Kinds of controllers that there are gains for."""

@@ -22,8 +22,8 @@ from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schedules import ScheduleSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
-from flexfmu.trajectories.along_path import positions_along
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import positions_along
 
 FIRST, NARROWEST, MOST = 8, 1.0 / 128.0, 60
 """Intervals of the path with which a search begins, shortest interval that is halved, and largest number of places."""
