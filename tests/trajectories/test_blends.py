@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from scipy.special import fresnel
 
-from flexfmu.trajectories import Blend, ClothoidPair, Jet, LameBlend, PolarPolynomial, TrajectoryError
+from flexfmu.trajectories import Blend, ClothoidPair, Jet, LameBlend, PolarPolynomial
+from flexfmu.trajectories.blends import HIGHEST_RATIO, LOWEST_RATIO, aspect_ratio
 from flexfmu.trajectories.jets import RealArray, arctan2, sqrt
 
 KINDS: tuple[Callable[[float, float], Blend], ...] = (LameBlend, ClothoidPair, PolarPolynomial)
@@ -135,23 +137,61 @@ def test_blends_scale() -> None:
         np.testing.assert_allclose(x[0].derivatives() * 10.0 ** np.arange(-1.0, 5.0)[:, None], y[0].derivatives(), 1e-9)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("bad", [0.0, -0.025, math.nan, math.inf])
-def test_extents_that_are_no_lengths_are_refused(kind: Callable[[float, float], Blend], bad: float) -> None:
-    """Protects against negative, vanishing and undefined blends."""
-    with pytest.raises(TrajectoryError, match=f"blend height d must be above zero and finite, got {bad:g} m"):
-        kind(bad, 0.025)
-    with pytest.raises(TrajectoryError, match=f"blend width e must be above zero and finite, got {bad:g} m"):
-        kind(0.025, bad)
+@seeded
+@given(st.floats(0.002, 0.2), st.floats(0.5622, 1.7789))
+def test_curvature_rises_and_falls_linearly(height: float, ratio: float) -> None:
+    """Protects the definition: 0 → k → 0, linear on each part, turning α and π/2 - α, continuous in the middle."""
+    pair = ClothoidPair(height, height * ratio)
+    curve, (knot,) = pair.curve, pair.curve.knots
+    s = np.linspace(0.0, curve.length, 101)
+    x, y = (jet.derivatives() for jet in curve.jets(s, 3))
+    curvature = y[1] * x[2] - x[1] * y[2]
+    peak = 2.0 * pair.first_turning / knot
+    expected = peak * np.where(s < knot, s / knot, (curve.length - s) / (curve.length - knot))
+    shorter = min(
+        knot, curve.length - knot
+    )  # rounding of s by 1 ulp moves the curvature by this much of the shorter part
+    np.testing.assert_allclose(curvature, expected, rtol=0, atol=(2e-15 + 4e-16 * curve.length / shorter) * peak)
+    assert peak * curve.length == pytest.approx(math.pi, rel=1e-14)  # the area of a triangle is the turning
 
 
-def test_arc_lengths_off_the_curve_are_refused() -> None:
-    """Protects against extrapolation."""
-    curve = LameBlend(0.025, 0.025).curve
-    for s in (-1e-9, 0.05, math.nan):
-        with pytest.raises(
-            TrajectoryError, match=r"arc length must be between 0 and 0.0421562\d+ m, got .* at index 1"
-        ):
-            curve.jets([0.0, s])
-    with pytest.raises(TrajectoryError, match="order"):
-        curve.jets(0.0, -1)
+@seeded
+@given(st.floats(0.5622, 1.7789))
+def test_parts_join_smoothly(ratio: float) -> None:
+    """Protects position, tangent and curvature where the two clothoids meet; their jerk jumps there."""
+    curve = ClothoidPair(1.0, ratio).curve
+    knot = curve.knots[0]
+    left, right = (
+        np.array([jet.derivatives()[:, 0] for jet in curve.jets(knot, 3, side)]) for side in ("left", "right")
+    )
+    np.testing.assert_allclose(left[:, 0], right[:, 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(left[:, 1:3], right[:, 1:3], rtol=0, atol=1e-13)
+    assert np.abs(left[:, 3] - right[:, 3]).max() > 1.0
+
+
+def test_equal_extents_turn_by_equal_angles() -> None:
+    """Protects the symmetric pair of the paper."""
+    assert ClothoidPair(0.025, 0.025).first_turning == pytest.approx(math.pi / 4, rel=1e-15)
+
+
+def test_limits_of_the_ratio_follow_from_a_single_clothoid() -> None:
+    """Protects the limits: where one part vanishes e/d is a ratio of Fresnel integrals at 1, just beyond the limits."""
+    sine, cosine = fresnel(1.0)
+    assert aspect_ratio(0.0) == pytest.approx(cosine / sine, rel=1e-15)
+    assert aspect_ratio(0.5 * math.pi) == pytest.approx(sine / cosine, rel=1e-15)
+    assert 0.0 < LOWEST_RATIO - sine / cosine < 2e-4
+    assert 0.0 < cosine / sine - HIGHEST_RATIO < 6e-4
+
+
+def test_ratio_falls_monotonically() -> None:
+    """Protects the uniqueness of the pair for a given ratio."""
+    assert np.all(np.diff([aspect_ratio(turning) for turning in np.linspace(0.0, 0.5 * math.pi, 200)]) < 0.0)
+
+
+@pytest.mark.parametrize("ratio", [0.5621001, 1.7789999])
+def test_pairs_just_inside_the_limits_exist(ratio: float) -> None:
+    """Protects the whole admissible range, where the shorter part turns by less than a milliradian."""
+    curve = ClothoidPair(0.025, 0.025 * ratio).curve
+    end = [jet.value[0] for jet in curve.jets(curve.length, 6)]
+    np.testing.assert_allclose(end, [0.025 * ratio, 0.025], rtol=1e-14)
+    assert all(np.all(np.isfinite(jet.coefficients)) for jet in curve.jets(np.linspace(0.0, curve.length, 50), 6))

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.piecewise import DEGREES, PiecewisePolynomial, spline
 
 SPLINES = [(degree, order) for degree in DEGREES for order in range(degree // 2 + 1)]
@@ -116,22 +115,6 @@ def test_no_breakpoint_where_nothing_jumps() -> None:
     coefficients = np.stack([taylor, later, still, still], axis=1)
     motion = PiecewisePolynomial(np.array([0.0, 0.5, 1.0, 2.0, 3.0]), coefficients)
     assert motion.breakpoints == (0.0, 1.0, 3.0)
-
-
-@pytest.mark.parametrize(
-    ("time", "shape", "degree", "said"),
-    [
-        ([0.0, 1.0], (1, 2, 2), 4, "need a spline of degree 3 or 5 or 7, got 4"),
-        ([0.0, 1.0], (3, 2, 2), 3, "need a spline of degree 5 or 7, got 3"),
-        ([0.0, 1.0], (1, 3, 2), 5, r"shape \(m \+ 1, 2, 2\)"),
-        ([0.0], (1, 1, 2), 5, "2 or more times"),
-        ([1.0, 0.0], (1, 2, 2), 5, "must ascend from 0 s"),
-    ],
-)
-def test_refused(time: list[float], shape: tuple[int, ...], degree: int, said: str) -> None:
-    """Every wrong argument says what would be right."""
-    with pytest.raises(TrajectoryError, match=said):
-        spline(time, np.zeros(shape), degree)
 
 
 def test_jets_are_derivatives() -> None:

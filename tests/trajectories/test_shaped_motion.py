@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
 from flexfmu.model.kinematics import RigidForwardKinematics
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories import BangBang, JointTrajectory, TaskTrajectory, Trapezoidal
+from flexfmu.trajectories import BangBang, Cycloidal, JointTrajectory, TaskTrajectory, Trapezoidal
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Jet, sin
 from flexfmu.trajectories.profiles import evaluate_profile
 from flexfmu.trajectories.shapers import (
     SHAPERS,
@@ -183,32 +180,11 @@ def test_shaped_tasks_make_joint_trajectories(profile: BangBang | Trapezoidal) -
     assert np.max(np.abs(np.diff(angles, axis=0))) < 0.05
 
 
-@dataclass(frozen=True)
-class _Cycloid:
-    """σ = η - sin(2 π η)/(2 π), no polynomial."""
-
-    start: float = 0.0
-    end: float = 1.0
-
-    def jet(self, eta: np.ndarray, order: int) -> Jet:
-        x = Jet.variable(eta, order)
-        return x - sin(2.0 * np.pi * x) / (2.0 * np.pi)
-
-    def value(self, eta: float) -> float:
-        return float(self.jet(np.array([eta]), 0).value[0])
-
-
-@dataclass(frozen=True)
-class _CycloidalProfile:
-    pieces = (_Cycloid(),)
-    jumps = ()
-
-
 @pytest.mark.parametrize("name", ["zvd", "um-zv"])
 def test_any_smooth_profile_is_shaped_along_the_path(name: str) -> None:
     """A profile that is no polynomial is shaped like the others: s(t) = Σ A_i s(t - T_i), by the formula of the cycloid."""
     nominal = plan(load_scene("barnard2012-6kg"))
-    task = TaskTrajectory(nominal.profiled.path, _CycloidalProfile(), nominal.duration)
+    task = TaskTrajectory(nominal.profiled.path, Cycloidal(), nominal.duration)
     sequence = design(name, [MODE])
     shaped = shape_along_path(task, sequence)
     time = np.linspace(0.0, shaped.duration, 333)

@@ -16,7 +16,6 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from flexfmu.trajectories import from_ruckig, from_scipy, from_toppra, read_table, write_table
-from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 
 toppra.setup_logging("WARNING")
@@ -131,22 +130,3 @@ def test_a_table_holds_b_splines(tmp_path: Path) -> None:
     for order, scale in enumerate((1e-13, 1e-11, 1e-8, 1e-6)):
         found, expected = (each.evaluate(instants, 3)[order] for each in (table.trajectory(), motion))
         np.testing.assert_allclose(found, expected, atol=scale)
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: from_ruckig("motion"), "expected a ruckig.Trajectory, got str"),
-        (lambda: from_ruckig(ruckig.Trajectory(3)), "has 3 coordinates, the robot's motions have 2"),
-        (lambda: from_ruckig(ruckig.Trajectory(2)), "calculate it first"),
-        (lambda: from_toppra(None), "toppra found no trajectory"),
-        (lambda: from_toppra(1.0), "expected what toppra's compute_trajectory returns .* got float"),
-        (lambda: from_scipy(np.zeros(3)), "expected a PPoly, CubicSpline or BSpline of vectors, got ndarray"),
-        (lambda: from_scipy(CubicSpline([0, 1, 2], np.zeros((3, 3)))), "has 3 coordinates"),
-        (lambda: from_scipy(CubicSpline([0, 1, 2], np.zeros(3))), "of vectors, got CubicSpline"),
-    ],
-)
-def test_other_things(make: Any, said: str) -> None:
-    """What isn't a motion of two coordinates is refused in one line."""
-    with pytest.raises(TrajectoryError, match=said):
-        make()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -21,7 +20,6 @@ from flexfmu.trajectories import (
     Profile,
     SeventhDegreePolynomial,
     TaskTrajectory,
-    TrajectoryError,
     Trapezoidal,
 )
 
@@ -179,30 +177,6 @@ def test_shapes_follow_times_and_order() -> None:
     both = trajectory.evaluate([0.1, 0.3], 6)
     np.testing.assert_allclose(both[:, 1:], trajectory.evaluate(0.3, 6), rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(both[:3], trajectory.evaluate([0.1, 0.3], 2))
-
-
-@pytest.mark.parametrize("duration", [0.0, -0.43, math.nan, math.inf])
-def test_durations_that_are_none_are_refused(duration: float) -> None:
-    """Protects against infinite velocities and motions that never end."""
-    with pytest.raises(TrajectoryError, match=f"trajectory duration must be above zero and finite, got {duration:g} s"):
-        planned(duration=duration)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([0.0, math.nan],), "times must be finite, got nan s at index 1"),
-        ((math.inf,), "times must be finite, got inf s at index 0"),
-        (([[0.0]],), r"shape \(N,\), got shape \(1, 1\)"),
-        ((0.0, -1), "order of a derivative must be a whole number of at least 0, got -1"),
-        ((0.0, 1.5), "whole number .* got 1.5"),
-        ((0.0, 2, "both"), 'side must be "left" or "right", got \'both\''),
-    ],
-)
-def test_senseless_requests_are_refused(arguments: tuple[object, ...], message: str) -> None:
-    """Protects against NaN that travels on silently."""
-    with pytest.raises(TrajectoryError, match=message):
-        planned().evaluate(*arguments)  # type: ignore[arg-type]
 
 
 def test_ten_thousand_points_take_as_many_calls_as_a_hundred(count_calls: Callable[..., int]) -> None:
