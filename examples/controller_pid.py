@@ -6,9 +6,8 @@ python controller_pid.py
 import warnings
 
 from flexfmu import load_scene, measure_run
-from flexfmu.cosim.control.controllers.anti_windup import BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.pid import BackCalculation, Clamping, Unprotected, pid
 from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.prepared_scene import run_loop

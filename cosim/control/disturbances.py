@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from itertools import pairwise
 from math import ceil, inf, isfinite, pi, sqrt
-from typing import Any
+from typing import Required, TypedDict, Unpack
 
 import casadi
 import numpy as np
@@ -39,6 +39,15 @@ from flexfmu.model.scene.disturbances import (
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.table_file import read_signal
+
+
+class Timing(TypedDict, total=False):
+    """What all sampled disturbances take beside their own arguments, see above."""
+
+    sample_time: Required[float]
+    start: float
+    duration: float | None
+    name: str
 
 
 def steps(signal: str, instants: Sequence[float], values: Sequence[float], name: str = "step") -> SymbolicBlock:
@@ -82,17 +91,14 @@ def sine(
     amplitude: float,
     frequency: float,
     *,
-    sample_time: float,
     phase: float = 0.0,
-    start: float = 0.0,
-    duration: float | None = None,
-    name: str = "sine",
+    **timing: Unpack[Timing],
 ) -> SymbolicBlock:
     """Build the block: amplitude sin(2 pi frequency (t - start) + phase), held between the samples.
 
     Amplitude, frequency [Hz] and phase [rad] are tunable parameters.
     """
-    _check_finite(name, "amplitude, frequency and phase", (amplitude, frequency, phase))
+    _check_finite(timing.get("name", "sine"), "amplitude, frequency and phase", (amplitude, frequency, phase))
     parameters = [
         Variable("amplitude", disturbance_unit(signal), "Amplitude", "parameter", amplitude),
         Variable("frequency", "Hz", "Frequency", "parameter", frequency),
@@ -102,7 +108,7 @@ def sine(
     def law(t: Vector, p: Vector) -> Vector:
         return p[0] * casadi.sin(2.0 * pi * p[1] * t + p[2])
 
-    return _sampled(name, "Sine disturbance", signal, law, sample_time, start, duration, parameters)
+    return _sampled("sine", "Sine disturbance", signal, law, parameters, **timing)
 
 
 def band_noise(
@@ -111,11 +117,8 @@ def band_noise(
     band: tuple[float, float],
     seed: int = 0,
     *,
-    sample_time: float,
     components: int = 50,
-    start: float = 0.0,
-    duration: float | None = None,
-    name: str = "noise",
+    **timing: Unpack[Timing],
 ) -> SymbolicBlock:
     """Build the block: a sum of n sines with amplitudes sqrt(2/n) standard_deviation and random phases, held between samples.
 
@@ -130,16 +133,16 @@ def band_noise(
         seed: the phases depend on it, on the name of the block and on the signal.
         components: n.
     """
-    low, high = band
+    (low, high), name, h = band, timing.get("name", "noise"), timing["sample_time"]
     _check_finite(name, "standard deviation and band", (standard_deviation, low, high))
     if not 0.0 <= low < high or components < 1:
         raise InputError(
             f"{name}: the band must ascend from 0 Hz or more, with one component at least, got {list(band)} Hz"
         )
-    if high * sample_time > 0.5:
+    if high * h > 0.5:
         raise InputError(
-            f"{name}: the band reaches {high:g} Hz, above half the sampling frequency, {0.5 / sample_time:g} Hz: reduce it, or "
-            f"the sample_time of {sample_time:g} s"
+            f"{name}: the band reaches {high:g} Hz, above half the sampling frequency, {0.5 / h:g} Hz: reduce it, or "
+            f"the sample_time of {h:g} s"
         )
     rates = 2.0 * pi * (low + (high - low) * (np.arange(components) + 0.5) / components)
     # random phases that depend on the text alone
@@ -155,40 +158,29 @@ def band_noise(
         terms = [casadi.sin(rate * t + phase) for rate, phase in zip(rates.tolist(), phases, strict=True)]
         return sqrt(2.0 / components) * p[0] * casadi.sum1(casadi.vertcat(*terms))
 
-    return _sampled(name, "Band-limited noise", signal, law, sample_time, start, duration, parameters)
+    return _sampled("noise", "Band-limited noise", signal, law, parameters, **timing)
 
 
-def table(
-    signal: str,
-    times: RealArray,
-    values: RealArray,
-    *,
-    sample_time: float,
-    start: float = 0.0,
-    duration: float | None = None,
-    name: str = "csv",
-) -> SymbolicBlock:
+def table(signal: str, times: RealArray, values: RealArray, **timing: Unpack[Timing]) -> SymbolicBlock:
     """Build the block: values (N,) at times (N,) [s] from the start on, linear between, held between samples, zero outside.
 
     The times ascend from 0 s on.
     """
+    name, h, duration = timing.get("name", "csv"), timing["sample_time"], timing.get("duration")
     _check_finite(name, "times and values", (*times, *values))
     if times.shape != values.shape or not times.size or (np.diff(times) <= 0.0).any() or times[0] < 0.0:
         raise InputError(f"{name}: times must ascend from 0 s on, with a value each")
     # the values of all samples, then zero for ever
-    check_sampling(sample_time, start, name)
-    count = int(times[-1] / sample_time * (1.0 + 1e-12)) + 1
+    offset, first = _clock(name, h, timing.get("start", 0.0))
+    count = int(times[-1] / h * (1.0 + 1e-12)) + 1
     if duration is not None:
-        count = min(count, _samples(duration, sample_time))
-    instants = sample_time * np.arange(count)
-    near = 1e-9 * sample_time
+        count = min(count, _samples(duration, h))
+    instants, near = h * np.arange(count), 1e-9 * h
     inside = (instants >= times[0] - near) & (instants <= times[-1] + near)
     sampled = np.where(inside, np.interp(instants, times, values), 0.0)
-    offset, first = _clock(name, sample_time, start)
     rows = np.concatenate([np.zeros(first), sampled, np.zeros(1)])[:, None]
-    return _source(
-        name, "Disturbance from a table", signal, rows_in_turn(rows, "values"), sample_time, offset, symbol=casadi.MX
-    )
+    equations = rows_in_turn(rows, "values")
+    return _source(name, "Disturbance from a table", signal, equations, h, offset, symbol=casadi.MX)
 
 
 def _source(
@@ -233,24 +225,26 @@ def _clock(name: str, sample_time: float, start: float) -> tuple[float, int]:
 
 
 def _sampled(
-    name: str,
+    kind: str,
     description: str,
     signal: str,
     law: Callable[[Vector, Vector], Vector],
-    sample_time: float,
-    start: float,
-    duration: float | None,
     parameters: Sequence[Variable],
+    *,
+    sample_time: float,
+    start: float = 0.0,
+    duration: float | None = None,
+    name: str = "",
 ) -> SymbolicBlock:
     """A block of a law (time since the start, parameters) → value, until the end of the duration."""
-    offset, first = _clock(name, sample_time, start)
+    offset, first = _clock(name or kind, sample_time, start)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         k = x - first
         acts = k >= 0.0 if duration is None else casadi.logic_and(k >= 0.0, k < _samples(duration, sample_time))
         return casadi.if_else(acts, law(k * sample_time, p), 0.0), x + 1.0
 
-    return _source(name, description, signal, equations, sample_time, offset, parameters)
+    return _source(name or kind, description, signal, equations, sample_time, offset, parameters)
 
 
 def _samples(duration: float, sample_time: float) -> int:
@@ -275,10 +269,10 @@ def _pulse(signal: str, value: float, start: float, end: float | None, name: str
     return steps(signal, [start], [value], name) if end is None else steps(signal, [start, end], [value, 0.0], name)
 
 
-def _held(section: SampledDisturbanceSection, context: LoopContext) -> dict[str, Any]:
+def _held(s: SampledDisturbanceSection, context: LoopContext) -> Timing:
     """Times and name of a disturbance that is held from sample to sample."""
-    sample_time = section.sample_time or context.sample_time
-    return {"sample_time": sample_time, "start": section.start, "duration": section.duration, "name": context.name}
+    h = s.sample_time or context.sample_time
+    return Timing(sample_time=h, start=s.start, duration=s.duration, name=context.name)
 
 
 def _from_step(section: PulseSection | StepSection, context: LoopContext) -> SymbolicBlock:

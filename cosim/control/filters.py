@@ -12,16 +12,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, isfinite, pi, tan
+from typing import Unpack
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, split
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
-    inputs,
-    outputs,
+    channel_block,
     sampling,
     section_channels,
 )
@@ -41,7 +41,6 @@ from flexfmu.model.scene.filters import (
     TunedSection,
 )
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.trajectory import positions_along
 
 
 @dataclass(frozen=True)
@@ -147,26 +146,20 @@ def _butterworth(w: float, order: int) -> list[tuple[float, float, float]]:
 
 
 def filter_block(
-    channels: Sequence[Channel],
-    sections: Sequence[Section],
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "filter",
+    channels: Sequence[Channel], sections: Sequence[Section], **options: Unpack[BlockOptions]
 ) -> SymbolicBlock:
     """Build the block of a chain of sections, the same for each channel.
 
     Args:
         channels: signals to filter.
         sections: second-order sections, one after the other.
-        sample_time: time between samples [s].
-        offset: first sample instant [s].
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``name``.
 
     Raises:
         InputError: a section's frequency isn't below half the sampling frequency, or the sample time isn't positive.
     """
-    chain, n = [each.discrete(sample_time) for each in sections], len(channels)
+    n, h = len(channels), options["sample_time"]
+    chain = [each.discrete(h) for each in sections]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         started, *memory = split(x, 1, n)
@@ -181,16 +174,14 @@ def filter_block(
             u = y
         return u, casadi.vertcat(*following)
 
-    return block(
-        name,
+    return channel_block(
+        "filter",
         f"Filter {' · '.join(map(str, sections))}; s in rad/s, bilinear",
         equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=inputs(channels),
-        outputs=outputs(channels),
-        states=[0.0] * (1 + 2 * n * len(chain)),
-        latency=dict.fromkeys((each.name for each in channels), _delay(sections, sample_time)),
+        channels,
+        memory=2 * n * len(chain),
+        latency=dict.fromkeys((each.name for each in channels), _delay(sections, h)),
+        **options,
     )
 
 
@@ -221,9 +212,7 @@ def frequency_of(section: TunedSection, context: LoopContext) -> float:
     match = MODE.fullmatch(section.at or "")
     assert match is not None
     kind, number = match[1], int(match[2])
-    share = {"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose]
-    x, y = positions_along(context.along_path, share)[0].tolist()
-    found = _frequencies(kind, context, (x, y))
+    found = _frequencies(kind, context, context.position(section.pose))
     if number > len(found):
         listed = ", ".join(f"{each:.4g}" for each in found) or "none"
         raise InputError(
@@ -245,8 +234,9 @@ def _frequencies(kind: str, context: LoopContext, position: tuple[float, float])
 
 
 def _built(section: FilterSection, context: LoopContext, sections: list[Section]) -> SymbolicBlock:
-    channels = section_channels(section, context, REFERENCE_KINDS)
-    return filter_block(channels, sections, name=context.name or "filter", **sampling(section, context))
+    return filter_block(
+        section_channels(section, context, REFERENCE_KINDS), sections, name=context.name, **sampling(section, context)
+    )
 
 
 builds(NotchSection)(lambda s, c: _built(s, c, notch(frequency_of(s, c), s.damping, s.depth)))

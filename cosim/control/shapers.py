@@ -1,12 +1,23 @@
-"""Input shapers of a loop: the impulse sequences of the scene file, and the signals that they shape."""
+"""Input shapers of a loop: the impulse sequences of the scene file, the signals that they shape, and the block for sampled signals.
+
+The block is an FIR filter; an impulse between two samples is split over both, not rounded.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
+import casadi
+import numpy as np
+
+from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import check_sampling
 from flexfmu.model.scene.shapers import AppliedShaperSection, ImpulseShaperSection, SpecifiedInsensitivitySection
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.shapers.catalogue import design
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
@@ -74,3 +85,105 @@ def _insensitive(section: SpecifiedInsensitivitySection, context: LoopContext) -
 def _applied(sequence: ImpulseSequence, section: AppliedShaperSection) -> Shaper:
     """Return the shaper of an impulse sequence, applied as its section says."""
     return Shaper(sequence, section.apply, section.sample_time, section.offset, section.name or "shaper")
+
+
+LONGEST_LINE = 20_000
+"""Largest number of samples in the delay line; more are probably a mistake in the sample time's unit."""
+
+SHAPED = "shaped."
+"""Prefix of the outputs' names."""
+
+
+@dataclass(frozen=True)
+class ShapedSignal:
+    """A signal to shape.
+
+    Attributes:
+        name, unit: of the input; the output is named ``shaped.<name>``.
+        before: value before the first sample: ``held`` for that of the first sample, as for the position of a robot at
+            rest, or ``zero``, as for its velocity and acceleration.
+    """
+
+    name: str
+    unit: str
+    before: Literal["held", "zero"]
+
+
+JOINT_REFERENCES = tuple(
+    ShapedSignal(f"joint{joint}.reference.{kind}", unit, "held" if kind == "position" else "zero")
+    for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s2"))
+    for joint in (1, 2)
+)
+"""Reference position, velocity and acceleration of both joints."""
+
+
+def shaper_block(
+    sequence: ImpulseSequence,
+    sample_time: float,
+    signals: Sequence[ShapedSignal] = JOINT_REFERENCES,
+    *,
+    offset: float = 0.0,
+    name: str = "shaper",
+) -> SymbolicBlock:
+    """Build the block y_k = Σ w_i u_{k-i}; the weights w_i are the impulses, split over the samples.
+
+    Inputs are named like the signals, outputs ``shaped.<name>``. The delay line stores each signal's difference from
+    its value before the first sample, so it starts from zero at any start pose.
+
+    Args:
+        sequence: impulses.
+        sample_time, offset: [s].
+        signals: signals to shape, each by itself.
+        name: name of the block.
+
+    Raises:
+        InputError: there is no signal, the sample time or offset is out of range, or the delay line is too long.
+    """
+    check_sampling(sample_time, offset, name)
+    if not signals:
+        raise InputError(f"{name}: a shaper needs at least one signal to shape")
+    weights = _weights(sequence, sample_time, name)
+    length, held = len(weights) - 1, [signal.before == "held" for signal in signals]
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        # difference of each signal from its value before the first sample
+        lines, kept, started = casadi.vertsplit(x, [0, length * len(signals), x.numel() - 1, x.numel()])
+        first = [value for value, keep in zip(casadi.vertsplit(u), held, strict=True) if keep]
+        origins = casadi.if_else(started, kept, casadi.vertcat(casadi.SX(0, 1), *first))
+        rows = iter(casadi.vertsplit(origins)) if any(held) else iter(())
+        origin = casadi.vertcat(*(next(rows) if each else casadi.SX(0) for each in held))
+        difference = u - origin
+        # weighted sum of present and past differences
+        window = casadi.vertcat(difference.T, casadi.reshape(lines, length, len(signals)))
+        shaped = origin + casadi.mtimes(window.T, casadi.DM(weights))
+        return shaped, casadi.vertcat(casadi.vec(window[:-1, :]), origins, 1)
+
+    return block(
+        name,
+        f"Input shaper with {len(sequence.times)} impulses within {sequence.duration:g} s",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=[Variable(s.name, s.unit, f"{s.name} before shaping", "input", 0.0) for s in signals],
+        outputs=[Variable(SHAPED + s.name, s.unit, f"{s.name} after shaping", "output") for s in signals],
+        states=np.zeros(length * len(signals) + sum(held) + 1).tolist(),
+    )
+
+
+def _weights(sequence: ImpulseSequence, sample_time: float, name: str) -> list[float]:
+    """Return the weight of each sample, the current one first.
+
+    Raises:
+        InputError: the delay line is longer than `LONGEST_LINE`.
+    """
+    if sequence.duration > LONGEST_LINE * sample_time:
+        raise InputError(
+            f"{name}: a sample time of {sample_time:g} s makes a line of {sequence.duration / sample_time:.3g} samples for "
+            f"impulses within {sequence.duration:g} s; at most {LONGEST_LINE} are allowed: choose a larger sample time"
+        )
+    # an impulse between two samples is split over both
+    split = sequence.split(sample_time)
+    samples = [round(time / sample_time) for time in split.times]
+    weights = np.zeros(samples[-1] + 1)
+    weights[samples] = split.amplitudes
+    return [float(weight) for weight in weights]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from math import inf
+from typing import Unpack
 
 import casadi
 
-from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.blocks.equations import BlockOptions, block, split
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.disturbances import disturbance_unit
 from flexfmu.cosim.engine.errors import InputError
@@ -18,50 +19,32 @@ from flexfmu.fmu_build.regular_sampling import common_step, exact
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
-def feedforward_sum(
-    sources: Mapping[str, Sequence[str]], *, sample_time: float, offset: float = 0.0, name: str = "feedforward_sum"
-) -> SymbolicBlock:
+def feedforward_sum(sources: Mapping[str, Sequence[str]], **options: Unpack[BlockOptions]) -> SymbolicBlock:
     """Build the block: each output is the sum of the same output of several slaves, without states.
 
     Inputs are called like the outputs that they take, ``feedforward.joint1.feedforward``; an output is ``joint1.feedforward``.
 
     Args:
         sources: output [N.m] → names of the slaves that have it.
-        sample_time, offset: those of the controller that takes the sum.
-        name: name of the block.
+        options: ``sample_time`` and ``offset``, those of the controller that takes the sum, and ``name``.
 
     Raises:
         InputError: the sample time isn't positive.
     """
     signals = [(output, slave) for output, slaves in sources.items() for slave in slaves]
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        terms = dict(zip(signals, casadi.vertsplit(u), strict=True))
-        sums = [
-            casadi.sum1(casadi.vertcat(*(terms[each, slave] for slave in slaves))) for each, slaves in sources.items()
-        ]
-        return casadi.vertcat(*sums), x
-
+    sizes = [len(slaves) for slaves in sources.values()]
     return block(
-        name,
+        "feedforward_sum",
         "Sum of feedforward torques",
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=[
-            Variable(f"{slave}.{each}", "N.m", f"Term of {each} from {slave}", "input", 0.0) for each, slave in signals
-        ],
+        lambda x, u, p: (casadi.vertcat(*(casadi.sum1(each) for each in split(u, *sizes))), x),
+        inputs=[Variable(f"{who}.{what}", "N.m", f"Term of {what} from {who}", "input", 0.0) for what, who in signals],
         outputs=[Variable(each, "N.m", f"Sum of {each} of several controllers", "output") for each in sources],
+        **options,
     )
 
 
 def disturbance_sum(
-    signal: str,
-    sources: Sequence[str],
-    *,
-    sample_time: float,
-    instants: Sequence[float] = (),
-    name: str = "disturbance_sum",
+    signal: str, sources: Sequence[str], *, instants: Sequence[float] = (), **options: Unpack[BlockOptions]
 ) -> SymbolicBlock:
     """Build the block: the sum of a signal of several slaves, with inputs ``slave.signal``; times as for `block`.
 
@@ -70,13 +53,13 @@ def disturbance_sum(
     """
     unit = disturbance_unit(signal)
     return block(
-        name,
+        "disturbance_sum",
         "Sum of disturbances",
         lambda x, u, p: (casadi.sum1(u), x),
-        sample_time=sample_time,
         instants=instants,
         inputs=[Variable(f"{each}.{signal}", unit, f"Term from {each}", "input", 0.0) for each in sources],
         outputs=[Variable(signal, unit, "Sum of all terms", "output")],
+        **options,
     )
 
 

@@ -154,7 +154,7 @@ def shape(
         if not isinstance(each, Shaper):
             inline_blocks.append(inline_block(as_slave(each, names)))
         elif each.sample_time is not None:
-            from flexfmu.cosim.control.shaper_block import shaper_block
+            from flexfmu.cosim.control.shapers import shaper_block
 
             block = shaper_block(each.sequence, each.sample_time, offset=each.offset, name=each.name)
             inline_blocks.append(inline_block(as_slave(block, names)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from operator import lt
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -92,6 +92,7 @@ class LinearSection(Section):
     """Linear interpolation between two samples."""
 
     kind: Literal["linear"] = "linear"
+    order: ClassVar[int] = 1
 
 
 class LagrangeSection(Section):

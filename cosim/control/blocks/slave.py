@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 
 import casadi
@@ -15,7 +16,70 @@ from flexfmu.fmu_build.block_codegen import check_block
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
-class BlockSlave:
+class SampledMemory:
+    """Variables of a sampled slave in one array: inputs, parameters, outputs, then its states.
+
+    Args:
+        name: name of the slave.
+        inputs, parameters, outputs: its variables.
+        states: number of its states.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        inputs: Sequence[Variable],
+        parameters: Sequence[Variable],
+        outputs: Sequence[Variable],
+        states: int,
+    ) -> None:
+        self.name, self._fed, self._parameters = name, tuple(inputs), tuple(parameters)
+        known = (*inputs, *parameters)
+        self.variables = tuple(slave_variable(each) for each in (*known, *outputs))
+        self._inputs, self._known = len(inputs), len(known)
+        self._memory = np.zeros(len(self.variables) + states)
+        self._memory[: self._known] = [each.start or 0.0 for each in known]
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs and parameters (n,).
+
+        Raises:
+            InputError: a variable is an output, or a parameter's value isn't finite or is out of range.
+        """
+        for index, value in zip(indices.tolist(), values.tolist(), strict=True):
+            if index >= self._known:
+                raise InputError(f"{self.name}.{self.variables[index].name} is an output and can't be set")
+            if index >= self._inputs:
+                check_parameter(self._parameters[index - self._inputs], value, self.name)
+        self._memory[indices] = values
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Write the variables' values into ``values`` (n,)."""
+        self._memory.take(indices, None, values, "clip")
+
+    def step(self, time: float, step: float) -> None:
+        """Do nothing: the outputs are constant between the sample instants."""
+
+    def terminate(self) -> None:
+        """Reset the inputs to their start values, so that the next run repeats this one to the last bit."""
+        self._memory[: self._inputs] = [each.start or 0.0 for each in self._fed]
+
+    def save(self) -> RealArray:
+        """Return a copy of inputs, parameters, outputs and states."""
+        return self._memory.copy()
+
+    def restore(self, state: object) -> None:
+        """Set the state that `save` returned.
+
+        Raises:
+            InputError: the state belongs to another slave.
+        """
+        if not isinstance(state, np.ndarray) or state.shape != self._memory.shape:
+            raise InputError(f"{self.name}: this state was not saved by this slave")
+        self._memory[:] = state
+
+
+class BlockSlave(SampledMemory):
     """Samples a block at its instants and holds the outputs in between.
 
     Variables are the block's inputs, parameters and outputs, in this order. Before the first sample instant the outputs
@@ -36,18 +100,15 @@ class BlockSlave:
     def __init__(self, block: SymbolicBlock, name: str = "", *, compiled: bool | None = None) -> None:
         check_block(block)
         check_variables(block)
+        super().__init__(
+            name or block.name, block.inputs, block.parameters, block.outputs, states=2 * len(block.states)
+        )
         # the attributes that the master reads
-        self.name = name or block.name
         self.block = block
         self.sample_time, self.offset, self.instants = block.sample_time, block.offset, block.instants
         self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
         self.has_foreign_code = bool(block.c_files)
-        known = (*block.inputs, *block.parameters)
-        self.variables = tuple(slave_variable(each) for each in (*known, *block.outputs))
-        # one array, which the function reads and writes in place: variables, states, next states
-        self._inputs, self._known = len(block.inputs), len(known)
-        self._memory = np.zeros(len(self.variables) + 2 * len(block.states))
-        self._memory[: self._known] = [each.start or 0.0 for each in known]
+        # the function reads and writes the memory in place: variables, states, next states
         self._states, self._next = self._memory[len(self.variables) :].reshape(2, -1)
         self._seen = np.zeros(self._inputs)
         # calls of the function on these buffers: output and update together, and each alone
@@ -77,23 +138,6 @@ class BlockSlave:
         """Set the start states and calculate the outputs; inputs and parameters keep their values."""
         self._states[:] = self.block.states
         self._output()
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        """Set inputs and parameters (n,).
-
-        Raises:
-            InputError: a variable is an output, or a parameter's value isn't finite or is out of range.
-        """
-        for index, value in zip(indices.tolist(), values.tolist(), strict=True):
-            if index >= self._known:
-                raise InputError(f"{self.name}.{self.variables[index].name} is an output and can't be set")
-            if index >= self._inputs:
-                check_parameter(self.block.parameters[index - self._inputs], value, self.name)
-        self._memory[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """Write the variables' values into ``values`` (n,)."""
-        self._memory.take(indices, None, values, "clip")
 
     def sample(self, time: float) -> None:
         """Calculate outputs and next states from the inputs just set."""
@@ -125,27 +169,6 @@ class BlockSlave:
         see = (Copy(inputs, self._seen, np.arange(count)),) if count else ()
         again = (Reevaluation(found, inputs, self._seen),) if count else ()
         return {"sample": (found, move), "output": (found, *see), "update": (*again, move)}[phase]
-
-    def step(self, time: float, step: float) -> None:
-        """Do nothing: the outputs are constant between the sample instants."""
-
-    def terminate(self) -> None:
-        """Reset the inputs to their start values, so that the next run repeats this one to the last bit."""
-        self._memory[: self._inputs] = [each.start or 0.0 for each in self.block.inputs]
-
-    def save(self) -> RealArray:
-        """Return a copy of inputs, parameters, outputs and states."""
-        return self._memory.copy()
-
-    def restore(self, state: object) -> None:
-        """Set the state that `save` returned.
-
-        Raises:
-            InputError: the state belongs to another slave.
-        """
-        if not isinstance(state, np.ndarray) or state.shape != self._memory.shape:
-            raise InputError(f"{self.name}: this state was not saved by this slave")
-        self._memory[:] = state
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that sets inputs from ``values`` (n,).

@@ -139,7 +139,7 @@ def c_function(
     units = units or {}
     taken, given = named_signals(inputs, "input", units), named_signals(outputs, "output", units)
     values = named_parameters(parameters or {}, units)
-    check_units(units, [*taken, *given, *values], name)
+    check_units(units, [each.name for each in (*taken, *given, *values)], name)
     # the function's files, its call, and what describes the call to CasADi
     paths = [Path(each) for each in ([source] if isinstance(source, (str, Path)) else source)]
     first = paths[0]

@@ -21,13 +21,11 @@ Arguments that all loops share: `joints`.
 
 from __future__ import annotations
 
-from math import expm1
 from typing import Unpack
 
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
-from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping, limited_sum, rule_of
 from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
@@ -40,12 +38,12 @@ from flexfmu.cosim.control.controllers.joints import (
     limited,
     per_joint,
 )
+from flexfmu.cosim.control.controllers.pid import CLAMPING, AntiWindup, limited_sum, rule_of
+from flexfmu.cosim.control.imperfections.lag import lag_latency
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.slave import check_sampling
 from flexfmu.model.scene.controllers import CascadeSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
-
-CLAMPING = Clamping()
 
 VELOCITY_COMMAND, TORQUE_COMMAND = ((each, SIGNALS[each][1] + " {}") for each in ("command.velocity", "command.torque"))
 """Outputs of an outer loop for the one inside, ``joint1.command.velocity`` and so on."""
@@ -201,11 +199,6 @@ def current_loop(
         latency=[lag_latency(time, h) for time in times],
         **options,
     )
-
-
-def lag_latency(time: float, sample_time: float) -> float:
-    """Mean delay [s] of the impulse response of a lag with a time constant [s] that is sampled."""
-    return sample_time / -expm1(-sample_time / time) if time else sample_time
 
 
 @builds(CascadeSection)

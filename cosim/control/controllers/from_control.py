@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from math import isclose, isfinite, pi, tan
 from typing import Any, Literal, TypedDict, Unpack, get_args
 
@@ -13,6 +12,7 @@ from scipy.linalg import block_diag
 from scipy.signal import cont2discrete
 
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, state_space
+from flexfmu.cosim.control.controllers.named_signals import check_units
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.symbolic import SymbolicBlock
@@ -103,7 +103,7 @@ def from_control(
     matrices, units = _matrices(system), units or {}
     names_in = _names(inputs, system.input_labels, "inputs")
     names_out = _names(outputs, system.output_labels, "outputs")
-    _check_units(units, [*names_in, *names_out])
+    check_units(units, [*names_in, *names_out], "linear system")
     # discretise a continuous system, check the sample time of a discrete one
     if system.isctime(strict=True):
         method, sample_time = _explicit(method, sample_time)
@@ -158,16 +158,6 @@ def _names(given: Sequence[str] | None, labels: Sequence[str], what: str) -> lis
             f"{what} must be a sequence of {len(labels)} names, one for each of {list(labels)}, got {given!r}"
         )
     return list(given)
-
-
-def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:
-    """Check that every unit belongs to a signal of the system."""
-    for name in units:
-        if name not in names:
-            hint = get_close_matches(name, names, n=1, cutoff=0.0)
-            raise InputError(
-                f"units: there is no signal {name!r}; did you mean {hint[0] if hint else 'another system'!r}?"
-            )
 
 
 def _explicit(method: Method | None, sample_time: float | None) -> tuple[Method, float]:

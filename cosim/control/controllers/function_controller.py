@@ -81,7 +81,7 @@ class FunctionController:
 
     def __post_init__(self) -> None:
         check_sampling(self.sample_time, self.offset, self.name)
-        check_units(self.units, [*self.inputs, *self.outputs, *self.variables], self.name)
+        check_units(self.units, [each.name for each in (*self.inputs, *self.outputs, *self.variables)], self.name)
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
         return self.function(*arguments, **keywords)

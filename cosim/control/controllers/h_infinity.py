@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Unpack
+from typing import Any, Unpack
 
 import casadi
 import numpy as np
@@ -78,23 +78,18 @@ class System:
         """Return this discrete system as one of w = 2/h (z - 1)/(z + 1)."""
         rate = 2.0 / sample_time
         inverse = np.linalg.inv(np.eye(len(self.A)) + self.A)
-        return System(
-            rate * inverse @ (self.A - np.eye(len(self.A))),
-            sqrt(2.0 * rate) * inverse @ self.B,
-            sqrt(2.0 * rate) * self.C @ inverse,
-            self.D - self.C @ inverse @ self.B,
-        )
+        return self._mapped(rate * inverse @ (self.A - np.eye(len(self.A))), inverse, sqrt(2.0 * rate), -1.0)
 
     def to_z(self, sample_time: float) -> System:
         """Return this system of w as a discrete one; the inverse of `to_w`."""
         rate = 2.0 / sample_time
         inverse = np.linalg.inv(rate * np.eye(len(self.A)) - self.A)
-        return System(
-            inverse @ (rate * np.eye(len(self.A)) + self.A),
-            sqrt(2.0 * rate) * inverse @ self.B,
-            sqrt(2.0 * rate) * self.C @ inverse,
-            self.D + self.C @ inverse @ self.B,
-        )
+        return self._mapped(inverse @ (rate * np.eye(len(self.A)) + self.A), inverse, sqrt(2.0 * rate), 1.0)
+
+    def _mapped(self, A: RealArray, inverse: Any, factor: float, sign: float) -> System:
+        """The system with another A, and the B, C and D that belong to it."""
+        B, C, D = factor * inverse @ self.B, factor * self.C @ inverse, self.D + sign * (self.C @ inverse @ self.B)
+        return System(A, B, C, D)
 
 
 def coprime_controller(plant: System, suboptimal: float = SUBOPTIMAL) -> tuple[System, float]:

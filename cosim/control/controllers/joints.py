@@ -71,32 +71,48 @@ def joint_outputs(joints: Sequence[str], name: str, text: str) -> list[Variable]
     return [Variable(f"{joint}.{name}", SIGNALS[name][0], text.format(joint), "output") for joint in joints]
 
 
-def per_joint(
-    joints: Sequence[str], name: str, values: PerJoint, unit: str, minimum: float | None = None
+def per_signal(
+    names: Sequence[str], what: str, values: PerJoint, units: Sequence[str], minimum: float | None = None
 ) -> tuple[float, ...]:
-    """Return one value for each joint.
+    """Return one value for each of several signals or joints.
+
+    Args:
+        names: their names.
+        what: the quantity in words.
+        values: one number for all, or one for each.
+        units: unit of each.
+        minimum: smallest admissible value; None for none.
 
     Raises:
-        InputError: the number of values is wrong, or a value isn't finite or is below ``minimum``.
+        InputError: a value isn't finite or is below the minimum, their number doesn't fit, or a single number stands
+            for different units.
     """
-    # one number for all joints, or one for each
+    # one number for all, or one for each
+    of, what_in = ", ".join(names), f"{what} [{', '.join(dict.fromkeys(units))}]"
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be a number [{unit}] or one for each joint, got {values!r}") from None
-    if array.shape not in ((), (len(joints),)):
-        raise InputError(
-            f"{name} must be one number or {len(joints)} (one for each of {', '.join(joints)}), got shape {array.shape}"
-        )
-    result = tuple(float(value) for value in np.broadcast_to(array, (len(joints),)))
+        raise InputError(f"{what_in} must be a number or one for each of {of}, got {values!r}") from None
+    if array.shape not in ((), (len(names),)):
+        raise InputError(f"{what_in} must be one number or one for each of {of}, got shape {array.shape}")
+    if array.shape == () and len(set(units)) > 1:
+        raise InputError(f"{what_in} can't be one number, {array}, for different units: give one for each of {of}")
+    result = tuple(float(value) for value in np.broadcast_to(array, (len(names),)))
     # check each value
-    suffix = "" if unit == "1" else f" {unit}"
-    for joint, value in zip(joints, result, strict=True):
+    for name, value, unit in zip(names, result, units, strict=True):
+        suffix = "" if unit == "1" else f" {unit}"
         if not isfinite(value):
-            raise InputError(f"{name} of {joint} must be finite, got {value}{suffix}")
+            raise InputError(f"{what} of {name} must be finite, got {value}{suffix}")
         if minimum is not None and value < minimum:
-            raise InputError(f"{name} of {joint} must be at least {minimum}{suffix}, got {value}")
+            raise InputError(f"{what} of {name} must be at least {minimum:g}{suffix}, got {value}{suffix}")
     return result
+
+
+def per_joint(
+    joints: Sequence[str], what: str, values: PerJoint, unit: str, minimum: float | None = None
+) -> tuple[float, ...]:
+    """Return one value for each joint; arguments and errors as for `per_signal`."""
+    return per_signal(joints, what, values, [unit] * len(joints), minimum)
 
 
 @dataclass(frozen=True)

@@ -63,14 +63,13 @@ def named_parameters(values: Mapping[str, float], units: Mapping[str, str]) -> l
     ]
 
 
-def check_units(units: Mapping[str, str], variables: Sequence[Variable], where: str) -> None:
-    """Check that units belong to variables.
+def check_units(units: Mapping[str, str], names: Sequence[str], where: str) -> None:
+    """Check that units belong to variables of these names.
 
     Raises:
         InputError: a name is none of a variable; the message has the nearest one.
     """
-    names = [variable.name for variable in variables]
     for name in units:
         if name not in names:
-            near = get_close_matches(name, names, n=1, cutoff=0.0)[0]
-            raise InputError(f"{where}: `units` names {name!r}, which is no variable; did you mean {near!r}?")
+            near = "".join(f"; did you mean {each!r}?" for each in get_close_matches(name, names, n=1, cutoff=0.0))
+            raise InputError(f"{where}: `units` names {name!r}, which is no variable{near}")

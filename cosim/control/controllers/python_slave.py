@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.control.blocks.slave import check_parameter, slave_variable
+from flexfmu.cosim.control.blocks.slave import SampledMemory
 from flexfmu.cosim.engine.errors import InputError, SlaveError
-from flexfmu.cosim.engine.slave import Indices, RealArray
+from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.symbolic import Variable
 
 
-class FunctionSlave:
+class FunctionSlave(SampledMemory):
     """Calls a function (states with the counter of samples, inputs, parameters) → (outputs, next states) at its instants.
 
     Args:
@@ -42,38 +42,15 @@ class FunctionSlave:
         offset: float,
         reason: str,
     ) -> None:
-        inputs, parameters, outputs = variables
-        self.name, self.reason = name, reason
-        self.sample_time, self.offset = sample_time, offset
-        self.variables = tuple(slave_variable(each) for each in (*inputs, *parameters, *outputs))
-        self._function, self._parameters, self._start = function, parameters, np.array([*states, 0.0])
-        # one array: inputs, parameters, outputs, states, counter of samples
-        sizes = np.cumsum([len(inputs), len(parameters), len(outputs)])
-        self._inputs, self._known, self._end = sizes.tolist()
-        self._memory = np.zeros(self._end + len(self._start))
-        self._memory[: self._known] = [each.start or 0.0 for each in (*inputs, *parameters)]
+        super().__init__(name, *variables, states=len(states) + 1)
+        self.reason, self.sample_time, self.offset = reason, sample_time, offset
+        # the last state counts the samples
+        self._function, self._start, self._end = function, np.array([*states, 0.0]), len(self.variables)
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set the start states and calculate the outputs."""
         self._memory[self._end :] = self._start
         self._calculate(start_time)
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        """Set inputs and parameters (n,).
-
-        Raises:
-            InputError: a variable is an output, or a parameter's value isn't finite.
-        """
-        for index, value in zip(indices.tolist(), values.tolist(), strict=True):
-            if index >= self._known:
-                raise InputError(f"{self.name}.{self.variables[index].name} is an output and can't be set")
-            if index >= self._inputs:
-                check_parameter(self._parameters[index - self._inputs], value, self.name)
-        self._memory[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """Write the variables' values into ``values`` (n,)."""
-        values[:] = self._memory[indices]
 
     def sample(self, time: float) -> None:
         """Calculate outputs and next states from the inputs just set.
@@ -85,43 +62,22 @@ class FunctionSlave:
         self._memory[self._end : -1] = following
         self._memory[-1] += 1.0
 
-    def step(self, time: float, step: float) -> None:
-        """Do nothing: the outputs are constant between the sample instants."""
-
-    def terminate(self) -> None:
-        """Reset the inputs to their start values, so that the next run repeats this one."""
-        self._memory[: self._inputs] = 0.0
-
-    def save(self) -> RealArray:
-        """Return a copy of inputs, parameters, outputs and states."""
-        return self._memory.copy()
-
-    def restore(self, state: RealArray) -> None:
-        """Set the state that `save` returned."""
-        self._memory[:] = state
-
     def _calculate(self, time: float) -> RealArray:
         """Set the outputs and return the next states."""
         # copies, so that the function can't change what it gets
         values = self._memory.copy()
-        inputs, parameters, states = (
-            values[: self._inputs],
-            values[self._inputs : self._known],
-            values[self._end :],
-        )
+        inputs, parameters, states = values[: self._inputs], values[self._inputs : self._known], values[self._end :]
         try:
             outputs, following = self._function(states, inputs, parameters)
         except Exception as error:
             raise SlaveError(self.name, described(error), time) from error
         if not (np.isfinite(outputs).all() and np.isfinite(following).all()):
-            wrong = [name for name, value in zip(self._names(), outputs, strict=True) if not np.isfinite(value)]
+            names = [each.name for each in self.variables[self._known :]]
+            wrong = [name for name, value in zip(names, outputs, strict=True) if not np.isfinite(value)]
             raise SlaveError(self.name, f"{wrong[0] if wrong else 'the next state'} isn't finite", time)
         self._memory[self._known : self._end] = outputs
         next_states: RealArray = following
         return next_states
-
-    def _names(self) -> list[str]:
-        return [each.name for each in self.variables[self._known :]]
 
 
 def described(error: BaseException | None) -> str:

@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import isfinite
 from numbers import Real
+from typing import Any, Unpack
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.control.blocks.equations import Vector
-from flexfmu.cosim.control.controllers.joints import JOINTS, UNITS
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Equations, Vector, block
+from flexfmu.cosim.control.controllers.joints import JOINTS, UNITS, PerJoint, per_signal
 from flexfmu.cosim.control.sections import LoopContext
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.units import unit_exponents
 from flexfmu.model.scene.imperfections import EncoderSection, SignalSection
 from flexfmu.model.scene.loop import Sampling
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
 """Kind of a joint's signal → unit."""
 
-PerChannel = float | Sequence[float]
+PerChannel = PerJoint
 """One number for all channels, or one for each."""
 
 
@@ -185,28 +186,10 @@ def parameters(
         units: unit for each channel; None for the channels' own.
 
     Raises:
-        InputError: a value isn't finite or is below the minimum, their number doesn't fit, or a single number stands
-            for different units.
+        InputError: as for `per_signal`.
     """
-    # one finite number for each channel, not below the minimum
     units = [each.unit for each in channels] if units is None else units
-    what_in = f"{what} [{', '.join(dict.fromkeys(units))}]"
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what_in} must be a number or one for each channel, got {values!r}") from None
-    names = ", ".join(each.name for each in channels)
-    if array.shape not in ((), (len(channels),)):
-        raise InputError(f"{what_in} must be one number or one for each of {names}, got shape {array.shape}")
-    if array.shape == () and len(set(units)) > 1:
-        raise InputError(f"{what_in} can't be one number, {array}, for different units: give one for each of {names}")
-    numbers = [float(value) for value in np.broadcast_to(array, (len(channels),))]
-    for channel, value, unit in zip(channels, numbers, units, strict=True):
-        suffix = "" if unit == "1" else f" {unit}"
-        if not isfinite(value):
-            raise InputError(f"{what} of {channel.name} must be finite, got {value}{suffix}")
-        if minimum is not None and value < minimum:
-            raise InputError(f"{what} of {channel.name} must be at least {minimum:g}{suffix}, got {value}{suffix}")
+    numbers = per_signal([each.name for each in channels], what, values, units, minimum)
     return [
         Variable(f"{each.name}.{key}", unit, f"{what} of {each.name}", "parameter", value, minimum, tunable=True)
         for each, value, unit in zip(channels, numbers, units, strict=True)
@@ -248,9 +231,40 @@ def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vec
     return casadi.vertcat(*(u[i] if each.initial is None else next(given) for i, each in enumerate(channels)))
 
 
-def empty(size: int) -> list[float]:
-    """Return start states of a memory: a flag, 1 after the first sample, then ``size`` numbers."""
-    return [0.0] * (1 + size)
+def channel_block(
+    kind: str,
+    description: str,
+    law: Equations,
+    channels: Sequence[Channel],
+    numbers: Sequence[Variable] = (),
+    *,
+    memory: int = 0,
+    latency: Mapping[str, float] | None = None,
+    further: Sequence[Channel] = (),
+    symbol: Any = casadi.SX,
+    **options: Unpack[BlockOptions],
+) -> SymbolicBlock:
+    """Build the block of a law on channels; errors as for `block`.
+
+    Args:
+        kind, description, law, latency, symbol, options: as for `block`.
+        channels: the signals that pass through it.
+        numbers: its parameters.
+        memory: size of its memory, which starts with a flag, 1 after the first sample.
+        further: channels that are outputs alone.
+    """
+    return block(
+        kind,
+        description,
+        law,
+        inputs=inputs(channels),
+        outputs=outputs([*channels, *further]),
+        parameters=numbers,
+        states=[0.0] * (1 + memory) if memory else (),
+        latency=latency,
+        symbol=symbol,
+        **options,
+    )
 
 
 def repeated(values: Vector, times: int) -> Vector:

@@ -1,8 +1,8 @@
 """Delay of signals: a line of whole samples, and behind it a digital filter that delays by a fraction of one.
 
 `whole_delay` and `delay` build the block from ``channels``, the signals, with their values before the first sample where the block has no
-direct feedthrough; ``sample_time`` and ``offset`` are the time between samples and the first sample instant [s], ``name`` is the block's
-name. T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, Splitting the unit delay: tools for fractional delay filter design,
+direct feedthrough; the options are ``sample_time``, the time between samples [s], ``offset``, the first sample instant [s], and ``name``,
+the block's name. T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, Splitting the unit delay: tools for fractional delay filter design,
 IEEE Signal Processing Magazine 13(1), 1996, pp. 30-60.
 
 Raises:
@@ -15,21 +15,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb, floor, isfinite, prod
-from typing import Protocol
+from typing import Unpack
 
 import casadi
 
-from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector
 from flexfmu.cosim.control.controllers.joints import JOINTS
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
+    channel_block,
     cut,
-    empty,
     initial_parameters,
     inputs,
     joint_channels,
-    outputs,
     recall,
     remember,
     repeated,
@@ -80,20 +79,6 @@ class DelayFilter:
         b, a = self.numerator, (1.0, *self.denominator)
         slopes = (sum(i * weight for i, weight in enumerate(weights)) / sum(weights) for weights in (b, a))
         return self.whole + next(slopes) - next(slopes)
-
-
-class Interpolation(Protocol):
-    """A rule that interpolates a signal between its samples."""
-
-    def design(self, samples: float) -> DelayFilter:
-        """Return the filter of a delay.
-
-        Args:
-            samples: delay in samples, zero or positive, not necessarily whole.
-
-        Raises:
-            InputError: the delay is too short.
-        """
 
 
 @dataclass(frozen=True)
@@ -176,6 +161,10 @@ class Thiran:
         return DelayFilter(whole, (*reversed(a), 1.0), tuple(a))
 
 
+Interpolation = Lagrange | Thiran
+"""A rule that interpolates a signal between its samples."""
+
+
 def _check_shortest(samples: float, shortest: float, what: str) -> None:
     if not samples >= shortest:
         raise InputError(
@@ -188,27 +177,19 @@ LINEAR = Lagrange(1)
 """Linear interpolation."""
 
 
-def whole_delay(
-    channels: Sequence[Channel],
-    samples: int,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "delay",
-) -> SymbolicBlock:
+def whole_delay(channels: Sequence[Channel], samples: int, **options: Unpack[BlockOptions]) -> SymbolicBlock:
     """y_k = u_k-n, exact, for ``samples`` n, zero or positive; the first n outputs are the channels' initial values."""
-    whole = whole_number(f"{name}: the delay in samples", samples, 0, hint="`delay` takes any time in seconds")
-    return _delay_line(channels, DelayFilter(whole), sample_time, offset, name)
+    what = f"{options.get('name', 'delay')}: the delay in samples"
+    whole = whole_number(what, samples, 0, hint="`delay` takes any time in seconds")
+    return _delay_line(channels, DelayFilter(whole), **options)
 
 
 def delay(
     channels: Sequence[Channel],
     time: float,
     *,
-    sample_time: float,
-    offset: float = 0.0,
     interpolation: Interpolation = LINEAR,
-    name: str = "delay",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y(t_k) = u(t_k - time), interpolated between the samples; a whole number of samples is exact.
 
@@ -220,25 +201,24 @@ def delay(
         time: the delay [s], zero or positive.
         interpolation: `Lagrange` of any order, `LINEAR` being the first, or the all-pass `Thiran`.
     """
-    check_sampling(sample_time, 0.0, name)
+    name, h = options.get("name", "delay"), options["sample_time"]
+    check_sampling(h, 0.0, name)
     if not (isfinite(time) and time >= 0.0):
         raise InputError(f"{name}: the delay must be zero or positive, got {time} s")
-    samples = time / sample_time
+    samples = time / h
     whole = float(round(samples))
     design = interpolation.design(whole if abs(samples - whole) <= WHOLE * samples else samples)
-    return _delay_line(channels, design, sample_time, offset, name)
+    return _delay_line(channels, design, **options)
 
 
-def _delay_line(
-    channels: Sequence[Channel], design: DelayFilter, sample_time: float, offset: float, name: str
-) -> SymbolicBlock:
+def _delay_line(channels: Sequence[Channel], design: DelayFilter, **options: Unpack[BlockOptions]) -> SymbolicBlock:
     """Build the block of a delay line and a filter behind it, for every channel.
 
     The filter acts on differences from the oldest sample, so that a constant signal stays the same to the last bit.
     """
-    ports = inputs(channels)
+    inputs(channels)  # a block without channels is refused first
     if design.whole:
-        require_initial(channels, name)
+        require_initial(channels, options.get("name", "delay"))
     n, depth, order = len(channels), design.depth, len(design.denominator)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
@@ -258,32 +238,25 @@ def _delay_line(
         return y, remember(*cut(signal, n * depth), *cut(casadi.vertcat(y, response), n * order))
 
     size = n * (depth + order)
-    return block(
-        name,
+    return channel_block(
+        "delay",
         f"Delay by {design.samples:.9g} samples",
         equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=ports,
-        outputs=outputs(channels),
-        parameters=initial_parameters(channels) if depth else (),
-        states=empty(size) if depth else (),
+        channels,
+        initial_parameters(channels) if depth else (),
+        memory=size,
+        latency={each.name: design.samples * options["sample_time"] for each in channels} if design.samples else {},
         symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
-        latency={each.name: design.samples * sample_time for each in channels} if design.samples else {},
+        **options,
     )
 
 
 @builds(scene.DelaySection)
 def _from_section(section: scene.DelaySection, context: LoopContext) -> SymbolicBlock:
-    interpolation: Interpolation = LINEAR
-    match section.interpolation:
-        case scene.LagrangeSection(order=order):
-            interpolation = Lagrange(order)
-        case scene.ThiranSection(order=order):
-            interpolation = Thiran(order)
+    rule = section.interpolation
+    interpolation = Thiran(rule.order) if isinstance(rule, scene.ThiranSection) else Lagrange(rule.order)
     channels = section_channels(section, context, REFERENCE_KINDS)
     if section.known:
-        channels += joint_channels(
-            section.signal, context.before(section.signal), [f"{each}.reference" for each in JOINTS]
-        )
+        references = [f"{each}.reference" for each in JOINTS]
+        channels += joint_channels(section.signal, context.before(section.signal), references)
     return delay(channels, section.time, interpolation=interpolation, **sampling(section, context))

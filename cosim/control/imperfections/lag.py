@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, exp, expm1, factorial, isfinite
+from typing import Unpack
 
 import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import bound, evaluation
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, split
 from flexfmu.cosim.control.blocks.slave import slave_variable
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
     PerChannel,
-    empty,
+    channel_block,
     initial_parameters,
     inputs,
     outputs,
@@ -232,14 +233,7 @@ def _phi(x: float, highest: int) -> list[float]:
     return found[::-1]
 
 
-def lag(
-    channels: Sequence[Channel],
-    time_constant: PerChannel,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "lag",
-) -> SymbolicBlock:
+def lag(channels: Sequence[Channel], time_constant: PerChannel, **options: Unpack[BlockOptions]) -> SymbolicBlock:
     """Build the block T y' + y = u, exact for inputs that are constant between the samples.
 
     With sample time h and a = exp(-h / T)::
@@ -254,17 +248,15 @@ def lag(
     Args:
         channels: the commands, usually torques, with initial values.
         time_constant: T [s], zero or positive, 1 / (2 pi f) for a bandwidth f [Hz].
-        sample_time, offset: [s].
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``name``.
 
     Raises:
         InputError: a channel has no initial value, a time constant is negative or not finite, or the sample time isn't
             positive.
     """
-    check_sampling(sample_time, offset, name)
-    ports = inputs(channels)
+    n, h, name = len(channels), options["sample_time"], options.get("name", "lag")
+    check_sampling(h, options.get("offset", 0.0), name)
     require_initial(channels, name)
-    n, h = len(channels), sample_time
     times = parameters(channels, "time_constant", time_constant, "the time constant", minimum=0.0, units=["s"] * n)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
@@ -272,22 +264,14 @@ def lag(
         y = recall(x, initial)
         return y, remember(u + casadi.exp(-h / time) * (y - u))
 
-    return block(
-        name,
-        "First-order lag",
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=ports,
-        outputs=outputs(channels),
-        parameters=[
-            *times,
-            *initial_parameters(channels),
-        ],
-        states=empty(n),
-        # mean delay of the impulse response
-        latency={c.name: h / -expm1(-h / t.start) if t.start else h for c, t in zip(channels, times, strict=True)},
-    )
+    numbers = [*times, *initial_parameters(channels)]
+    late = {c.name: lag_latency(t.start or 0.0, h) for c, t in zip(channels, times, strict=True)}
+    return channel_block("lag", "First-order lag", equations, channels, numbers, memory=n, latency=late, **options)
+
+
+def lag_latency(time: float, sample_time: float) -> float:
+    """Mean delay [s] of the impulse response of a lag with a time constant [s] that is sampled."""
+    return sample_time / -expm1(-sample_time / time) if time else sample_time
 
 
 @builds(LagSection)

@@ -1,8 +1,8 @@
 """Imperfections of sampled signals: limits, dead zone, backlash, quantisation, encoders, noise and jitter.
 
 Each function builds one block from its law, which acts on every channel alone: u is the signal as it comes, y as it goes on, u_k
-that of sample k. What all share: ``channels`` are the signals, with values before the first sample where the law has a memory,
-``sample_time`` h is the time between samples [s], ``offset`` the first sample instant [s], and ``name`` the block's name.
+that of sample k. What all share: ``channels`` are the signals, with values before the first sample where the law has a memory, and
+the options are ``sample_time`` h, the time between samples [s], ``offset``, the first sample instant [s], and ``name``, the block's name.
 
 Numbers of the law are in the channels' units, one for all channels or one for each, and become tunable parameters
 ``<channel>.<key>``. A ``seed`` is a whole number from 0 to 2^20 - 1 and a fixed parameter ``seed``: random numbers are the same in
@@ -14,23 +14,22 @@ Raises:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import isfinite, pi
+from typing import Unpack
 
 import casadi
 
-from flexfmu.cosim.control.blocks.equations import Equations, Vector, block, split
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, split
 from flexfmu.cosim.control.controllers.joints import JOINTS, saturate
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
     PerChannel,
+    channel_block,
     cut,
-    empty,
     initial_parameters,
-    inputs,
     joint_channels,
-    outputs,
     parameters,
     per_second,
     recall,
@@ -58,41 +57,11 @@ from flexfmu.model.scene.imperfections import (
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
-def _block(
-    name: str,
-    description: str,
-    equations: Equations,
-    channels: Sequence[Channel],
-    numbers: Sequence[Variable],
-    sample_time: float,
-    offset: float,
-    memory: int = 0,
-    latency: Mapping[str, float] | None = None,
-    further: Sequence[Channel] = (),
-) -> SymbolicBlock:
-    """Build the block of a law on channels, with a memory of this size; ``further`` channels are outputs alone."""
-    return block(
-        name,
-        description,
-        equations,
-        sample_time=sample_time,
-        offset=offset,
-        inputs=inputs(channels),
-        outputs=outputs([*channels, *further]),
-        parameters=numbers,
-        states=empty(memory) if memory else (),
-        latency=latency,
-    )
-
-
 def saturation(
     channels: Sequence[Channel],
     lower: PerChannel,
     upper: PerChannel,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "saturation",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y = sat(u): u within [lower, upper], otherwise the nearer limit.
 
@@ -102,6 +71,7 @@ def saturation(
     maxima = parameters(channels, "maximum", upper, "the upper limit")
     for channel, low, high in zip(channels, minima, maxima, strict=True):
         if low.start is not None and high.start is not None and low.start > high.start:
+            name = options.get("name", "saturation")
             raise InputError(
                 f"{name}: the lower limit {low.start} {low.unit} of {channel.name} is above the upper one, "
                 f"{high.start} {high.unit}; swap them"
@@ -110,7 +80,7 @@ def saturation(
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return saturate(u, *split(p, len(channels))), x
 
-    return _block(name, "Saturation", law, channels, [*minima, *maxima], sample_time, offset)
+    return channel_block("saturation", "Saturation", law, channels, [*minima, *maxima], **options)
 
 
 builds(SaturationSection)(lambda s, c: saturation(section_channels(s, c), *s.bounds, **sampling(s, c)))
@@ -120,10 +90,7 @@ def rate_limit(
     channels: Sequence[Channel],
     rising: PerChannel,
     falling: PerChannel | None = None,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "rate_limit",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y_k = u_k, limited to y_k-1 - falling h .. y_k-1 + rising h; both rates are zero or positive, per second.
 
@@ -132,10 +99,10 @@ def rate_limit(
     """
     rates = [per_second(each.unit) for each in channels]
     falling = rising if falling is None else falling
-    n = len(channels)
+    n, h = len(channels), options["sample_time"]
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        (up, down), initial = split(sample_time * p[: 2 * n], n), p[2 * n :]
+        (up, down), initial = split(h * p[: 2 * n], n), p[2 * n :]
         last = recall(x, start_values(channels, initial, u))
         # limit the change since the last sample
         change = u - last
@@ -147,7 +114,7 @@ def rate_limit(
         *parameters(channels, "falling_rate", falling, "the fastest fall", minimum=0.0, units=rates),
         *initial_parameters(channels),
     ]
-    return _block(name, "Rate limit", law, channels, numbers, sample_time, offset, n)
+    return channel_block("rate_limit", "Rate limit", law, channels, numbers, memory=n, **options)
 
 
 builds(RateLimitSection)(lambda s, c: rate_limit(section_channels(s, c), s.rate, s.falling_rate, **sampling(s, c)))
@@ -156,10 +123,7 @@ builds(RateLimitSection)(lambda s, c: rate_limit(section_channels(s, c), s.rate,
 def dead_zone(
     channels: Sequence[Channel],
     half_width: PerChannel,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "dead_zone",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y = u - sat(u) with the limits ± w: nothing within ± w, and u less w beyond.
 
@@ -170,7 +134,7 @@ def dead_zone(
         return u - saturate(u, -w, w), x
 
     widths = parameters(channels, "half_width", half_width, "the half width", minimum=0.0)
-    return _block(name, "Dead zone", law, channels, widths, sample_time, offset)
+    return channel_block("dead_zone", "Dead zone", law, channels, widths, **options)
 
 
 builds(DeadZoneSection)(lambda s, c: dead_zone(section_channels(s, c), s.half_width, **sampling(s, c)))
@@ -179,10 +143,7 @@ builds(DeadZoneSection)(lambda s, c: dead_zone(section_channels(s, c), s.half_wi
 def backlash(
     channels: Sequence[Channel],
     gap: PerChannel,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "backlash",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y_k = min(max(y_k-1, u_k - g / 2), u_k + g / 2): a play, as between a joint and the gear of its encoder.
 
@@ -199,7 +160,7 @@ def backlash(
         return y, remember(y)
 
     gaps = parameters(channels, "gap", gap, "the gap", minimum=0.0)
-    return _block(name, "Backlash", law, channels, gaps, sample_time, offset, len(channels))
+    return channel_block("backlash", "Backlash", law, channels, gaps, memory=len(channels), **options)
 
 
 builds(BacklashSection)(lambda s, c: backlash(section_channels(s, c), s.gap, **sampling(s, c)))
@@ -208,10 +169,7 @@ builds(BacklashSection)(lambda s, c: backlash(section_channels(s, c), s.gap, **s
 def quantisation(
     channels: Sequence[Channel],
     resolution: PerChannel,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "quantisation",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y = q floor(u / q + 1/2), the nearest multiple of the resolution q.
 
@@ -224,7 +182,7 @@ def quantisation(
         return casadi.if_else(q > 0.0, q * casadi.floor(u / q + 0.5), u), x
 
     resolutions = parameters(channels, "resolution", resolution, "the resolution", minimum=0.0)
-    return _block(name, "Quantisation", law, channels, resolutions, sample_time, offset)
+    return channel_block("quantisation", "Quantisation", law, channels, resolutions, **options)
 
 
 builds(QuantisationSection)(lambda s, c: quantisation(section_channels(s, c), s.resolution, **sampling(s, c)))
@@ -233,11 +191,9 @@ builds(QuantisationSection)(lambda s, c: quantisation(section_channels(s, c), s.
 def encoder(
     counts_per_turn: PerChannel,
     *,
-    sample_time: float,
-    offset: float = 0.0,
     window: int = 1,
     joints: Sequence[str] = JOINTS,
-    name: str = "encoder",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """Build the block of incremental encoders: angles to the nearest count, rates by difference.
 
@@ -255,9 +211,9 @@ def encoder(
         window: w, number of sample times that the difference spans, at least 1.
         joints: names of the joints.
     """
-    whole_number(f"{name}: the window in samples", window, 1)
+    whole_number(f"{options.get('name', 'encoder')}: the window in samples", window, 1)
     angles, rates = joint_channels("position", joints=joints), joint_channels("velocity", joints=joints)
-    n = len(angles)
+    n, span = len(angles), window * options["sample_time"]
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # angle in whole counts
@@ -265,12 +221,22 @@ def encoder(
         counts = casadi.floor(u / resolution + 0.5)
         # velocity from the difference over the window
         past = recall(x, repeated(counts, window))
-        velocity = (counts - past[-n:]) * (resolution / (window * sample_time))
+        velocity = (counts - past[-n:]) * (resolution / span)
         return casadi.vertcat(resolution * counts, velocity), remember(counts, *cut(past, n * (window - 1)))
 
-    what, late = "the number of counts per turn", {each.name: window * sample_time / 2.0 for each in rates}
+    what, late = "the number of counts per turn", {each.name: span / 2.0 for each in rates}
     counts = parameters(angles, "counts_per_turn", counts_per_turn, what, minimum=1.0, units=["1"] * n)
-    return _block(name, "Incremental encoders", law, angles, counts, sample_time, offset, window * n, late, rates)
+    return channel_block(
+        "encoder",
+        "Incremental encoders",
+        law,
+        angles,
+        counts,
+        memory=window * n,
+        latency=late,
+        further=rates,
+        **options,
+    )
 
 
 builds(EncoderSection)(lambda s, c: encoder(s.counts_per_turn, window=s.window, **sampling(s, c)))
@@ -280,10 +246,7 @@ def gaussian_noise(
     channels: Sequence[Channel],
     standard_deviation: PerChannel,
     seed: int,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "noise",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y = u + white Gaussian noise, independent for every channel: its numbers depend on channel, block's name and seed alone.
 
@@ -300,17 +263,14 @@ def gaussian_noise(
         return casadi.sqrt(-2.0 * casadi.log(radius)) * casadi.cos(2.0 * pi * angle), streams
 
     scales = parameters(channels, "standard_deviation", standard_deviation, "the standard deviation", minimum=0.0)
-    return _noise(name, "Gaussian noise", normal, channels, scales, seed, sample_time, offset)
+    return _noise("Gaussian noise", normal, channels, scales, seed, **options)
 
 
 def uniform_noise(
     channels: Sequence[Channel],
     half_width: PerChannel,
     seed: int,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "noise",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """y = u + white noise, uniform in ± half_width and of variance half_width² / 3; independent as `gaussian_noise` is.
 
@@ -322,21 +282,20 @@ def uniform_noise(
         return 2.0 * value - 1.0, streams
 
     scales = parameters(channels, "half_width", half_width, "the half width", minimum=0.0)
-    return _noise(name, "Uniform noise", symmetric, channels, scales, seed, sample_time, offset)
+    return _noise("Uniform noise", symmetric, channels, scales, seed, **options)
 
 
 def _noise(
-    name: str,
     description: str,
     draws: Callable[[Streams], tuple[Vector, Streams]],
     channels: Sequence[Channel],
     scales: Sequence[Variable],
     seed: int,
-    sample_time: float,
-    offset: float,
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """Build the block: inputs plus scaled random numbers."""
-    n, names = len(channels), [f"{name}/{each.name}" for each in channels]
+    n, name = len(channels), options.get("name", "noise")
+    names = [f"{name}/{each.name}" for each in channels]
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         scale, chosen = split(p, n, 1)
@@ -344,25 +303,23 @@ def _noise(
         values, following = draws(Streams.of(recall(x, seeded(names, chosen).states)))
         return u + scale * values, remember(following.states)
 
-    return _block(name, description, law, channels, [*scales, seed_parameter(seed, name)], sample_time, offset, 2 * n)
+    numbers = [*scales, seed_parameter(seed, name)]
+    return channel_block("noise", description, law, channels, numbers, memory=2 * n, **options)
 
 
 @builds(NoiseSection)
 def _noise_of_section(section: NoiseSection, context: LoopContext) -> SymbolicBlock:
-    channels, when = section_channels(section, context), sampling(section, context)
+    channels, when, seed = section_channels(section, context), sampling(section, context), section.seed
     if section.half_width is not None:
-        return uniform_noise(channels, section.half_width, section.seed, name=context.name, **when)
-    return gaussian_noise(channels, section.standard_deviation or 0.0, section.seed, name=context.name, **when)
+        return uniform_noise(channels, section.half_width, seed, name=context.name, **when)
+    return gaussian_noise(channels, section.standard_deviation or 0.0, seed, name=context.name, **when)
 
 
 def jitter(
     channels: Sequence[Channel],
     time: float,
     seed: int,
-    *,
-    sample_time: float,
-    offset: float = 0.0,
-    name: str = "jitter",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """Build the block: the sample at t_k is up to ``time`` old, at random; the same for all channels.
 
@@ -375,15 +332,15 @@ def jitter(
     or without one the value of the first sample. The largest delay [s], from zero to the sample time, is the tunable parameter
     ``largest_delay``.
     """
-    check_sampling(sample_time, offset, name)
-    if not (isfinite(time) and 0.0 <= time <= sample_time):
-        raise InputError(f"{name}: the jitter must be zero to the sample time, {sample_time} s, got {time} s")
-    n = len(channels)
-    largest = Variable("largest_delay", "s", "Largest delay", "parameter", time, 0.0, sample_time, tunable=True)
+    n, h, name = len(channels), options["sample_time"], options.get("name", "jitter")
+    check_sampling(h, options.get("offset", 0.0), name)
+    if not (isfinite(time) and 0.0 <= time <= h):
+        raise InputError(f"{name}: the jitter must be zero to the sample time, {h} s, got {time} s")
+    largest = Variable("largest_delay", "s", "Largest delay", "parameter", time, 0.0, h, tunable=True)
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # memory: the last sample (n,) and the random stream
-        late, chosen, initial = p[0] / sample_time, p[1], p[2:]
+        late, chosen, initial = p[0] / h, p[1], p[2:]
         start = casadi.vertcat(start_values(channels, initial, u), seeded([name], chosen).states)
         last, states = split(recall(x, start), n, 2)
         value, streams = draw(Streams.of(states))
@@ -392,7 +349,7 @@ def jitter(
 
     numbers = [largest, seed_parameter(seed, name), *initial_parameters(channels)]
     delays = {each.name: time / 2.0 for each in channels} if time else {}
-    return _block(name, "Sample jitter", law, channels, numbers, sample_time, offset, n + 2, delays)
+    return channel_block("jitter", "Sample jitter", law, channels, numbers, memory=n + 2, latency=delays, **options)
 
 
 builds(JitterSection)(

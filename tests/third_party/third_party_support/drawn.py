@@ -13,7 +13,7 @@ from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.control.imperfections.lag import lag
 from flexfmu.cosim.control.imperfections.signal_blocks import encoder, gaussian_noise
-from flexfmu.cosim.control.shaper_block import shaper_block
+from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.fmu_build.block_build import block_description, with_starts
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.experiment import DefaultExperiment

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
 from flexfmu.cosim.control.controllers.joints import Limits, symmetric
+from flexfmu.cosim.control.controllers.pid import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
@@ -394,11 +394,11 @@ def test_scenes_are_refused(robot: Any, changes: dict[str, Any], message: str) -
 
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: position_loop(np.nan, sample_time=H), "position_gain of joint1 must be finite, got nan 1/s"),
-    (lambda: position_loop(1.0, sample_time=H, velocity_limit=[1.0, -1.0]), "velocity_limit of joint2 must be at least 0.0 rad/s"),
-    (lambda: velocity_loop(1.0, [1.0, 2.0, 3.0], sample_time=H), "must be one number or 2"),
-    (lambda: velocity_loop(1.0, 1.0, sample_time=H, inertia=-0.1), "inertia of joint1 must be at least 0.0 kg.m2, got -0.1"),
+    (lambda: position_loop(1.0, sample_time=H, velocity_limit=[1.0, -1.0]), "velocity_limit of joint2 must be at least 0 rad/s"),
+    (lambda: velocity_loop(1.0, [1.0, 2.0, 3.0], sample_time=H), "must be one number or one for each"),
+    (lambda: velocity_loop(1.0, 1.0, sample_time=H, inertia=-0.1), "inertia of joint1 must be at least 0 kg.m2, got -0.1"),
     (lambda: velocity_loop(1.0, 1.0, sample_time=H, limits=Limits(1.0, -1.0)), "must be below the upper one"),
-    (lambda: current_loop(-1e-4, sample_time=H), "time_constant of joint1 must be at least 0.0 s"),
+    (lambda: current_loop(-1e-4, sample_time=H), "time_constant of joint1 must be at least 0 s"),
     (lambda: current_loop(1e-4, sample_time=0.0), "the sample time must be positive"),
 ])  # fmt: skip
 def test_refused(make: Callable[[], SymbolicBlock], message: str) -> None:

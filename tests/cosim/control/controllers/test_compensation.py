@@ -214,13 +214,13 @@ def test_sections_of_a_scene() -> None:
 
 
 @pytest.mark.parametrize(("make", "message"), [
-    (lambda: friction_compensation(-1.0, 0.0, sample_time=H), r"viscous_friction of joint1 must be at least 0\.0 N\.m\.s/rad"),
+    (lambda: friction_compensation(-1.0, 0.0, sample_time=H), r"viscous_friction of joint1 must be at least 0 N\.m\.s/rad"),
     (lambda: friction_compensation(1.0, 0.0, velocity=0.0, sample_time=H), "the smoothing velocity must be above 0 rad/s, got 0.0"),
     (lambda: friction_compensation(1.0, 0.0, motion="planned", sample_time=H), "'reference' or 'measured', got 'planned'"),  # type: ignore[arg-type]
     (lambda: gravity_feedforward(inverse_dynamics(SCENE), sample_time=H, joints=ONE), "inverse dynamics must take"),
     (lambda: gravity_feedforward(inverse_dynamics(SCENE), sample_time=0.0), "the sample time must be positive"),
     (lambda: disturbance_observer(inverse_dynamics(SCENE), 1e-2, sample_time=H, joints=ONE), "inverse dynamics must take"),
-    (lambda: disturbance_observer([0.1, -0.1], 1e-2, sample_time=H), r"inertia of joint2 must be at least 0\.0 kg\.m2"),
+    (lambda: disturbance_observer([0.1, -0.1], 1e-2, sample_time=H), r"inertia of joint2 must be at least 0 kg\.m2"),
     (lambda: disturbance_observer(0.1, np.inf, sample_time=H), "time_constant of joint1 must be finite, got inf s"),
     (lambda: loop_of(scene_with(controller=[{"kind": "friction-compensation", "sample_time": H}])),
      "friction_compensation has no friction to compensate"),

@@ -187,7 +187,7 @@ def test_not_a_number_passes_the_limits(respond: Respond) -> None:
     ({"joints": ("joint1",)}, r"must take \(q, v, a\) of 1 each and give 1 torques for joint1"),
     ({"inverse_dynamics": casadi.Function("f", [casadi.SX.sym("q", 2)], [casadi.SX(2, 1)])}, r"f takes \[2\] and gives"),
     ({"proportional": np.nan}, "proportional_gain of joint1 must be finite, got nan 1/s2"),
-    ({"derivative": -1.0}, "derivative_gain of joint1 must be at least 0.0 1/s, got -1.0"),
+    ({"derivative": -1.0}, "derivative_gain of joint1 must be at least 0 1/s, got -1.0"),
     ({"sample_time": 0.0}, "the sample time must be positive"),
 ])  # fmt: skip
 def test_refused(change: dict[str, Any], message: str) -> None:

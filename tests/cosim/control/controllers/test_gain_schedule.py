@@ -182,7 +182,7 @@ def test_scenes_are_refused(robot: Scene, change: dict[str, Any], message: str) 
     ([0.0, np.nan], {"proportional_gain": [1.0, 1.0]}, "two or more ascending values of load"),
     ([0.0, 1.0], {"gain": [1.0, 1.0]}, "pd has no gain 'gain' to schedule; it has proportional_gain, derivative_gain"),
     ([0.0, 1.0], {"proportional_gain": [1.0]}, "needs a factor at each of 2 values, got 1"),
-    ([0.0, 1.0], {"proportional_gain": [1.0, -1.0]}, "the factor on proportional_gain of joint1 must be at least 0.0, got -1.0"),
+    ([0.0, 1.0], {"proportional_gain": [1.0, -1.0]}, "the factor on proportional_gain of joint1 must be at least 0, got -1.0"),
     ([0.0, 1.0], {"proportional_gain": [1.0, (1.0, np.inf)]}, "the factor on proportional_gain of joint2 must be finite"),
 ])  # fmt: skip
 def test_refused(at: list[float], factors: Mapping[str, list[Any]], message: str) -> None:

@@ -249,7 +249,7 @@ def test_contraction_bounds_what_errors_do() -> None:
     ({"shift": 10}, "the shift must be 0 to 9 samples, less than a cycle, got 10"),
     ({"forgetting": 1.0}, "the forgetting must be at least 0 and below 1, got 1.0"),
     ({"forgetting": np.nan}, "the forgetting must be at least 0 and below 1, got nan"),
-    ({"gain": -1.0}, "learning_gain of joint1 must be at least 0.0 N.m/rad, got -1.0"),
+    ({"gain": -1.0}, "learning_gain of joint1 must be at least 0 N.m/rad, got -1.0"),
     ({"gain": [1.0, np.inf]}, "learning_gain of joint2 must be finite"),
     ({"sample_time": 0.0}, "the sample time must be positive"),
 ])  # fmt: skip

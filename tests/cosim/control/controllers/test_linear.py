@@ -187,7 +187,7 @@ DISCRETE = control.tf([1.0], [1.0, -0.5], H)
     (DISCRETE, {"inputs": ["a", "b"]}, r"inputs must be a sequence of 1 names, one for each of \['u\[0\]'\]"),
     (DISCRETE, {"inputs": "u"}, "inputs must be a sequence of 1 names"),
     (DISCRETE, {"outputs": ["u[0]"]}, r"two signals are named 'u\[0\]'"),
-    (DISCRETE, {"units": {"u[1]": "m"}}, r"there is no signal 'u\[1\]'; did you mean 'u\[0\]'?"),
+    (DISCRETE, {"units": {"u[1]": "m"}}, r"names 'u\[1\]', which is no variable; did you mean 'u\[0\]'?"),
     (control.frd([1.0, 2.0], [1.0, 2.0]), {}, "need a control.StateSpace or control.TransferFunction, got Frequency"),
     ("plant.ss", {}, "need a control.StateSpace or control.TransferFunction, got str"),
 ])  # fmt: skip

@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 import pytest
 
-from flexfmu.cosim.control.shaper_block import JOINT_REFERENCES, ShapedSignal, shaper_block
+from flexfmu.cosim.control.shapers import JOINT_REFERENCES, ShapedSignal, shaper_block
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.model.scene.file import load_scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.shaper_block import JOINT_REFERENCES, SHAPED, shaper_block
+from flexfmu.cosim.control.shapers import JOINT_REFERENCES, SHAPED, shaper_block
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.master import simulate
 from flexfmu.cosim.engine.master.system import connect

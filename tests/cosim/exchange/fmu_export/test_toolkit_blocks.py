@@ -18,7 +18,7 @@ from flexfmu.cosim.control import controllers, imperfections
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.imperfections.signal_blocks import encoder
-from flexfmu.cosim.control.shaper_block import shaper_block
+from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.cosim.engine.binding import Phase
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu

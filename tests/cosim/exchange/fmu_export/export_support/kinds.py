@@ -50,7 +50,7 @@ from flexfmu.cosim.control.imperfections.signal_blocks import (
     saturation,
     uniform_noise,
 )
-from flexfmu.cosim.control.shaper_block import shaper_block
+from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.cosim.control.sums import disturbance_sum, feedforward_sum
 from flexfmu.fmu_build.regular_sampling import regular
 from flexfmu.model.numeric import inverse_dynamics
