@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from math import ceil
 from numbers import Real
@@ -16,6 +15,7 @@ from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.lockstep import PeakMeasure, SideBySide, SignalMeasure
 from flexfmu.model.scene.schema import Scene
 
@@ -117,45 +117,28 @@ def run_variants(
         )
     task = VariantTask(scene, build_scene(scene).path, measure, communication_step, tolerance, record)
     split = [Variant(_part(each, motion=True), _part(each, motion=False)) for each in variants]
-    report = _Report(len(variants), progress)
+    done = 0
+
+    def add(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None and count:
+            progress(done / len(variants))
+
     if processes == 1 or len(variants) < 2:
-        found = task.outcomes(split, report.add)
+        found = task.outcomes(split, add)
     else:
-        found = _shared(task, split, report, processes)
+        # shares of equal size: a few for each process, so that all finish at about the same time
+        size = max(1, min(LARGEST_SHARE, ceil(len(variants) / (SHARES * processes))))
+        found = []
+        with mapping(task.outcomes, processes) as simulated:
+            for outcomes in simulated(split[first : first + size] for first in range(0, len(split), size)):
+                found += outcomes
+                add(len(outcomes))
     return [
         VariantResult(changes, None, each) if isinstance(each, Exception) else VariantResult(changes, each)
         for changes, each in zip(variants, found, strict=True)
     ]
-
-
-def _shared(task: VariantTask[T], variants: Sequence[Variant], report: _Report, processes: int) -> list[T | Exception]:
-    """The outcomes of variants by several processes, in shares of equal size: a few for each, so that all finish at about the same time."""
-    size = max(1, min(LARGEST_SHARE, ceil(len(variants) / (SHARES * processes))))
-    shares = [variants[first : first + size] for first in range(0, len(variants), size)]
-    found: list[T | Exception] = []
-    with ProcessPoolExecutor(processes) as pool:
-        try:
-            for outcomes in pool.map(task.outcomes, shares):
-                found += outcomes
-                report.add(len(outcomes))
-        except BaseException:
-            # after Ctrl-C no further share begins
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return found
-
-
-class _Report:
-    """Adds up completed variants and reports their fraction."""
-
-    def __init__(self, total: int, progress: Progress | None) -> None:
-        self._total, self._done, self._progress = total, 0, progress
-
-    def add(self, count: int) -> None:
-        """Report that further variants are completed."""
-        self._done += count
-        if self._progress is not None and count:
-            self._progress(self._done / self._total)
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from flexfmu.cosim.design.gains.trial import Study, Trial
-from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.many.journal import Journal as Lines
 
 FILE = "journal.jsonl"
 """What is tuned in its first line, a trial in each other one."""
@@ -32,24 +31,20 @@ class Journal:
     """
 
     def __init__(self, folder: Path, study: Study, *, restart: bool = False) -> None:
-        OutputFolder(folder).prepare()
-        self._path, self.trials = folder / FILE, dict[tuple[float, ...], Trial]()
+        self._lines, self.trials = Lines(folder / FILE, restart=restart), dict[tuple[float, ...], Trial]()
         head = json.loads(json.dumps(_about(study)))
-        try:
-            lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() and not restart else []
-        except OSError as error:
-            raise ResultsError(f"can't read {self._path}: {error.strerror or error}") from error
-        if lines and (found := _read(lines[0])) != head:
-            part = next((key for key in head if (found or {}).get(key) != head[key]), "file")
+        found = [_read(line) for _, line in self._lines.read()]
+        if not found:
+            self._lines.append(f"{json.dumps(head)}\n")
+        elif found[0] != head:
+            part = next((key for key in head if (found[0] or {}).get(key) != head[key]), "file")
             raise InputError(
                 f"{folder} has another tuning (other {part}): give another folder with --out, or --restart to discard it"
             )
-        whole = [found for line in lines[1:] if (found := _read(line)) is not None]
-        for each in whole:
-            trial = Trial(tuple(each["values"]), each["figures"], each["message"])
-            self.trials[trial.values] = trial
-        # without what was torn
-        self._write("w", head, *whole)
+        for each in found[1:]:
+            if each is not None:
+                trial = Trial(tuple(each["values"]), each["figures"], each["message"])
+                self.trials[trial.values] = trial
 
     def add(self, trial: Trial) -> None:
         """Keep a trial.
@@ -57,14 +52,8 @@ class Journal:
         Raises:
             ResultsError: the file can't be written.
         """
-        self._write("a", {"values": trial.values, "figures": dict(trial.figures), "message": trial.message})
-
-    def _write(self, mode: str, *lines: Mapping[str, Any]) -> None:
-        try:
-            with self._path.open(mode, encoding="utf-8") as file:
-                file.writelines(f"{json.dumps(line)}\n" for line in lines)
-        except OSError as error:
-            raise ResultsError(f"can't write {self._path}: {error.strerror or error}") from error
+        line = {"values": trial.values, "figures": dict(trial.figures), "message": trial.message}
+        self._lines.append(f"{json.dumps(line)}\n")
 
 
 def _about(study: Study) -> dict[str, Any]:
@@ -78,7 +67,7 @@ def _about(study: Study) -> dict[str, Any]:
     }
 
 
-def _read(line: str) -> dict[str, Any] | None:
+def _read(line: bytes) -> dict[str, Any] | None:
     """A line of the file; None for a torn one."""
     try:
         found = json.loads(line)

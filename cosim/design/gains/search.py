@@ -6,7 +6,7 @@ several figures has a kink, each of them is smooth: programmes bound all of them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import log
 
 import casadi
@@ -15,7 +15,7 @@ import numpy as np
 from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.gains.goals import Condition
 from flexfmu.cosim.design.gains.journal import Journal
-from flexfmu.cosim.design.gains.trial import Study, Trial, Trials
+from flexfmu.cosim.design.gains.trial import Study, Trial
 from flexfmu.cosim.engine.slave import RealArray
 
 STARTS = 3
@@ -53,12 +53,16 @@ class BudgetExceeded(Exception):  # noqa: N818 - it ends a search as planned
     """All trials are made."""
 
 
+Tried = Callable[[Sequence[tuple[float, ...]]], Iterator[Trial]]
+"""Several values → the trial of each, in their order."""
+
+
 class Search:
     """Trials that have been made, and those that are left.
 
     Args:
         study: what is tuned.
-        workers: try values.
+        tried: several values → the trial of each.
         total: number of trials.
         journal: what was tried before.
         show: is called with what is being done.
@@ -67,9 +71,9 @@ class Search:
         done: the trials in their order.
     """
 
-    def __init__(self, study: Study, workers: Trials, total: int, journal: Journal | None, show: ShowProgress) -> None:
+    def __init__(self, study: Study, tried: Tried, total: int, journal: Journal | None, show: ShowProgress) -> None:
         self.study, self.total, self.done = study, total, list[Trial]()
-        self._workers, self._journal, self._show = workers, journal, show
+        self._tried, self._journal, self._show = tried, journal, show
         self._known: dict[tuple[float, ...], Trial] = {}
 
     def try_all(self, points: Sequence[tuple[float, ...]]) -> list[Trial]:
@@ -83,7 +87,8 @@ class Search:
         spent, new = len(new) > left, new[:left]
         # those of an earlier tuning, and those that must be run, in their order
         before = {} if self._journal is None else self._journal.trials
-        runs = self._workers.of([each for each in new if each not in before])
+        missing = [each for each in new if each not in before]
+        runs = map(self.study.tried, missing) if len(missing) == 1 else self._tried(missing)
         for each in new:
             trial = before[each] if each in before else next(runs)
             if self._journal is not None and each not in before:

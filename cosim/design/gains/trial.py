@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite, log10
 from typing import Any
@@ -17,7 +14,6 @@ from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
-from flexfmu.model.one_thread import keep_one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.keys import full_key, value_at
 from flexfmu.model.scene.schema import Scene
@@ -191,48 +187,6 @@ def _single(value: Any) -> float | None:
     if isinstance(value, tuple | list) and value and all(each == value[0] for each in value):
         value = value[0]
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) else None
-
-
-@contextmanager
-def pool(study: Study, count: int) -> Iterator[Trials]:
-    """Processes that try values; those that work end after their trial when the context is left."""
-    if count == 1:
-        yield Trials(study, None)
-        return
-    processes = ProcessPoolExecutor(count, initializer=_start, initargs=(study,))
-    try:
-        yield Trials(study, processes)
-    finally:
-        processes.shutdown(wait=False, cancel_futures=True)
-
-
-class Trials:
-    """Processes that try values, or this process alone; results come in the order of the values."""
-
-    def __init__(self, study: Study, processes: ProcessPoolExecutor | None) -> None:
-        self._study, self._processes = study, processes
-
-    def of(self, values: Sequence[tuple[float, ...]]) -> Iterator[Trial]:
-        """Yield the trial of each tuple of values."""
-        if self._processes is None or len(values) == 1:
-            yield from map(self._study.tried, values)
-        else:
-            yield from self._processes.map(_try, values)
-
-
-_studies: list[Study] = []
-
-
-def _start(study: Study) -> None:
-    """Begin a process: Ctrl-C is for the parent, whose way to end by SIGTERM isn't this one's."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    keep_one_blas_thread()
-    _studies[:] = [study]
-
-
-def _try(values: tuple[float, ...]) -> Trial:
-    return _studies[0].tried(values)
 
 
 def check_keys(scene: Scene, over: Sequence[Interval]) -> None:

@@ -17,9 +17,10 @@ from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.journal import Journal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
-from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys, pool
+from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.showing import few_lines
+from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS
 from flexfmu.cosim.reports.rows import Rows
 from flexfmu.model.one_thread import one_blas_thread
@@ -223,8 +224,8 @@ def tune_study(
         raise InputError(f"there is no method {method!r} of tuning; choose from {', '.join(METHODS)}")
     if total < 2:
         raise InputError(f"tuning needs at least 2 trials, the given values and others, got {total}")
-    with pool(study, processes) as workers:
-        search = Search(study, workers, total, journal, show)
+    with mapping(study.tried, processes) as tried:
+        search = Search(study, tried, total, journal, show)
         try:
             search.try_all([(), *_sobol(study, min(first, total - 1) if method != "sample" else total - 1, seed)])
             if method != "sample":

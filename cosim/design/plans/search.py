@@ -7,14 +7,11 @@ half is dropped. The result doesn't depend on the number of processes.
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -26,12 +23,11 @@ from flexfmu.cosim.design.plans.race import RADIUS, Member, Race, Study, Trial, 
 from flexfmu.cosim.design.plans.recipes import BLENDS, LAWS, Recipe, recipes, shaper_uses
 from flexfmu.cosim.design.plans.scoring import CLEARANCE
 from flexfmu.cosim.design.plans.studies import study_of
-from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.model.one_thread import keep_one_blas_thread
+from flexfmu.cosim.many.executor import mapping
 from flexfmu.trajectories.jets import RealArray
 
-T = TypeVar("T")
-S = TypeVar("S")
+Raced = Callable[[Sequence[tuple[Any, ...]]], Iterator[Race]]
+"""Functions and their further arguments → their races, in this order."""
 
 QUICK, CONFIRMED = (7, 1e-3), (25, 5e-4)
 """Payloads of the band and communication step [s] of quick runs, and of those that confirm what is reported."""
@@ -123,41 +119,40 @@ class Search:
 
     def found(self, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Iterator[Found]:
         """Yield ever better motions, then what would be possible without limits, then the rest of the front."""
-        with _processes(self._study, self._processes) as pool:
+        with mapping(partial(_raced, self._study), self._processes) as raced:
             # shapers first, then corners and time laws
             races, starts = list[Race](), shaper_uses(len(self._study.space.modes))
-            for race in self._begun(pool, [replace(FIRST, shapers=uses) for uses in starts]):
+            for race in self._begun(raced, [replace(FIRST, shapers=uses) for uses in starts]):
                 races.append(race)
                 progress(0.05 * len(races) / len(starts), "shapers")
                 yield from self._confirmed([race])
             best = [each.recipe.shapers for each in sorted(races, key=_without_clearance)[:KEPT]]
             progress(0.05, "corners and time laws")
-            races += self._begun(pool, recipes(best))
-            races += self._begun(pool, recipes(best, [FIRST.law]), near=True)
+            races += self._begun(raced, recipes(best))
+            races += self._begun(raced, recipes(best, [FIRST.law]), near=True)
             yield from self._confirmed(races)
             # the best recipes
             last = races
-            for done, last in self._rounds(pool, races, ROUNDS):
+            for done, last in self._rounds(raced, races, ROUNDS):
                 progress(0.15 + 0.65 * done, "the best recipes")
                 yield from self._confirmed(last)
             # without some limit
             for name in self._relaxable:
                 progress(0.8, f"without the {name}")
-                yield from self._relaxed(pool, last, name)
+                yield from self._relaxed(raced, last, name)
             yield from self._front(merged([race.front for race in last]))
             progress(1.0, "done")
 
-    def _begun(self, pool: _Processes, chosen: Sequence[Recipe], *, near: bool = False) -> Iterator[Race]:
+    def _begun(self, raced: Raced, chosen: Sequence[Recipe], *, near: bool = False) -> Iterator[Race]:
         """Races of recipes at their usual numbers, or near them."""
         starts = [(each, self._study.space.start(each)) for each in chosen]
-        tasks = [(recipe, self._near(start) if near else start, self._tighter) for recipe, start in starts]
-        return pool.map(_begin, tasks)
+        return raced([(begun, recipe, self._near(start) if near else start, self._tighter) for recipe, start in starts])
 
     def _near(self, start: RealArray) -> RealArray:
         return np.asarray(np.clip(start + SPREAD * self._random.standard_normal(len(start)), 0.0, 1.0))
 
     def _rounds(
-        self, pool: _Processes, races: Sequence[Race], rounds: Sequence[tuple[int, int]]
+        self, raced: Raced, races: Sequence[Race], rounds: Sequence[tuple[int, int]]
     ) -> Iterator[tuple[float, list[Race]]]:
         """Yield the finished fraction, and the races of each round after a few more steps."""
         total, passed, races = sum(count * steps for count, steps in rounds), 0, list(races)
@@ -168,19 +163,19 @@ class Search:
                 races = [replace(race, tighter={**race.tighter, **self._tighter}) for race in races]
                 able = [k for k, race in enumerate(races) if not race.over]
                 going = sorted(able, key=[race.cost for race in races].__getitem__)[:count]
-                for k, race in zip(going, pool.map(_improve, [(races[k], length) for k in going]), strict=True):
+                for k, race in zip(going, raced([(improved, races[k], length) for k in going]), strict=True):
                     races[k] = race
                 passed += count * length
                 yield passed / total, races
 
-    def _relaxed(self, pool: _Processes, races: Sequence[Race], name: str) -> Iterator[Found]:
+    def _relaxed(self, raced: Raced, races: Sequence[Race], name: str) -> Iterator[Found]:
         """Yield the best motion that may exceed a limit, if it gains by that."""
         own = self._reported, self._within
         races = sorted(races, key=lambda race: race.cost)[:KEPT]
         free = [replace(race, tighter={**race.tighter, name: 0.0}, radius=RADIUS, front=()) for race in races]
         chosen = list(dict.fromkeys(race.recipe for race in races))
-        others = [replace(each, tighter={**each.tighter, name: 0.0}) for each in self._begun(pool, chosen)]
-        *_, (_, last) = self._rounds(pool, [*free, *others], RELAXED)
+        others = [replace(each, tighter={**each.tighter, name: 0.0}) for each in self._begun(raced, chosen)]
+        *_, (_, last) = self._rounds(raced, [*free, *others], RELAXED)
         yield from self._confirmed(last)
         self._reported, self._within = own
 
@@ -230,53 +225,8 @@ def _without_clearance(race: Race) -> float:
     return inf if race.best is None else race.best.score.cost({**race.tighter, CLEARANCE: 0.0})
 
 
-class _Processes:
-    """Processes that share tasks, or this process alone; results come in the order of the tasks."""
-
-    def __init__(self, study: Study, pool: ProcessPoolExecutor | None) -> None:
-        self._study, self._pool = study, pool
-
-    def map(self, function: Callable[[Study, S], T], tasks: Sequence[S]) -> Iterator[T]:
-        if self._pool is None:
-            yield from (function(self._study, task) for task in tasks)
-            return
-        try:
-            yield from self._pool.map(_worked, [function] * len(tasks), tasks)
-        except BrokenProcessPool:
-            raise ResultsError("a process ended before its work was done, for lack of memory for example") from None
-
-
-@contextmanager
-def _processes(study: Study, count: int) -> Iterator[_Processes]:
-    """Processes for a study. When the search is left it waits for those that work, whose processor time counts."""
-    if count == 1:
-        yield _Processes(study, None)
-        return
-    pool = ProcessPoolExecutor(count, initializer=_start, initargs=(study,))
-    try:
-        yield _Processes(study, pool)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-_studies: list[Study] = []
-
-
-def _start(study: Study) -> None:
-    """Begin a process: Ctrl-C is for the parent, whose way to end by SIGTERM isn't this one's."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    keep_one_blas_thread()
-    _studies[:] = [study]
-
-
-def _worked(function: Callable[[Study, S], T], task: S) -> T:
-    return function(_studies[0], task)
-
-
-def _begin(study: Study, task: tuple[Recipe, RealArray, Mapping[str, float]]) -> Race:
-    return begun(study, *task)
-
-
-def _improve(study: Study, task: tuple[Race, int]) -> Race:
-    return improved(study, *task)
+def _raced(study: Study, task: tuple[Any, ...]) -> Race:
+    """The race that a function makes of a study and further arguments."""
+    function, *arguments = task
+    found: Race = function(study, *arguments)
+    return found

@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
-from flexfmu.cosim.studies.hard import repetition, singularity, sticking
+from flexfmu.cosim.studies.hard import repetition, singularity, steps
 from flexfmu.cosim.studies.hard.case import CaseReport, HardCase
 from flexfmu.cosim.studies.hard.extremes import motion_cases, parameter_cases, stiffness_cases
 from flexfmu.cosim.studies.hard.steps import gain_cases, step_cases
@@ -28,7 +28,7 @@ FAMILIES: tuple[Callable[[], Iterable[HardCase]], ...] = (
     parameter_cases,
     motion_cases,
     step_cases,
-    sticking.cases,
+    steps.sticking_cases,
     gain_cases,
     repetition.cases,
 )

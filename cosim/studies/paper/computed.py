@@ -23,8 +23,7 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.studies.paper.comparison import EvaluateCell
-from flexfmu.cosim.studies.paper.printed import PrintedTable, read_data
+from flexfmu.cosim.studies.paper.comparison import EvaluateCell, PrintedTable, read_data
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

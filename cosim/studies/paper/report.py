@@ -23,8 +23,15 @@ from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.page import render
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
-from flexfmu.cosim.studies.paper.comparison import Agreement, Cell, ComparisonTable, QuantityComparison, count_agreement
-from flexfmu.cosim.studies.paper.printed import PaperSource, Remark
+from flexfmu.cosim.studies.paper.comparison import (
+    Agreement,
+    Cell,
+    ComparisonTable,
+    PaperSource,
+    QuantityComparison,
+    Remark,
+    count_agreement,
+)
 
 CLOSE, NEAR = 0.005, 0.035
 """Relative errors up to which a cell is graded close (the bound of torque and deflection) and near (RMS errors)."""

@@ -49,6 +49,10 @@ class Share(NamedTuple):
     group: int
     numbers: Sequence[int]
 
+    def parts(self) -> list[Share]:
+        """Its cases one by one."""
+        return [Share(self.group, (number,)) for number in self.numbers]
+
 
 @dataclass(frozen=True)
 class Group:

@@ -1,41 +1,111 @@
-"""Where the results of a sweep are kept: in memory, or in a folder, case by case.
+"""Where the results of a sweep are kept: in memory, or in a folder, case by case, beside what is swept.
 
-While a sweep runs, each finished case is a line of ``journal.csv``, which is only appended to: whatever ends the process, at most
-a line that is being written is torn, and the next run cuts it off. At the end the lines, in the order of the cases, become
-``sweep.csv``: the same bytes whatever was interrupted, and by however many processes.
+While a sweep runs, each finished case is a line of ``journal.csv``. At the end the lines, in the order of the cases, become
+``sweep.csv``: the same bytes whatever was interrupted, and by however many processes. A sweep with other scene, cases or metrics
+doesn't continue one in a folder.
 """
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder, write_pieces
+from flexfmu.cosim.engine.files import write_pieces
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.studies.sweep.cases import Cases
-from flexfmu.cosim.studies.sweep.manifest import difference, read_manifest
-from flexfmu.cosim.studies.sweep.work import Row
+from flexfmu.cosim.many.journal import Journal, locked
+from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, digest
+from flexfmu.cosim.studies.sweep.work import Job, Row
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+NAMED = 20
+"""Values of a key that the manifest lists; of more it has the ends and a hash."""
+
+
+def make_manifest(job: Job, units: Mapping[str, str]) -> dict[str, Any]:
+    """What is swept: a sweep with another one doesn't continue this one."""
+    return {
+        "flexfmu": version("flexfmu"),
+        "scene": job.scene.model_dump(mode="json", exclude_none=True),
+        "cases": _described(job.cases),
+        "metrics": list(job.metrics.names),
+        "record": None if job.record is None else {"signals": list(job.record.names or ()), "step": job.record.step},
+        "units": dict(units),
+    }
+
+
+def _described(cases: Cases) -> dict[str, Any]:
+    """The cases for the manifest."""
+    found: dict[str, Any] = {"count": len(cases), "keys": list(cases.keys)}
+    if isinstance(cases, Grid):
+        found["values"] = {key: _listed(level) for key, level in zip(cases.keys, cases.levels, strict=True)}
+    if isinstance(cases, Sample):
+        found |= {"sample": cases.method, "seed": cases.seed}
+        found["values"] = {
+            key: f"{each.low!r}:{each.high!r}" if isinstance(each, Span) else _listed(each)
+            for key, each in zip(cases.keys, cases.values, strict=True)
+        }
+    return found | {"hash": digest(cases)}
+
+
+def _listed(values: Sequence[Any]) -> Any:
+    """A list of values, or the ends of a long one."""
+    return list(values) if len(values) <= NAMED else f"{len(values)} values from {values[0]!r} to {values[-1]!r}"
+
+
+def read_manifest(path: Path) -> dict[str, Any] | None:
+    """What is swept in a folder; None if nothing is.
+
+    Raises:
+        ResultsError: the file can't be read.
+    """
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"can't read {path}: {error}; use --restart, or another --out") from error
+    return found
+
+
+def difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """What differs between two sweeps, the first few differences."""
+    one, two = _flat(before), _flat(after)
+    found = [
+        f"{key} was {_short(one.get(key))}, now {_short(two.get(key))}"
+        for key in {**one, **two}
+        if one.get(key) != two.get(key)
+    ]
+    rest = f" and {len(found) - 3} more" if len(found) > 3 else ""
+    return ", ".join(found[:3]) + rest
+
+
+def _flat(data: Any, prefix: str = "") -> dict[str, Any]:
+    """Dotted keys of nested tables → values."""
+    if not isinstance(data, Mapping):
+        return {prefix: data}
+    return {
+        key: value
+        for name, each in data.items()
+        for key, value in _flat(each, f"{prefix}.{name}" if prefix else name).items()
+    }
+
+
+def _short(value: Any) -> str:
+    """A value for a message."""
+    text = "not there" if value is None else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
 
 MANIFEST, JOURNAL, TABLE, SIGNALS = "sweep.json", "journal.csv", "sweep.csv", "signals"
 """What is swept, finished cases while the sweep runs, all of them at its end, and the folder of recorded signals."""
-
-LINES = 1024
-"""Number of lines that are written at once."""
 
 
 def text_of(value: Any) -> str:
@@ -109,8 +179,11 @@ class FolderStore:
         self, folder: Path, cases: Cases, head: Sequence[str], manifest: Mapping[str, Any], *, restart: bool = False
     ) -> None:
         self.folder, self._cases, self._head = folder, cases, _line(head)
-        OutputFolder(folder).prepare()
-        self._lock = _locked(folder)
+        self._journal = Journal(folder / JOURNAL)
+        try:
+            self._lock = locked(folder)
+        except OSError:
+            raise ResultsError(f"another sweep works in {folder}: wait for its end, or choose another --out") from None
         try:
             self._begin(json.loads(json.dumps(manifest)), restart)
         except BaseException:
@@ -137,27 +210,14 @@ class FolderStore:
         self.done = len(self._cases)
         if self.is_complete:
             # it may have ended between the table and this
-            (self.folder / JOURNAL).unlink(missing_ok=True)
-        else:
-            self._file = open(self.folder / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - closed by `close`
-            self._recover()
-
-    def _recover(self) -> None:
-        """Find the finished cases, and cut off a line that was being written."""
-        self._file.seek(0)
-        end = 0
-        with os.fdopen(os.dup(self._file.fileno()), "rb") as journal:
-            for place, line in enumerate(journal):
-                if not line.endswith(b"\n"):
-                    break
-                if place:
-                    self._offsets[self._number(line)] = end
-                end += len(line)
-        self._file.truncate(end)
-        self._end = end
+            self._journal.path.unlink(missing_ok=True)
+            return
+        for number, (offset, line) in enumerate(self._journal.read()):
+            if number:
+                self._offsets[self._number(line)] = offset
         self.done = int((self._offsets >= 0).sum())
-        if not end:
-            self._append(self._head)
+        if not self._journal.size:
+            self._journal.append(self._head)
 
     def _number(self, line: bytes) -> int:
         """The number of the case in a line of the journal.
@@ -186,7 +246,7 @@ class FolderStore:
     def add(self, rows: Iterable[Row]) -> None:
         """Write finished cases at once, each as a line."""
         lines: list[str] = []
-        place = self._end
+        place = self._journal.size
         for row in rows:
             if self._offsets[row.number] >= 0:
                 continue
@@ -198,21 +258,7 @@ class FolderStore:
             self._offsets[row.number] = place
             self.done += 1
             place += len(lines[-1].encode())
-        self._append("".join(lines))
-
-    def _append(self, text: str) -> None:
-        """Append whole lines.
-
-        Raises:
-            ResultsError: the disk is full, for example.
-        """
-        data = memoryview(text.encode())
-        self._end += len(data)
-        try:
-            while data:
-                data = data[self._file.write(data) :]
-        except OSError as error:
-            raise ResultsError(f"can't write {self.folder / JOURNAL}: {error.strerror or error}") from error
+        self._journal.append("".join(lines))
 
     def finish(self) -> None:
         """Write the table in the order of the cases, and remove the journal."""
@@ -220,21 +266,18 @@ class FolderStore:
             return
         write_pieces(self.folder / TABLE, self._sorted())
         self.is_complete = True
-        self._file.close()
-        (self.folder / JOURNAL).unlink()
+        self._journal.path.unlink()
 
     def _sorted(self) -> Iterator[str]:
         """Yield the lines of the journal in the order of the cases."""
         yield self._head
-        with open(self.folder / JOURNAL, "rb") as journal:
+        with self._journal.path.open("rb") as journal:
             for offset in self._offsets.tolist():
                 journal.seek(offset)
                 yield journal.readline().decode()
 
     def close(self) -> None:
         """Let other processes into the folder."""
-        with contextlib.suppress(AttributeError):
-            self._file.close()
         if self._lock is not None:
             self._lock.close()
 
@@ -271,23 +314,3 @@ def _line(cells: Sequence[str]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow([" ".join(each.splitlines()) for each in cells])
     return text.getvalue()
-
-
-def _locked(folder: Path) -> Any:
-    """The folder's lock file, held until it is closed; None where files can't be locked.
-
-    Raises:
-        ResultsError: another process holds it.
-    """
-    if fcntl is None:
-        return None
-    file = open(folder / ".lock", "a")  # noqa: SIM115 - held until the end
-    try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not inherited by the workers
-    except (BlockingIOError, PermissionError):
-        file.close()
-        raise ResultsError(f"another sweep works in {folder}: wait for its end, or choose another --out") from None
-    except OSError:
-        file.close()
-        return None
-    return file

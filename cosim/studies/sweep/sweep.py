@@ -10,15 +10,14 @@ from typing import Any
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.many.executor import DaskWorkers, Executor, Processes, finished, processors
 from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
 from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
-from flexfmu.cosim.studies.sweep.manifest import make_manifest
 from flexfmu.cosim.studies.sweep.result import SweepResult
-from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, read_results
-from flexfmu.cosim.studies.sweep.work import Job
-from flexfmu.cosim.studies.sweep.workers import DaskWorkers, LocalWorkers, Workers, processors
+from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, make_manifest, read_results
+from flexfmu.cosim.studies.sweep.work import Job, Row
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.keys import full_key, location, value_at
 from flexfmu.model.scene.messages import unit_of
@@ -73,21 +72,26 @@ def sweep_scene(
     _check_metrics(scene, cases, measure.names)
     units = _units(scene, cases, measure)
     job = Job(scene, cases, groups_of(scene, cases), measure, record)
-    workers: Workers = LocalWorkers(count) if dask is None else DaskWorkers(dask)
+
+    def begin() -> Executor[Share, list[Row]]:
+        return Processes(job.rows, count, job.forget) if dask is None else DaskWorkers(job.rows, dask)
+
     # in memory
     if folder is None:
         memory = MemoryStore(len(cases), len(measure.names))
-        _fill(memory, job, workers, show)
+        _fill(memory, job, begin, show)
         return _result(job, memory, units, None)
     # in a folder
     head = ["case", *(_titled(name, units) for name in (*cases.keys, *measure.names)), "message"]
     with FolderStore(folder, cases, head, make_manifest(job, units), restart=restart) as store:
-        _fill(store, job, workers, show)
+        _fill(store, job, begin, show)
         store.finish()
         return _result(job, read_results(folder, len(cases), len(measure.names)), units, folder)
 
 
-def _fill(store: MemoryStore | FolderStore, job: Job, workers: Workers, show: ShowDone) -> None:
+def _fill(
+    store: MemoryStore | FolderStore, job: Job, begin: Callable[[], Executor[Share, list[Row]]], show: ShowDone
+) -> None:
     """Simulate what isn't finished."""
     total, done = len(job.cases), store.done
     show(done, total)
@@ -99,7 +103,10 @@ def _fill(store: MemoryStore | FolderStore, job: Job, workers: Workers, show: Sh
             if not store.has(share.numbers):
                 yield share
 
-    with closing(workers.results(job, missing())) as results:
+    def failed(share: Share, cause: str) -> list[Row]:
+        return [job.failed(share.numbers[0], cause)]
+
+    with closing(finished(begin(), missing(), Share.parts, failed)) as results:
         for rows in results:
             store.add(rows)
             show(store.done, total)

@@ -27,8 +27,7 @@ from flexfmu.cosim.studies.workprec.equations import (
     joint_motion,
     motion_polynomials,
 )
-from flexfmu.cosim.studies.workprec.fmu_trials import Announce
-from flexfmu.cosim.studies.workprec.trial import Curve, RunError, SceneUnderTest, WorkPrecisionTrial, sweep
+from flexfmu.cosim.studies.workprec.trial import Announce, Curve, RunError, SceneUnderTest, WorkPrecisionTrial, sweep
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
 
 ScipyMethod = Literal["Radau", "BDF", "LSODA", "DOP853"]

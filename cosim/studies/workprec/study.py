@@ -17,10 +17,19 @@ from rich.table import Column, Table
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
-from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
-from flexfmu.cosim.studies.workprec.fmu_trials import Announce
+from flexfmu.cosim.studies.workprec import solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE
-from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, WorkPrecisionTrial, subject_of
+from flexfmu.cosim.studies.workprec.trial import (
+    Announce,
+    Curve,
+    SceneUnderTest,
+    WorkPrecisionTrial,
+    algorithm_trials,
+    coupling_trials,
+    effect_trials,
+    integrator_trials,
+    subject_of,
+)
 from flexfmu.model.scene.schema import Scene
 
 STEP = 1e-3
@@ -104,7 +113,7 @@ def _makers(
     def tools() -> Iterator[WorkPrecisionTrial]:
         # our best settings stand among the tools, measured with the integrators or here
         measured = [each for each in known if each.family == "integrators"]
-        ours = Curve.of(measured or fmu_trials.integrator_trials(subject, step, announce, ("automatic",), ()))
+        ours = Curve.of(measured or integrator_trials(subject, step, announce, ("automatic",), ()))
         for each in ours.trials:
             yield replace(each, family="tools", line=OURS, label=f"{each.line} {each.label}")
         # the same equations in other solvers
@@ -116,10 +125,10 @@ def _makers(
         yield from tool_trials.exudyn_trials(subject, ours, announce)
 
     return {
-        "integrators": lambda: fmu_trials.integrator_trials(subject, step, announce),
-        "communication": (lambda: fmu_trials.coupling_trials(subject, announce)) if has_equations else nothing,
-        "algorithms": (lambda: fmu_trials.algorithm_trials(subject, announce)) if subject.scene.controller else nothing,
-        "effects": (lambda: fmu_trials.effect_trials(subject, step, LADDER_TOLERANCE, announce)),
+        "integrators": lambda: integrator_trials(subject, step, announce),
+        "communication": (lambda: coupling_trials(subject, announce)) if has_equations else nothing,
+        "algorithms": (lambda: algorithm_trials(subject, announce)) if subject.scene.controller else nothing,
+        "effects": (lambda: effect_trials(subject, step, LADDER_TOLERANCE, announce)),
         "formulations": (lambda: solver_trials.formulation_trials(subject, announce)) if has_equations else nothing,
         "tools": tools if has_equations else nothing,
     }

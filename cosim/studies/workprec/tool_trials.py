@@ -17,9 +17,9 @@ from flexfmu.cosim.experiment.parameters import parameters_for
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.timing import fastest
-from flexfmu.cosim.studies.workprec.fmu_trials import Announce
 from flexfmu.cosim.studies.workprec.trial import (
     SAMPLING,
+    Announce,
     Curve,
     RunError,
     SceneUnderTest,

@@ -29,6 +29,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
@@ -213,7 +214,7 @@ def test_a_search_needs_a_path() -> None:
         list(islice(search(Tabulated(), (), 1, show), 1))  # type: ignore[arg-type]
 
 
-def _busy(study: object, seconds: float) -> float:
+def _busy(seconds: float) -> float:
     """Work for some seconds of processor time."""
     end = process_time() + seconds
     while process_time() < end:
@@ -224,22 +225,22 @@ def _busy(study: object, seconds: float) -> float:
 def test_the_processor_time_of_all_processes_counts() -> None:
     """What the processes of a search worked is there when it is left, by its end or before."""
     before = processor_time()
-    with module._processes(None, 2) as pool:  # type: ignore[arg-type]
-        assert list(pool.map(_busy, [0.2] * 4)) == [0.2] * 4
+    with mapping(_busy, 2) as mapped:
+        assert list(mapped([0.2] * 4)) == [0.2] * 4
     assert processor_time() - before > 0.8
     before = processor_time()
-    with module._processes(None, 2) as pool:  # type: ignore[arg-type]
-        next(iter(pool.map(_busy, [0.2] * 2)))
+    with mapping(_busy, 2) as mapped:
+        next(mapped([0.2] * 2))
     assert processor_time() - before > 0.4
 
 
 def test_a_process_that_is_killed_is_an_error_in_one_sentence() -> None:
     """As when memory runs out: the plan goes on with what else it has."""
-    with module._processes(None, 2) as pool, pytest.raises(ResultsError, match="a process ended"):  # type: ignore[arg-type]
-        list(pool.map(_killed, [None] * 2))
+    with mapping(_killed, 2) as mapped, pytest.raises(ResultsError, match="a process ended"):
+        list(mapped([None] * 2))
 
 
-def _killed(study: object, task: None) -> None:
+def _killed(task: None) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -247,10 +248,10 @@ STOPPED = """
 import time
 from contextlib import suppress
 from typer import Exit
-from flexfmu.cosim.design.plans import search
+from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.cli.console import one_line_errors, orderly_termination
-with suppress(Exit), orderly_termination(), one_line_errors(), search._processes(None, 2) as pool:
-    list(pool.map(isinstance, [object] * 4))
+with suppress(Exit), orderly_termination(), one_line_errors(), mapping(abs, 2) as mapped:
+    list(mapped([1.0] * 4))
     print("started", flush=True)
     time.sleep(20.0)
 """

@@ -11,8 +11,15 @@ import pytest
 from rich.console import Console
 
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.studies.paper.comparison import Cell, ComparisonTable, compare, count_agreement
-from flexfmu.cosim.studies.paper.printed import Verdict, printed_table, source
+from flexfmu.cosim.studies.paper.comparison import (
+    Cell,
+    ComparisonTable,
+    Verdict,
+    compare,
+    count_agreement,
+    printed_table,
+    source,
+)
 from flexfmu.cosim.studies.paper.report import (
     PaperReport,
     lay_out,

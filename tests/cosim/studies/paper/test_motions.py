@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.studies.paper.comparison import ComparisonTable, QuantityComparison, compare
+from flexfmu.cosim.studies.paper.comparison import ComparisonTable, QuantityComparison, compare, printed_table
 from flexfmu.cosim.studies.paper.computed import (
     POINTS,
     maximum,
@@ -15,7 +15,6 @@ from flexfmu.cosim.studies.paper.computed import (
     smooth_pieces,
     trajectory_scene,
 )
-from flexfmu.cosim.studies.paper.printed import printed_table
 from flexfmu.cosim.studies.paper.spectra import WINDOW, acceleration_spectrum, band_average
 
 

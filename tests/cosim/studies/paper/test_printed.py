@@ -6,8 +6,8 @@ import pytest
 
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.paper import computed
+from flexfmu.cosim.studies.paper.comparison import TABLES, PrintedTable, Verdict, printed_table, printed_tables, source
 from flexfmu.cosim.studies.paper.computed import curves, profiles, simulated_cases
-from flexfmu.cosim.studies.paper.printed import TABLES, PrintedTable, Verdict, printed_table, printed_tables, source
 
 SHAPES = {
     "table-02": (1, 5),

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from flexfmu.cosim.studies.paper.command import run_paper
-from flexfmu.cosim.studies.paper.comparison import Cell
-from flexfmu.cosim.studies.paper.printed import TABLES, printed_tables
+from flexfmu.cosim.studies.paper.comparison import TABLES, Cell, printed_tables
 from flexfmu.cosim.studies.paper.report import PaperReport
 
 pytestmark = pytest.mark.slow

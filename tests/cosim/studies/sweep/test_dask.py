@@ -13,7 +13,7 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.studies.sweep import workers
+from flexfmu.cosim.many import executor
 
 distributed = pytest.importorskip("distributed")
 
@@ -48,11 +48,11 @@ def test_a_lost_worker_costs_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("small", [workers.SMALL, 0], ids=["small job", "large job"])
+@pytest.mark.parametrize("small", [executor.SMALL, 0], ids=["small job", "large job"])
 def test_workers_come_and_leave(small: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """None is there at first; each that comes gets shares, and those that leave take nothing with them."""
-    monkeypatch.setattr(workers, "INTERVAL", 0.0 if small else 0.01)
-    monkeypatch.setattr(workers, "SMALL", small)
+    monkeypatch.setattr(executor, "INTERVAL", 0.0 if small else 0.01)
+    monkeypatch.setattr(executor, "SMALL", small)
     flexfmu.sweep(SCENE, CASES, metrics=METRICS, out=tmp_path / "here", processes=1)
     cluster = distributed.LocalCluster(
         n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=logging.CRITICAL
@@ -97,7 +97,7 @@ def test_workers_come_and_leave(small: int, tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.slow
 def test_no_scheduler_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """One line within seconds."""
-    monkeypatch.setattr(workers, "PATIENCE", "1s")
+    monkeypatch.setattr(executor, "PATIENCE", "1s")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(InputError, match="no Dask scheduler at"):

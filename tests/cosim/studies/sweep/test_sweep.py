@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import os
 import signal
-from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,10 @@ from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.studies.sweep import work
 from flexfmu.cosim.studies.sweep.cases import Grid
-from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
+from flexfmu.cosim.studies.sweep.groups import groups_of, shares_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
 from flexfmu.cosim.studies.sweep.store import FolderStore
 from flexfmu.cosim.studies.sweep.work import Job, Row
-from flexfmu.cosim.studies.sweep.workers import LocalWorkers
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
 
@@ -98,10 +96,7 @@ def test_keys_of_controllers_by_index_kind_and_name() -> None:
 def test_samples_are_whole_where_the_scene_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers of modes are, masses aren't, even if the ends of the interval are written as whole numbers."""
 
-    def nothing(self: LocalWorkers, job: Job, shares: Iterable[Share]) -> Iterator[list[Row]]:
-        return ([job.failed(number, "") for number in share.numbers] for share in shares)
-
-    monkeypatch.setattr(LocalWorkers, "results", nothing)
+    monkeypatch.setattr(Job, "rows", lambda job, share: [job.failed(number, "") for number in share.numbers])
     varied = {"payload.mass": "0:8", "effects.distal_axial": "2:5"}
     found = flexfmu.sweep(SCENE, varied, sample="lhs:8", metrics=PEAK)
     assert sorted(row["effects.distal_axial"] for row in found) == [2, 2, 3, 3, 4, 4, 5, 5]

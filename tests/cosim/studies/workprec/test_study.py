@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
-from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
+from flexfmu.cosim.studies.workprec import solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
-from flexfmu.cosim.studies.workprec.fmu_trials import effect_trials, ladder
 from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
     FAMILIES,
@@ -30,7 +29,16 @@ from flexfmu.cosim.studies.workprec.study import (
     notes,
     sentence,
 )
-from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, WorkPrecisionTrial, subject_of, sweep
+from flexfmu.cosim.studies.workprec.trial import (
+    Curve,
+    SceneUnderTest,
+    WorkPrecisionTrial,
+    effect_trials,
+    fmu_trial,
+    ladder,
+    subject_of,
+    sweep,
+)
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -106,13 +114,13 @@ def test_errors_fall_with_tolerance_and_order(subject: SceneUnderTest) -> None:
     changes, options = {"cosimulation.integrator": "radau3"}, {"communication_step": 1e-3}
     errors = []
     for tolerance in (1e-3, 1e-6, 1e-9):
-        trial = fmu_trials.fmu_trial(subject, "integrators", "radau3", "", changes, {**options, "tolerance": tolerance})
+        trial = fmu_trial(subject, "integrators", "radau3", "", changes, {**options, "tolerance": tolerance})
         assert trial.error is not None
         assert trial.time is not None
         errors.append(trial.error)
     assert errors[0] > 10.0 * errors[1] > 100.0 * errors[2]
     by_order = [
-        fmu_trials.fmu_trial(
+        fmu_trial(
             subject, "communication", "", "", {}, {"communication_step": 2e-3, "tolerance": 1e-10, "input_order": order}
         ).error
         for order in (0, 2, 9)
@@ -124,7 +132,7 @@ def test_errors_fall_with_tolerance_and_order(subject: SceneUnderTest) -> None:
 def test_failures_are_trials_too(subject: SceneUnderTest) -> None:
     """A fixed step beyond the stability limit makes a cross in the diagram, with the FMU's own words."""
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 1e-3}
-    trial = fmu_trials.fmu_trial(subject, "integrators", "rk4", "1 ms", changes, {"communication_step": 1e-3})
+    trial = fmu_trial(subject, "integrators", "rk4", "1 ms", changes, {"communication_step": 1e-3})
     assert trial.failed
     assert trial.time is None
     assert "integration" in trial.note
