@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from flexfmu.cosim.reports.comparison import ComparedRun
-    from flexfmu.cosim.reports.page import Table as PageTable
     from flexfmu.cosim.studies.compare.comparison import Comparison, Measured
 
 
@@ -116,10 +115,13 @@ def _print(found: Comparison, out: Path | None) -> None:
     from rich.text import Text
 
     from flexfmu.cosim.reports.comparison import loop_tables
+    from flexfmu.cosim.reports.terminal import as_terminal_table
     from flexfmu.cosim.studies.compare.comparison import POORLY, delay_text
 
     parts: list[RenderableType] = [table for table in [_metrics_table(found)] if table is not None]
-    parts += [_as_rich(table) for table in loop_tables([run for run in found.runs if run.metrics or not run.failure])]
+    parts += [
+        as_terminal_table(table) for table in loop_tables([run for run in found.runs if run.metrics or not run.failure])
+    ]
     measured = found.measured
     if measured is not None:
         parts += [_difference_table(name, measured) for name in measured.differences]
@@ -132,22 +134,8 @@ def _print(found: Comparison, out: Path | None) -> None:
     print_rich(*parts)
 
 
-def _as_rich(table: PageTable) -> Table:
-    """A table of the page for the terminal."""
-    from rich.table import Column
-
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    first, *others = table.header
-    found = titled_table(table.title, first or " ", *(Column(name, justify="right") for name in others))
-    for row in table.rows:
-        found.add_row(*row)
-    return found
-
-
 def _metrics_table(found: Comparison) -> Table | None:
     """The metrics of all runs that have some beside each other, the first one always among them."""
-    from rich.table import Column
     from rich.text import Text
 
     from flexfmu.cosim.metrics.metric_table import ALL_METRICS
@@ -156,7 +144,7 @@ def _metrics_table(found: Comparison) -> Table | None:
     runs = [run for run in found.runs if run.metrics]
     if not runs:
         return None
-    table = titled_table("Metrics", "Metric", *(Column(run.name, justify="right") for run in runs), keys=2)
+    table = titled_table("Metrics", "Metric", numbers=[run.name for run in runs], keys=2)
     for name in found.metric_names:
         info = ALL_METRICS[name]
         table.add_row(Text(f"{info.label} [{info.display_unit}]"), *(_cell(name, run, runs[0]) for run in runs))
@@ -177,13 +165,12 @@ def _cell(name: str, run: ComparedRun, first: ComparedRun) -> str:
 
 def _difference_table(name: str, measured: Measured) -> Table:
     """RMS, mean and largest difference of each signal from a run; "of range" is RMS to the measured range."""
-    from rich.table import Column
     from rich.text import Text
 
     from flexfmu.cosim.reports.terminal import titled_table
 
-    heads = (Column(each, justify="right") for each in ("RMS", "Mean", "Largest", "of range"))
-    table = titled_table(f"{measured.name} minus {name}", "Signal", *heads)
+    heads = ("RMS", "Mean", "Largest", "of range")
+    table = titled_table(f"{measured.name} minus {name}", "Signal", numbers=heads)
     for signal, each in measured.differences[name].items():
         figures = (each.root_mean_square, each.mean, each.largest)
         share = "–" if each.relative is None else f"{100.0 * each.relative:.3g} %"

@@ -240,12 +240,6 @@ def _front(result: PlanResult) -> Table:
 def _robustness(result: PlanResult) -> Table:
     """The chosen motion in other models."""
     from flexfmu.cosim.design.plans.plan_page import robustness_table
-    from flexfmu.cosim.reports.terminal import titled_table
+    from flexfmu.cosim.reports.terminal import as_terminal_table
 
-    lines = robustness_table(result)
-    table = titled_table(lines.title)
-    for name in lines.header:
-        table.add_column(name, justify="left" if name in ("Model", "Worst for", "Limits") else "right")
-    for row in lines.rows:
-        table.add_row(*row)
-    return table
+    return as_terminal_table(robustness_table(result), texts=("Model", "Worst for", "Limits"))

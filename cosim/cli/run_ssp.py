@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
@@ -102,8 +102,7 @@ def _print(summary: Mapping[str, Any], simulation: Simulation, where: str) -> No
 
 def _ranges(title: str, simulation: Simulation) -> Table:
     """Smallest, largest and last value of every output; of a text the last alone."""
-    figures = (Column(heading, justify="right") for heading in ("Smallest", "Largest", "Last"))
-    table = titled_table(title, "Output", *figures)
+    table = titled_table(title, "Output", numbers=("Smallest", "Largest", "Last"))
     for name, column in simulation.recording.columns.items():
         if column.values.size and column.texts is not None:
             # texts have no order; long ones and line breaks stay in results.csv

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import print_rich
@@ -63,7 +63,7 @@ def _late(delays: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:
     heads = ["Value", *(["Numerical error"] if any(error is not None for error in errors.values()) else [])]
-    table = titled_table(title, "Metric", *(Column(head, justify="right") for head in heads))
+    table = titled_table(title, "Metric", numbers=heads)
     for name, value in metrics.items():
         cells = display(name, value, error=errors[name]), display_error(name, value, errors[name])
         table.add_row(ALL_METRICS[name].label, *cells[: len(heads)])
@@ -72,7 +72,7 @@ def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapp
 
 def _motors_table(motors: Sequence[Mapping[str, Any]]) -> Table:
     heads = (f"Motor {motor['joint']}" + (f", {motor['name']}" if motor["name"] else "") for motor in motors)
-    table = titled_table("Motors", "At the shaft", *(Column(head, justify="right") for head in heads))
+    table = titled_table("Motors", "At the shaft", numbers=heads)
     for name, texts in motor_rows(motors).items():
         table.add_row(name, *texts)
     return table

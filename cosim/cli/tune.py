@@ -169,15 +169,13 @@ def _at_end(result: TuneResult) -> list[str]:
 
 def _values(result: TuneResult) -> Table:
     """The keys, given and tuned."""
-    from rich.table import Column
-
     from flexfmu.cosim.reports.terminal import titled_table
     from flexfmu.model.scene.keys import location, value_at
     from flexfmu.model.scene.messages import unit_of
     from flexfmu.model.scene.schema import Scene
 
-    heads = (Column(each, justify="right") for each in ("given", "tuned", "from", "to"))
-    table = titled_table(f"{result.study.scene.name}, tuned", "key", *heads)
+    heads = ("given", "tuned", "from", "to")
+    table = titled_table(f"{result.study.scene.name}, tuned", "key", numbers=heads)
     data = result.study.scene.model_dump()
     for each, own in zip(result.study.over, result.study.given(), strict=True):
         unit = unit_of(location(data, each.key), Scene)
@@ -194,14 +192,11 @@ def _values(result: TuneResult) -> Table:
 
 def _figures(result: TuneResult) -> Table:
     """The figure that is minimised and those with limits, given and tuned."""
-    from rich.table import Column
-
     from flexfmu.cosim.reports.terminal import titled_table
 
     study, pair = result.study, (result.given.figures, result.best.figures)
-    heads = (Column(each, justify="right") for each in ("given", "tuned", "limit"))
     band = "" if study.band is None else ", worst over the payloads"
-    table = titled_table(f"Figures{band}", "figure", *heads)
+    table = titled_table(f"Figures{band}", "figure", numbers=("given", "tuned", "limit"))
     goal = study.minimise
     table.add_row(goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
     for each in study.conditions:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Column
 from rich.text import Text
 
 from flexfmu.cosim.engine.errors import InputError
@@ -94,7 +93,7 @@ def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
     headings = "s", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))
     table = titled_table(
         f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium",
-        *(Column(heading, justify="right") for heading in headings),
+        numbers=headings,
     )
     for pose in poses:
         # four decimals without a negative zero

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -14,25 +14,6 @@ from flexfmu.cosim.reports.chart import Panel, draw_chart
 
 WIDTH, HEIGHT = 374.4, 194.4
 """Usual size of plots [pt]."""
-
-
-class Figure(Protocol):
-    """A figure of a page."""
-
-    @property
-    def title(self) -> str:
-        """Heading."""
-        ...
-
-    @property
-    def caption(self) -> str:
-        """One sentence."""
-        ...
-
-    @property
-    def svg(self) -> str:
-        """The figure as an SVG element."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -76,7 +57,7 @@ class Table:
     note: str = ""
 
 
-def render_page(title: str, lead: str, plots: Sequence[Figure] = (), tables: Sequence[Table] = ()) -> str:
+def render_page(title: str, lead: str, plots: Sequence[Plot] = (), tables: Sequence[Table] = ()) -> str:
     """Return a page of plots and tables as HTML.
 
     Args:

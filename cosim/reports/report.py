@@ -7,7 +7,7 @@ from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display, display_error
 from flexfmu.cosim.reports.motors import motor_rows, stress_rows
-from flexfmu.cosim.reports.page import Figure, render
+from flexfmu.cosim.reports.page import Plot, render
 from flexfmu.cosim.reports.summary import title_of
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
@@ -23,7 +23,7 @@ TILES = (
 """Metrics shown at the top of the report."""
 
 
-def render_report(summary: Mapping[str, Any], plots: Iterable[Figure]) -> str:
+def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
     """Return the report as HTML.
 
     Args:

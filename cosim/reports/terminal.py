@@ -5,9 +5,9 @@ Texts wrap between words. Where even that is too wide, the columns go on below, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -15,6 +15,9 @@ from rich.measure import Measurement
 from rich.style import StyleType
 from rich.table import Column, Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.reports.page import Table as PageTable
 
 GAP = 2
 """Spaces between columns where space is short."""
@@ -26,7 +29,7 @@ UNLIMITED = 10_000
 """A width that holds everything."""
 
 
-def titled_table(title: str, *columns: Column | str, keys: int = 1) -> Table:
+def titled_table(title: str, *columns: Column | str, numbers: Iterable[str] = (), keys: int = 1) -> Table:
     """Return an empty table for the terminal, with a bold title at the left.
 
     Cells of right-aligned columns never wrap: these are numbers. In a narrow terminal the other columns wrap, and then the table
@@ -35,13 +38,25 @@ def titled_table(title: str, *columns: Column | str, keys: int = 1) -> Table:
     Args:
         title: may be empty.
         columns: their headings, or columns; more may be added.
+        numbers: headings of right-aligned columns behind these.
         keys: number of first columns that name a row, and are there again where the table goes on.
     """
     heads = [each if isinstance(each, Column) else Column(each) for each in columns]
+    heads += [Column(each, justify="right") for each in numbers]
     # no markup here either
     for head in heads:
         head.header = Text(head.header) if isinstance(head.header, str) else head.header
     return FittingTable(*heads, title=Text(title), keys=keys)
+
+
+def as_terminal_table(table: PageTable, texts: Collection[str] = ()) -> Table:
+    """Return a table of a page for the terminal: the first column and those of ``texts`` are texts, the others numbers."""
+    first, *others = table.header
+    heads = (each if each in texts else Column(each, justify="right") for each in others)
+    found = titled_table(table.title, first or " ", *heads)
+    for row in table.rows:
+        found.add_row(*row)
+    return found
 
 
 class FittingTable(Table):

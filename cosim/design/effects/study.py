@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from rich.console import RenderableType
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.design.effects.choice import (
@@ -285,7 +285,7 @@ def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:
 
 
 def _table(title: str, texts: Sequence[str], numbers: Iterable[str]) -> Table:
-    return titled_table(title, *texts, *(Column(each, justify="right") for each in numbers), keys=len(texts))
+    return titled_table(title, *texts, numbers=numbers, keys=len(texts))
 
 
 def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:

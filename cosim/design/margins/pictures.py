@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Column
 from rich.text import Text
 
 from flexfmu.cosim.design.margins.linear_loop import Perturbation
@@ -31,9 +30,7 @@ SHOWN_POLES = 4
 
 def margins_table(result: MarginsResult) -> list[RenderableType]:
     """The margins of each pose and each cut, the worst ones, and what they say."""
-    table = titled_table(
-        f"Margins of {result.scene.name}", "s", "cut", *(Column(each, justify="right") for each in HEADS), keys=2
-    )
+    table = titled_table(f"Margins of {result.scene.name}", "s", "cut", numbers=HEADS, keys=2)
     for pose in result.poses:
         for row in pose.loops:
             unstable = "" if pose.is_stable else ", unstable"

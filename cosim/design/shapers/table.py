@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
 
-from rich.table import Column, Table
+from rich.table import Table
 
 from flexfmu.cosim.design.shapers.alternatives import DesignModes
 from flexfmu.cosim.design.shapers.recommendation import Recommendation, shaper_toml
@@ -28,8 +28,7 @@ QUANTITIES: tuple[tuple[str, Callable[[Trial], str]], ...] = (
 
 def terminal_table(title: str, results: Sequence[CandidateResult], recommended: CandidateResult) -> Table:
     """Return a table with a line for each result, the recommended one in bold."""
-    figures = [Column(each, justify="right") for each in COLUMNS[2:]]
-    table = titled_table(title, *COLUMNS[:2], *figures, keys=2)
+    table = titled_table(title, *COLUMNS[:2], numbers=COLUMNS[2:], keys=2)
     for result in results:
         nominal = result.nominal
         table.add_row(

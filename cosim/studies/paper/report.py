@@ -16,7 +16,6 @@ from typing import Any
 from urllib.parse import quote
 
 from rich.console import Console
-from rich.table import Column
 from rich.text import Text
 
 from flexfmu.cosim.engine.files import OutputFolder
@@ -179,7 +178,7 @@ def print_page(page: TablePage, console: Console) -> None:
     # a table for each quantity
     for block in page.blocks:
         title = f"{block.name} [{block.unit}]{block.marks}: paper → computed"
-        table = titled_table(title, "", *(Column(column, justify="right") for column in block.columns))
+        table = titled_table(title, "", numbers=block.columns)
         for label, cells in block.rows:
             table.add_row(label, *map(_rich_cell, cells))
         console.print(table)
