@@ -55,7 +55,7 @@ def companion_share(scene: Scene, parts: SceneSystem, tolerance: float, companio
     """
     section = scene.cosimulation
     known = (
-        not _rings(scene.effects)
+        not _is_hardly_damped(scene.effects)
         and section.step_control is None
         and section.algorithm == "gauss-seidel"
         and parts.references.announced_order >= LEAST_ORDER
@@ -69,7 +69,7 @@ def companion_share(scene: Scene, parts: SceneSystem, tolerance: float, companio
     return LOOSE if tolerance > LOOSEST else ORDERLY
 
 
-def _rings(effects: Effects) -> bool:
+def _is_hardly_damped(effects: Effects) -> bool:
     """Whether fast modes are undamped, or hardly damped."""
     families = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
     drives = effects.transmission is not None and effects.transmission.damping == 0.0

@@ -71,9 +71,9 @@ def divergence(run: Run, velocities: Sequence[Column | None] | None = None) -> s
     fall = sqrt(hypot(*run.scene.effects.gravity) / run.scene.mechanism.proximal.length)
     scale = max(float(peak), fall)
     step, unit = _step(run)
-    found = _runaway(time, error, step, scale * (BEYOND if run.completed else BEYOND_BEFORE_FAILURE))
+    found = _growth_in_motion(time, error, step, scale * (BEYOND if run.completed else BEYOND_BEFORE_FAILURE))
     if found is None and run.completed:
-        found = _unrest(time, error, step, run.plan.stop_time - run.scene.trajectory.dwell, scale)
+        found = _growth_at_rest(time, error, step, run.plan.stop_time - run.scene.trajectory.dwell, scale)
     if found is None:
         return None
     factor, since = found
@@ -81,11 +81,11 @@ def divergence(run: Run, velocities: Sequence[Column | None] | None = None) -> s
     joint = 1 + [*known][int(abs(errors[worst]).argmax())]
     return (
         f"joint{joint}.velocity is up to {error[worst]:.3g} rad/s off its reference, where the motion needs {peak:.3g} rad/s; the error "
-        f"{_course(factor, unit, step)} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
+        f"{_growth_text(factor, unit, step)} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
     )
 
 
-def _course(factor: float, unit: str, step: float) -> str:
+def _growth_text(factor: float, unit: str, step: float) -> str:
     """How an error goes that changes by a factor in each step [s]."""
     if factor >= FAST:
         return f"grows {factor:.4g}-fold per {unit} of {step:g} s"
@@ -96,7 +96,7 @@ Growth = tuple[float, float]
 """Growth factor per step, and time at which the growth begins [s]."""
 
 
-def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Growth | None:
+def _growth_in_motion(time: RealArray, error: RealArray, step: float, bound: float) -> Growth | None:
     """Growth of an error (N,) from the largest values in each step; None if it stays within the bound."""
     if not error.max() > bound:
         return None
@@ -108,7 +108,7 @@ def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Gr
     return float(factor), float(time[starts[first]])
 
 
-def _unrest(time: RealArray, error: RealArray, step: float, begin: float, scale: float) -> Growth | None:
+def _growth_at_rest(time: RealArray, error: RealArray, step: float, begin: float, scale: float) -> Growth | None:
     """Growth of an error (N,) that grows or doesn't decay during the dwell, from ``begin`` [s]; None if it does neither."""
     # largest error in each third of the dwell
     parts = [(time >= early) & (time <= late) for early, late in pairwise(np.linspace(begin, time[-1], 4))]

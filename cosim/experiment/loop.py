@@ -37,21 +37,6 @@ class Loop:
     disturbances: tuple[Slave, ...] = ()
 
 
-@dataclass(frozen=True)
-class ShapedMotion:
-    """A motion with its shapers.
-
-    Attributes:
-        motion: the motion with all shapers.
-        driving: joint trajectory of the references; equal to that of the motion, but without sampled shapers.
-        inline_blocks: sampled shapers and other slaves in series with references.
-    """
-
-    motion: MotionPlan
-    driving: Trajectory
-    inline_blocks: tuple[InlineBlock, ...] = ()
-
-
 def make_loop(
     motion: MotionPlan,
     controllers: Iterable[Any] = (),
@@ -82,17 +67,17 @@ def make_loop(
 
 
 def close_loop(
-    shaped: ShapedMotion,
+    shaped: Loop,
     controllers: Iterable[Any],
     imperfections: Iterable[Any],
     connect: Mapping[str, str],
     names: SlaveNames,
     disturbances: Iterable[Any] = (),
 ) -> Loop:
-    """Make a loop from a motion to which the shapers have been applied; errors as for `make_loop`.
+    """Complete the loop of a motion to which the shapers have been applied; errors as for `make_loop`.
 
     Args:
-        shaped: the motion with its shapers.
+        shaped: the motion with its shapers, by `shape`.
         controllers, imperfections, connect: as for `make_loop`.
         names: names assigned so far.
         disturbances: as for `make_loop`.
@@ -111,8 +96,13 @@ def close_loop(
         from flexfmu.cosim.control.sums import with_sums
 
         disturbing = with_sums(disturbing, names.unused)
-    return Loop(
-        shaped.motion, shaped.driving, acting, tuple(inline_blocks), dict(connect), parameters, tuple(disturbing)
+    return replace(
+        shaped,
+        controllers=acting,
+        inline_blocks=tuple(inline_blocks),
+        connect=dict(connect),
+        parameters=parameters,
+        disturbances=tuple(disturbing),
     )
 
 
@@ -121,8 +111,8 @@ def shape(
     shapers: Sequence[Any],
     names: SlaveNames,
     repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
-) -> ShapedMotion:
-    """Apply the shapers: along the path, then of the joints, then sampled ones as slaves.
+) -> Loop:
+    """Apply the shapers: along the path, then of the joints, then sampled ones as slaves of a loop without controllers.
 
     Args:
         motion: the planned motion.
@@ -136,7 +126,7 @@ def shape(
     """
     if not shapers:
         motion = repeat(motion)
-        return ShapedMotion(motion, motion.joints)
+        return Loop(motion, motion.joints)
 
     from flexfmu.cosim.control.shapers import Shaper
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
@@ -165,4 +155,4 @@ def shape(
                 once = shape_joints(motion.once, sequence)
                 shaped = replace(shaped, repetition=replace(motion.repetition, once=once))
             motion = shaped
-    return ShapedMotion(motion, driving, tuple(inline_blocks))
+    return Loop(motion, driving, inline_blocks=tuple(inline_blocks))

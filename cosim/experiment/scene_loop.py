@@ -55,15 +55,15 @@ def loop_of(
     names = SlaveNames()
     builder = _Builder(scene, planned, names, about_rest)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
-    course = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
+    shaped = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
     sections = [each for each in scene.controller if probes or not (about_rest and isinstance(each, LearningSection))]
-    controllers = [slave for each in sections for slave in builder.slaves(each, course.motion)]
+    controllers = [slave for each in sections for slave in builder.slaves(each, shaped.motion)]
     # torques are filtered before they meet imperfections, measurements and references after that
     before = [each for each in scene.filter if each.signal == "torque"]
     after = [each for each in scene.filter if each.signal != "torque"]
     imperfections = [builder.imperfection(each, controllers) for each in (*before, *scene.imperfection, *after)]
-    disturbances = [builder.disturbance(each, course.motion.stop_time) for each in scene.disturbance]
-    return close_loop(course, controllers, imperfections, builder.connect, names, disturbances)
+    disturbances = [builder.disturbance(each, shaped.motion.stop_time) for each in scene.disturbance]
+    return close_loop(shaped, controllers, imperfections, builder.connect, names, disturbances)
 
 
 def _repeated(scene: Scene, with_cycles: bool, motion: MotionPlan) -> MotionPlan:

@@ -83,17 +83,20 @@ def _division(count: int) -> RealArray:
     """Matrix from ``count`` control points to those of all parts; its rows are ordered by control point, then part."""
     parts = np.eye(count)[:, np.newaxis]
     for _ in range(HALVINGS):
-        parts = np.stack(bisect(parts), axis=2).reshape(count, -1, count)
+        parts = np.stack(cut(parts), axis=2).reshape(count, -1, count)
     return parts.reshape(-1, count)
 
 
-def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
-    """Return the control points (degree + 1, n, c) of both halves of every segment, by de Casteljau's algorithm."""
+def cut(control: RealArray, theta: float = 0.5) -> tuple[RealArray, RealArray]:
+    """Return the control points (degree + 1, ...) of both parts of every segment, before and after a normalised time.
+
+    By de Casteljau's algorithm.
+    """
     first, second, level = np.empty_like(control), np.empty_like(control), control
     for i in range(len(control)):
-        # the ends of each level of averages are control points of the halves
+        # the ends of each level of averages are control points of the parts
         first[i], second[-1 - i] = level[0], level[-1]
-        level = 0.5 * (level[:-1] + level[1:])
+        level = (1.0 - theta) * level[:-1] + theta * level[1:]
     return first, second
 
 
@@ -114,7 +117,7 @@ def integrals_of_parts(control: RealArray, duration: RealArray) -> tuple[float, 
         parts += np.maximum(integrals, 0.0).sum(), np.maximum(-integrals, 0.0).sum()
         if not mixed.any():
             break
-        control = np.concatenate(bisect(control[:, mixed]), axis=1)
+        control = np.concatenate(cut(control[:, mixed]), axis=1)
         duration = np.tile(0.5 * duration[mixed], 2)
     return float(parts[0]), float(parts[1])
 
@@ -147,6 +150,6 @@ def _last_theta_above(control: RealArray, level: float) -> float | None:
         middle = 0.5 * (left + right)
         if sizes[-1] >= level or not left < middle < right:
             return right
-        first, second = bisect(piece)
+        first, second = cut(piece)
         pieces += [(first, left, middle), (second, middle, right)]
     return None

@@ -22,7 +22,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.bernstein import bernstein_basis, maximum_norm
+from flexfmu.cosim.metrics.bernstein import bernstein_basis, cut, maximum_norm
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.model.rigid_inertia import load_mass_matrix
@@ -33,6 +33,17 @@ SAMPLES = np.linspace(0.0, 1.0, 17)
 
 POINTS = 3000
 """Approximate number of points of a curve."""
+
+
+MOTOR_VALUES = (
+    ("inertia_ratio", "inertia ratio", ""),
+    ("rms_current", "RMS current", "A"),
+    ("peak_current", "peak current", "A"),
+    ("copper_loss", "copper loss, mean", "W"),
+    ("mean_electrical_power", "electrical power, mean", "W"),
+    ("peak_electrical_power", "electrical power, peak", "W"),
+)
+"""Attribute of `MotorLoad`, also in ``summary.json`` → name and unit."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +109,7 @@ def divided(start: RealArray, duration: RealArray, control: RealArray) -> tuple[
         zeros = sorted({0.0, 1.0, *(zero for channel in (0, 1) for zero in _zeros(control[:, index, channel]))})
         rest = control[:, index]
         for low, high in pairwise(zeros):
-            piece, rest = _cut(rest, (high - low) / (1.0 - low))
+            piece, rest = cut(rest, (high - low) / (1.0 - low))
             controls.append(piece[:, np.newaxis])
             starts.append(start[index : index + 1] + low * duration[index])
             durations.append((high - low) * duration[index : index + 1])
@@ -119,15 +130,6 @@ def _zeros(control: RealArray) -> Iterator[float]:
     for root in np.polynomial.polynomial.polyroots(powers).tolist():
         if abs(complex(root).imag) < 1e-9 and 1e-9 < complex(root).real < 1.0 - 1e-9:
             yield complex(root).real
-
-
-def _cut(control: RealArray, theta: float) -> tuple[RealArray, RealArray]:
-    """Return the control points (degree + 1, c) before and after a normalised time, by de Casteljau's algorithm."""
-    before, after, level = np.empty_like(control), np.empty_like(control), control
-    for i in range(len(control)):
-        before[i], after[-1 - i] = level[0], level[-1]
-        level = (1.0 - theta) * level[:-1] + theta * level[1:]
-    return before, after
 
 
 def multiplied(first: RealArray, second: RealArray) -> RealArray:

@@ -8,20 +8,10 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.metrics.motors import MotorLoad, motor_loads
+from flexfmu.cosim.metrics.motors import MOTOR_VALUES, MotorLoad, motor_loads
 from flexfmu.cosim.reports.chart import Curve, Panel
 from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.svg import FIRST, GREY, SECOND
-
-VALUES = (
-    ("inertia_ratio", "inertia ratio", ""),
-    ("rms_current", "RMS current", "A"),
-    ("peak_current", "peak current", "A"),
-    ("copper_loss", "copper loss, mean", "W"),
-    ("mean_electrical_power", "electrical power, mean", "W"),
-    ("peak_electrical_power", "electrical power, peak", "W"),
-)
-"""Key of a motor in ``summary.json``, name and unit."""
 
 
 def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
@@ -32,7 +22,7 @@ def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]
             f"{each['value']:.4g} of {each['limit']:g} {each['unit']}, {100 * each['use']:.0f} %" for each in margins
         )
         rows[margins[0]["name"]] = tuple(text.replace("N.m", "N·m") for text in texts)
-    for key, name, unit in VALUES:
+    for key, name, unit in MOTOR_VALUES:
         values = [motor[key] for motor in motors]
         if any(value is not None for value in values):
             rows[name] = tuple("–" if value is None else f"{value:.4g} {unit}".rstrip() for value in values)

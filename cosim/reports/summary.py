@@ -21,7 +21,7 @@ from flexfmu.cosim.experiment.feedforwards import counted_twice
 from flexfmu.cosim.experiment.planning import MotionPlan, deviation
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import Metrics
-from flexfmu.cosim.metrics.motors import motor_loads
+from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.metrics.stress import link_stresses
@@ -274,14 +274,6 @@ def _motors(run: Run) -> dict[str, Any]:
         loads = motor_loads(run)
     except ResultsError:  # not all signals were recorded
         return {}
-    keys = (
-        "inertia_ratio",
-        "rms_current",
-        "peak_current",
-        "copper_loss",
-        "mean_electrical_power",
-        "peak_electrical_power",
-    )
     return {
         "motors": [
             {
@@ -289,7 +281,7 @@ def _motors(run: Run) -> dict[str, Any]:
                 "name": load.motor.name,
                 "margins": [{**asdict(margin), "use": margin.use} for margin in load.margins],
                 "critical": load.critical.name,
-                **{key: getattr(load, key) for key in keys},
+                **{key: getattr(load, key) for key, _, _ in MOTOR_VALUES},
                 "exceeded": list(load.exceeded),
             }
             for load in loads

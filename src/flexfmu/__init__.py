@@ -53,27 +53,16 @@ __all__ = [
     "tune",
 ]
 
-_HOMES = {
+_HOMES = dict.fromkeys(__all__, "flexfmu.api") | {
     "Motor": "flexfmu.model.scene.motor",
     "RunMetrics": "flexfmu.cosim.metrics.run_metrics",
     "Scene": "flexfmu.model.scene.schema",
-    "build": "flexfmu.api",
-    "compare": "flexfmu.api",
     "controller": "flexfmu.cosim.control.controllers.own_function",
     "display": "flexfmu.cosim.metrics.metric_table",
-    "linearize": "flexfmu.api",
     "link_stresses": "flexfmu.cosim.metrics.stress",
     "load_scene": "flexfmu.model.scene.file",
-    "margins": "flexfmu.api",
     "measure_run": "flexfmu.cosim.metrics.metrics",
-    "modes": "flexfmu.api",
     "motor_loads": "flexfmu.cosim.metrics.motors",
-    "plan": "flexfmu.api",
-    "plan_motion": "flexfmu.api",
-    "run": "flexfmu.api",
-    "start_gains": "flexfmu.api",
-    "sweep": "flexfmu.api",
-    "tune": "flexfmu.api",
 }
 """Public name → module that it is imported from at its first use."""
 

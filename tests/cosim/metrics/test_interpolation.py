@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import bisect, maximum_norm
+from flexfmu.cosim.metrics.bernstein import cut, maximum_norm
 from flexfmu.cosim.metrics.segments import HermiteSegments
 
 
@@ -136,7 +136,7 @@ def test_mean_square_against_closed_form() -> None:
 def test_bisection_keeps_the_polynomial() -> None:
     """Both halves of a segment, put together, are the segment."""
     control = np.random.default_rng(1).normal(size=(6, 3, 2))
-    first, second = bisect(control)
+    first, second = cut(control)
     np.testing.assert_allclose(first[-1], second[0])
     assert maximum_norm(control) == pytest.approx(max(maximum_norm(first), maximum_norm(second)), rel=1e-12)
 

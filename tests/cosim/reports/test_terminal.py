@@ -21,8 +21,8 @@ from flexfmu.cosim.cli.scenes import _table as scenes_table
 from flexfmu.cosim.design.effects.study import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.design.shapers.table import terminal_table as shaper_table
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
+from flexfmu.cosim.metrics.motors import MOTOR_VALUES
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_table
-from flexfmu.cosim.reports.motors import VALUES
 from flexfmu.cosim.reports.terminal import FittingTable, titled_table
 from flexfmu.cosim.studies.hard.suite import terminal_table as hard_table
 from flexfmu.cosim.studies.workprec.study import terminal_table as workprec_table
@@ -100,7 +100,7 @@ def ssp_ranges() -> Table:
 def motors() -> Table:
     """Margins of two motors with long names."""
     margin = {"name": "RMS torque", "value": 0.86194321, "limit": 1.2345, "unit": "N.m", "use": 1.234}
-    of_joint = dict.fromkeys((key for key, *_ in VALUES), 123.456)
+    of_joint = dict.fromkeys((key for key, *_ in MOTOR_VALUES), 123.456)
     return motors_table([{"joint": i, "name": "maker XY-12", "margins": [margin], **of_joint} for i in (1, 2)])
 
 
