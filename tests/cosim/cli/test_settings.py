@@ -100,31 +100,6 @@ def test_modes_are_those_of_the_changed_scene() -> None:
     assert first[0][0] < first[1][0]
 
 
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ("payload.mas=3", "did you mean `mass`"),
-        ("payload.mass=-1", "at least 0.0 kg, got -1 kg"),
-        ("payload.mass", "isn't KEY=VALUE"),
-        ("controller[0].derivative=3", "controller has no elements"),
-    ],
-)
-def test_wrong_settings_are_one_line_and_status_2(setting: str, message: str) -> None:
-    """The same errors as for a scene file."""
-    result = flexfmu("modes", SCENE, "--set", setting)
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert len(result.stderr.splitlines()) == 1
-
-
-def test_an_ssp_file_and_the_hard_cases_have_no_scene_to_change() -> None:
-    """They say so instead of ignoring the option."""
-    for arguments in (("run", "some.ssp"), ("workprec", "--hard")):
-        result = flexfmu(*arguments, "--set", "payload.mass=3")
-        assert result.exit_code == 2
-        assert "--set payload.mass=3" in result.stderr
-
-
 @pytest.mark.slow
 def test_results_of_a_changed_scene_leave_the_others_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each run has a folder of its own, and says in its titles what was changed."""

@@ -1,4 +1,4 @@
-"""Charts of the report: ticks where matplotlib has them, curves through their points, axes to scale."""
+"""Charts: ticks where matplotlib has them, curves through their points, spectra with known peaks; poses of the table of frequencies."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports.chart import Axis, Curve, Marker, Panel, draw_chart
+from flexfmu.cosim.reports.curve_data import MOST_POINTS, packed, spread, thinned, unpacked
+from flexfmu.cosim.reports.modes_table import modes_along_path
+from flexfmu.cosim.reports.spectrum import peak, spectrum, spectrum_panel
 from flexfmu.cosim.reports.svg import path
+from flexfmu.model.scene.file import load_scene
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -82,3 +87,100 @@ def test_one_scale_for_both_axes(extent: tuple[float, float]) -> None:
     )
     assert x1 - x0 == pytest.approx(y0 - y2, abs=0.02)
     assert x1 - x0 > 10.0
+
+
+@pytest.mark.parametrize("count", [1, 5, MOST_POINTS, MOST_POINTS + 1, 3 * MOST_POINTS + 7, 100_001])
+def test_a_thinned_curve_keeps_ends_and_extremes(count: int) -> None:
+    """And isn't longer than stated."""
+    y = np.random.default_rng(count).normal(size=count)
+    chosen = thinned(y)
+    assert len(chosen) <= MOST_POINTS
+    assert np.all(np.diff(chosen) > 0)
+    assert {0, count - 1, int(y.argmin()), int(y.argmax())} <= set(chosen.tolist())
+    assert (spread(count)[0], spread(count)[-1]) == (0, count - 1)
+
+
+def test_a_gap_stays_a_gap() -> None:
+    """Values that aren't finite don't hide others."""
+    y = np.sin(np.linspace(0.0, 60.0, 30_000))
+    y[10_000:20_000] = np.nan
+    assert np.nanmax(y[thinned(y)]) == np.nanmax(y)
+    assert np.isnan(y[thinned(y)]).any()
+
+
+def test_numbers_come_back() -> None:
+    """To 24 significant bits."""
+    x = np.random.default_rng(0).normal(size=(3, 50))
+    np.testing.assert_allclose(unpacked(packed(*x), 3), x, rtol=2.0**-24)
+
+
+@pytest.mark.parametrize("frequency", [41.3, 58.0, 77.77])
+@pytest.mark.parametrize("phase", [0.0, 1.0])
+def test_a_sine_peaks_at_its_frequency_with_its_amplitude(frequency: float, phase: float) -> None:
+    """Whether or not it lasts a whole number of periods, on top of a mean, and without what was before."""
+    time = np.arange(0.0, 1.0, 2e-4)
+    values = 3.0 + 2.5 * np.sin(2.0 * np.pi * frequency * time + phase)
+    values[time < 0.4] = 100.0
+    found = spectrum(time, values, 0.4)
+    assert found is not None
+    at, height = peak(*found)
+    assert at == pytest.approx(frequency, abs=0.05)
+    assert height == pytest.approx(2.5, rel=2e-3)
+
+
+def test_unequal_steps_and_double_instants_change_nothing() -> None:
+    """A recording has jumps twice, and steps that were chosen."""
+    rng = np.random.default_rng(1)
+    time = np.sort(np.concatenate([np.linspace(0.0, 0.5, 4001), rng.uniform(0.0, 0.5, 2000), [0.25, 0.25]]))
+    found = spectrum(time, np.sin(2.0 * np.pi * 30.0 * time), 0.0)
+    assert found is not None
+    assert peak(*found) == (pytest.approx(30.0, abs=0.05), pytest.approx(1.0, rel=3e-3))
+
+
+def test_too_little_is_no_spectrum() -> None:
+    """A run that ends with its motion, and values that aren't finite."""
+    time = np.linspace(0.0, 1.0, 100)
+    assert spectrum(time, time, 0.99) is None
+    assert spectrum(time, np.full(100, np.nan), 0.0) is None
+    assert spectrum_panel("y", []).curves == ()
+
+
+def test_the_panel_names_its_highest_peak() -> None:
+    """And leaves out what lies three decades below."""
+    time = np.arange(0.0, 2.0, 1e-3)
+    found = spectrum(time, np.sin(2.0 * np.pi * 60.0 * time) + 1e-5 * np.sin(2.0 * np.pi * 300.0 * time), 0.0)
+    assert found is not None
+    panel = spectrum_panel("y", [Curve(*found)], [(59.0, "mode 1"), (400.0, "mode 2")])
+    assert panel.markers[0].text == "60 Hz"
+    assert panel.limits is not None
+    assert 60.0 < panel.limits[1] < 200.0
+    assert [text for _, text in panel.marks] == ["mode 1"]
+
+
+def test_a_spectrum_far_below_another_changes_nothing() -> None:
+    """A motion without vibration beside one with it."""
+    time = np.arange(0.0, 2.0, 1e-3)
+    found = spectrum(time, np.sin(2.0 * np.pi * 60.0 * time), 0.0)
+    assert found is not None
+    loud, quiet = Curve(*found), Curve(found[0], 1e-6 * found[1])
+    assert spectrum_panel("y", [loud, quiet]).limits == spectrum_panel("y", [loud]).limits
+
+
+def test_angles_do_not_jump_where_a_leg_points_left() -> None:
+    """Beside the base the path crosses the direction in which arc tangents jump by a turn; the motors do not."""
+    beside = load_scene("barnard2012-6kg").replace(
+        {
+            "trajectory.start": [-0.35, 0.02],
+            "trajectory.height": 0.04,
+            "trajectory.width": 0.08,
+            "trajectory.blend": {"kind": "lame", "height": 0.02, "width": 0.02},
+            "effects.proximal_bending": 0,
+            "effects.distal_axial": 0,
+            "effects.damping": "none",
+        }
+    )
+    poses = modes_along_path(plan(beside), 21)
+    assert min(pose.y for pose in poses) < 0.0 < max(pose.y for pose in poses)
+    angles = np.array([(pose.q11, pose.q21) for pose in poses])
+    assert np.abs(np.diff(angles, axis=0)).max() < 0.1
+    assert all(pose.frequencies == () for pose in poses)
