@@ -261,7 +261,7 @@ SHIPPED = "barnard2012-0.1kg.*barnard2012-6kg"
         (f"modes {SCENE} --poses 4", "must be odd and at least 3"),
         ("validate missing.fmu", "missing.fmu"),
         ("validate text.fmu", "text.fmu"),
-        ("validate .", "directory"),
+        ("validate .", "no FMU at ."),
         (f"modes {SCENE} --set payload.mas=3", "did you mean `mass`"),
         (f"modes {SCENE} --set payload.mass=-1", "at least 0.0 kg, got -1 kg"),
         (f"modes {SCENE} --set payload.mass", "isn't KEY=VALUE"),
@@ -313,3 +313,4 @@ def test_version_and_usage() -> None:
     """--version prints the installed version; a missing argument or an unknown command is status 2."""
     assert flexfmu("--version").stdout == f"flexfmu {version('flexfmu')}\n"
     assert flexfmu("run").exit_code == flexfmu("fly").exit_code == 2
+    assert {flexfmu("modes", SCENE, "--poses", count).exit_code for count in ("2", "-1", "x")} == {2}
