@@ -32,7 +32,6 @@ from flexfmu.cosim.engine.child_process import in_child
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value
-from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
@@ -156,7 +155,7 @@ def ours(
         units = {each.name: each.unit for each in slave.variables}
         slaves.insert(0, Sines(inputs, times, [units[each.name] for each in inputs]))
     wires = [(f"sines.u{i}", f"fmu.{each.name}") for i, each in enumerate(inputs)]
-    system, step, isolation = connect(slaves, wires), times[1] - times[0], Isolation(CALL_LIMIT)
+    system, step, isolation = connect(slaves, wires), times[1] - times[0], CALL_LIMIT
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         run = simulate(system, times[-1], step, start=times[0], tolerance=TOLERANCE, isolation=isolation)

@@ -121,8 +121,11 @@ class Recording(Mapping[str, Column]):
         """
         columns = chosen(self.columns, names)
         with extra("pandas"):
-            from flexfmu.cosim.engine.formats.frames import data_frame
-        return data_frame(self.time, columns)
+            import pandas
+        listed = {name: column.listed() for name, column in columns.items()}
+        frame = pandas.DataFrame(listed, index=pandas.Index(self.time, name="time"))
+        frame.attrs["units"] = {"time": "s", **{name: column.unit for name, column in columns.items()}}
+        return frame
 
     def to_xarray(self, names: Names = None) -> xarray.Dataset:
         """Return signals as a data set with the coordinate ``time`` [s]; each has its unit as ``attrs["units"]``.
@@ -131,8 +134,9 @@ class Recording(Mapping[str, Column]):
         """
         columns = chosen(self.columns, names)
         with extra("xarray"):
-            from flexfmu.cosim.engine.formats.arrays import data_set
-        return data_set(self.time, columns)
+            import xarray
+        variables = {name: ("time", column.listed(), {"units": column.unit}) for name, column in columns.items()}
+        return xarray.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})})
 
     def plot(self, names: Names = None, title: str = "") -> Figure:
         """Return a Matplotlib figure of signals over time, a pair of axes for each unit.

@@ -204,7 +204,7 @@ class PreparedScene:
         self._call_limit = options.get("call_limit") or section.call_limit
         record = options.get("record") or Selection(section.record, section.record_order, section.record_step)
         self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
-        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=loop is not None)
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, caller_owned=loop is not None)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
         self._rests = RestPositions(self._loop.motion, StaticEquilibria(scene, self._fmu_path))
@@ -364,7 +364,7 @@ class PreparedScene:
 
     def isolate_python_slaves(self) -> None:
         """Isolate Python slaves passed as objects too, so that runs don't change them, unless isolation is switched off."""
-        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, caller_owned=False)
 
 
 def _measured(run: Run) -> RunMetrics:

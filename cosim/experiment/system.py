@@ -140,7 +140,7 @@ def coupling_of(section: sections.Cosimulation) -> CouplingMethod:
         tolerance, rounds = Tolerance(relative=section.loop_solver.tolerance), section.loop_solver.iterations
         match section.loop_solver:
             case sections.FixedPointSection(relaxation=relaxation):
-                solver = FixedPoint(relaxation, tolerance, rounds)
+                solver = FixedPoint(relaxation, tolerance=tolerance, rounds=rounds)
             case sections.AndersonSection():
                 solver = Anderson(tolerance=tolerance, rounds=rounds)
     # implicit coupling has a default solver

@@ -14,7 +14,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.file import open_fmu
-from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.cosim.engine.master.grid import time_grid
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
@@ -155,8 +155,8 @@ class SideBySide:
             raise NotTogetherError(
                 "other durations need a processor with AVX2, and a collocation method with error control"
             )
-        paces = None if durations is None else np.array(durations)[able] / self._end
-        found, failed = solver.peaks(values, self._end, progress, paces)
+        time_scales = None if durations is None else np.array(durations)[able] / self._end
+        found, failed = solver.peaks(values, self._end, progress, time_scales)
         # back to the order of all variants
         lacking = dict.fromkeys(outputs, 0.0)
         rows = zip(found.tolist(), failed.tolist(), strict=True)
@@ -208,14 +208,16 @@ class SideBySide:
         return changed, np.array(values, dtype=float).reshape(len(variants), len(changed))
 
 
-def _course(references: TrajectorySlave, end: float, stop: float, step: float) -> Course:
+def _course(references: TrajectorySlave, end: float, stop: float, step: float) -> SampledInputs:
     """The references at the communication points from 0 over the motion's end to ``stop`` [s]."""
     grid = time_grid(0.0, stop, step, references.breakpoints)
     references.prepare(grid.times)
     names = [each.name for each in references.variables]
     kinds = [KINDS.index(name.rpartition(".")[2]) for name in names]
     motion = int(grid.times.searchsorted(end))
-    return Course(grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1], kinds, motion)
+    return SampledInputs(
+        grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1], kinds, motion
+    )
 
 
 def _is_plain(variant: Mapping[str, Any], variables: Mapping[str, Any]) -> bool:

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.cosim.engine.master.grid import time_grid
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -54,7 +54,7 @@ def lockstep(lanes: int, order: int = 2) -> Lockstep:
     references.prepare(grid.times)
     names = [each.name for each in references.variables]
     polynomials, kinds = references.announced[:-1], [0, 0, 1, 1, 2, 2]
-    course = Course(grid.times, grid.marked, names, references.ended[0, 0], polynomials, kinds, 200)
+    course = SampledInputs(grid.times, grid.marked, names, references.ended[0, 0], polynomials, kinds, 200)
     return Lockstep(fmu, parts.plant.parameters, course, NAMES, OUTPUTS, order=order, tolerance=TOLERANCE, lanes=lanes)
 
 
@@ -261,7 +261,7 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
         "variants = np.array([(mass, *t.BASE[1:]) for mass in (0.5, np.nan, 2.0, 6.0, 3.0)] + [(*t.BASE[:4], 0.3)])\n"
         "for lanes in t.LANES[-1:]:\n"
         "    solver = t.lockstep(lanes)\n"
-        "    assert solver.peaks(variants, 0.2, paces=np.linspace(1.0, 1.1, 6))[1].tolist() == [0, 1, 0, 0, 0, 1]\n"
+        "    assert solver.peaks(variants, 0.2, time_scales=np.linspace(1.0, 1.1, 6))[1].tolist() == [0, 1, 0, 0, 0, 1]\n"
         "    assert solver.record(variants)[1].tolist() == [0, 1, 0, 0, 0, 1]\n"
     )
     libraries = [

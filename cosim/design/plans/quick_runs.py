@@ -16,7 +16,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.file import open_fmu
-from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
 from flexfmu.cosim.experiment.parameters import parameters_for
 from flexfmu.fmu_build.choices import INITIAL
@@ -202,7 +202,7 @@ class QuickRobot:
         outputs = np.swapaxes(found[:, :, 0], 1, 2)
         return QuickRun(motion, course.times, outputs[:, :, :2], outputs[:, :, 2:], self._rest)
 
-    def _course(self, motion: JointMotion) -> Course:
+    def _course(self, motion: JointMotion) -> SampledInputs:
         """The references at communication points, and the standstill after them."""
         late = motion.duration + np.arange(1, int(np.ceil(self._dwell / self.step)) + 1) * self.step
         still = np.zeros((late.size, 6, 2))
@@ -215,4 +215,4 @@ class QuickRobot:
         before = np.where(np.array(self._kinds) == 0, motion.values[0, 0][self._joints], 0.0)
         times = np.concatenate([motion.time, late])
         jumps = np.zeros(times.size, dtype=bool)
-        return Course(times, jumps, self._names, before, inputs, self._kinds, len(motion.time) - 1)
+        return SampledInputs(times, jumps, self._names, before, inputs, self._kinds, len(motion.time) - 1)

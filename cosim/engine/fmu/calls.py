@@ -28,17 +28,12 @@ FMI2_SIGNATURES: dict[str, Signature] = {
     "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
     "fmi2FreeInstance": (None, c_void_p),
     "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
-    "fmi2EnterInitializationMode": (c_int, c_void_p),
-    "fmi2ExitInitializationMode": (c_int, c_void_p),
-    "fmi2Terminate": (c_int, c_void_p),
-    "fmi2GetReal": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2GetInteger": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2GetBoolean": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2GetString": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2SetReal": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2SetInteger": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2SetBoolean": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
-    "fmi2SetString": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    **dict.fromkeys(("fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"), (c_int, c_void_p)),
+    **{
+        f"fmi2{verb}{kind}": (c_int, c_void_p, c_void_p, c_size_t, c_void_p)
+        for kind in ("Real", "Integer", "Boolean", "String")
+        for verb in ("Get", "Set")
+    },
     "fmi2SetRealInputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
     "fmi2GetRealOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
     "fmi2GetDirectionalDerivative": (
@@ -49,9 +44,7 @@ FMI2_SIGNATURES: dict[str, Signature] = {
     "fmi2GetStatus": (c_int, c_void_p, c_int, c_void_p),
     "fmi2GetRealStatus": (c_int, c_void_p, c_int, c_void_p),
     "fmi2GetBooleanStatus": (c_int, c_void_p, c_int, c_void_p),
-    "fmi2GetFMUstate": (c_int, c_void_p, c_void_p),
-    "fmi2SetFMUstate": (c_int, c_void_p, c_void_p),
-    "fmi2FreeFMUstate": (c_int, c_void_p, c_void_p),
+    **{f"fmi2{verb}FMUstate": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
 }
 """Functions of FMI 2.0 → signatures."""
 
@@ -72,25 +65,21 @@ DTYPES: dict[str, DTypeLike] = {
 
 _TRANSFER: Signature = (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)
 
+_FMI3_MODES = ("EnterConfiguration", "ExitConfiguration", "ExitInitialization", "EnterEvent", "EnterStep")
+
 FMI3_SIGNATURES: dict[str, Signature] = {
     "fmi3InstantiateCoSimulation": (
         *(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_bool, c_bool),
         *(c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
     ),
     "fmi3FreeInstance": (None, c_void_p),
-    "fmi3EnterConfigurationMode": (c_int, c_void_p),
-    "fmi3ExitConfigurationMode": (c_int, c_void_p),
+    **{f"fmi3{mode}Mode": (c_int, c_void_p) for mode in _FMI3_MODES},
     "fmi3EnterInitializationMode": (c_int, c_void_p, c_bool, c_double, c_double, c_bool, c_double),
-    "fmi3ExitInitializationMode": (c_int, c_void_p),
-    "fmi3EnterEventMode": (c_int, c_void_p),
     "fmi3UpdateDiscreteStates": (c_int, *[c_void_p] * 7),
-    "fmi3EnterStepMode": (c_int, c_void_p),
     "fmi3Terminate": (c_int, c_void_p),
     "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
     "fmi3GetOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p, c_size_t),
-    "fmi3GetFMUState": (c_int, c_void_p, c_void_p),
-    "fmi3SetFMUState": (c_int, c_void_p, c_void_p),
-    "fmi3FreeFMUState": (c_int, c_void_p, c_void_p),
+    **{f"fmi3{verb}FMUState": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
     **{f"fmi3{verb}{kind}": _TRANSFER for kind in (*DTYPES, "String") for verb in ("Get", "Set")},
 }
 """Functions of FMI 3.0 → signatures; fmi3Boolean is C's bool."""

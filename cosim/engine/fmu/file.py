@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 from xml.etree import ElementTree
@@ -28,6 +28,9 @@ from flexfmu.fmu_build.choices import ANNOTATION
 from flexfmu.fmu_build.naming import NAMES
 
 Result = TypeVar("Result")
+
+INTERPOLATION_ORDER = 1
+"""Highest input derivative of an FMU that states only canInterpolateInputs; FMI 2.0 has no attribute for the order."""
 
 NEEDLESS = ("sources/", "documentation/")
 """Folders of an FMU that stay packed."""
@@ -85,6 +88,54 @@ class UnpackedFmu:
     def is_ours(self) -> bool:
         """Whether this package exported the FMU."""
         return str(self.description.generationTool).startswith("flexfmu ")
+
+    @property
+    def needs_regular_steps(self) -> bool:
+        """Whether all communication steps of the FMU must have the same length."""
+        return not self.description.coSimulation.canHandleVariableCommunicationStepSize
+
+    @property
+    def only_once_per_process(self) -> bool:
+        """Whether the FMU can be instantiated only once per process."""
+        return bool(self.description.coSimulation.canBeInstantiatedOnlyOncePerProcess)
+
+    @property
+    def tool_hint(self) -> str:
+        """A hint for the error of an FMU that needs an execution tool; empty for any other FMU."""
+        if not self.description.coSimulation.needsExecutionTool:
+            return ""
+        tool = self.description.generationTool or "the tool that exported it"
+        return f"; it needs {tool} on this machine, running or licensed (needsExecutionTool = true)"
+
+    @property
+    def highest_input_derivative(self) -> int:
+        """Order of the highest input derivative that the FMU takes; 0 if it doesn't interpolate inputs.
+
+        Raises:
+            FmuFileError: ``maxOrder`` of our own FMUs' annotation isn't a whole number.
+        """
+        if not self.description.coSimulation.canInterpolateInputs:
+            return 0
+        stated = _annotation(self.path, self.folder, "InputDerivatives", lambda at: int(at["maxOrder"]))
+        return INTERPOLATION_ORDER if stated is None else stated
+
+    @property
+    def fixed_step(self) -> float | None:
+        """Step size [s] of an FMU that can't vary its communication step; None for any other FMU.
+
+        It is the step size of the default experiment, or else the fixed internal step size; None if neither is stated.
+
+        Raises:
+            FmuFileError: the step size isn't positive and finite.
+        """
+        experiment = self.description.defaultExperiment
+        stated = (experiment.stepSize if experiment else None) or self.description.coSimulation.fixedInternalStepSize
+        if not self.needs_regular_steps or not stated:
+            return None
+        step = float(stated)
+        if not 0.0 < step < inf:
+            raise FmuFileError(f"{self.path} is a broken FMU: its step size is {step:g} s; it must be positive")
+        return step
 
 
 def open_fmu(path: Path) -> UnpackedFmu:

@@ -16,7 +16,6 @@ from fmpy.fmi3 import fmi3LogMessageCallback
 
 from flexfmu.cosim.engine.errors import SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi2
-from flexfmu.cosim.engine.fmu.capabilities import needs_regular_steps
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu
 from flexfmu.cosim.engine.fmu.instance import Instance, StatusCall
 from flexfmu.cosim.engine.slave import Call
@@ -43,7 +42,7 @@ class Fmi3Instance(Instance):
         capabilities = fmu.description.coSimulation
         self._has_events = self._events = bool(capabilities.hasEventMode)
         self._returns_early = bool(capabilities.mightReturnEarlyFromDoStep)
-        self._regular = needs_regular_steps(fmu)
+        self._regular = fmu.needs_regular_steps
         folder = fmu.folder / "resources"
         self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
         self._receive = fmi3LogMessageCallback(self._logged)

@@ -16,7 +16,6 @@ from fmpy.fmi1 import _FMU
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi2
-from flexfmu.cosim.engine.fmu.capabilities import needs, only_once_per_process
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, attempt
 from flexfmu.cosim.engine.fmu.log import FmuLog
 from flexfmu.cosim.engine.slave import Call
@@ -68,7 +67,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
         try:
             in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
-            raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{needs(fmu)}") from lost
+            raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
     library, signatures = _loaded(fmu, arguments), fmi2.FMI3_SIGNATURES if fmu.is_fmi3 else fmi2.FMI2_SIGNATURES
     calls: fmi2.Calls = attempt(fmu.path, lambda: fmi2.bound_calls(library, signatures))
     return calls
@@ -88,7 +87,7 @@ def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
             error
         )
         raise FmuFileError(
-            f"{fmu.path} can't be loaded on this machine: {reason}{needs(fmu)}; install what is missing, or export it for "
+            f"{fmu.path} can't be loaded on this machine: {reason}{fmu.tool_hint}; install what is missing, or export it for "
             "this system"
         ) from error
 
@@ -122,7 +121,7 @@ class Instance(ABC):
             SlaveError: the FMU refuses, or has an instance and allows only one per process.
         """
         self.name, self._initialized, self._fatal = name, False, False
-        if (sole := self._fmu.folder if only_once_per_process(self._fmu) else None) in _alive:
+        if (sole := self._fmu.folder if self._fmu.only_once_per_process else None) in _alive:
             raise SlaveError(
                 name,
                 f"{self._fmu.path.name} can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess = "
@@ -134,7 +133,7 @@ class Instance(ABC):
         if self.component.value is None:
             self.log.close()
             error = self.error("instantiation", fmi2.ERROR)
-            raise SlaveError(name, error.reason + needs(self._fmu))
+            raise SlaveError(name, error.reason + self._fmu.tool_hint)
         if sole is not None:
             _alive[sole] = name
 

@@ -34,30 +34,17 @@ class _Task(Structure):
     """The structure `flex_batch_task` of ``c-runtime/batch/batch.h``."""
 
     _fields_ = (
-        ("n_points", c_int),
-        ("times", _DOUBLES),
-        ("jumps", _INTS),
-        ("n_orders", c_int),
-        ("before", _DOUBLES),
-        ("polynomials", _DOUBLES),
-        ("n_motion", c_int),
-        ("kinds", _INTS),
-        ("tolerance", c_double),
-        ("fixed_step", c_double),
-        ("method", c_int),
-        ("starts_static", c_int),
-        ("parameters", _DOUBLES),
-        ("n_changed", c_int),
-        ("changed", _INTS),
-        ("n_recorded", c_int),
-        ("recorded", _INTS),
-        ("order", c_int),
-        ("finds_peaks", c_int),
+        *(("n_points", c_int), ("times", _DOUBLES), ("jumps", _INTS)),
+        *(("n_orders", c_int), ("before", _DOUBLES), ("polynomials", _DOUBLES)),
+        *(("n_motion", c_int), ("kinds", _INTS)),
+        *(("tolerance", c_double), ("fixed_step", c_double), ("method", c_int), ("starts_static", c_int)),
+        *(("parameters", _DOUBLES), ("n_changed", c_int), ("changed", _INTS)),
+        *(("n_recorded", c_int), ("recorded", _INTS), ("order", c_int), ("finds_peaks", c_int)),
     )
 
 
 @dataclass(frozen=True)
-class Course:
+class SampledInputs:
     """The inputs of all variants at their communication points.
 
     Attributes:
@@ -90,7 +77,7 @@ class Lockstep:
     Args:
         fmu: FMU of a plant, with its sources.
         settings: start values of parameters that all variants share, as for `FmuSlave`.
-        course: inputs.
+        course: the inputs.
         changed: names of the k parameters that differ between variants.
         outputs: names of the n outputs to record.
         order: highest order of their derivatives, 0 to 2.
@@ -106,7 +93,7 @@ class Lockstep:
         self,
         fmu: Path,
         settings: Mapping[str, Value],
-        course: Course,
+        course: SampledInputs,
         changed: Sequence[str],
         outputs: Sequence[str],
         *,
@@ -180,7 +167,7 @@ class Lockstep:
         values: RealArray,
         end: float,
         progress: Callable[[int], None] = lambda count: None,
-        paces: RealArray | None = None,
+        time_scales: RealArray | None = None,
     ) -> tuple[RealArray, Flags]:
         """Simulate variants and find the largest magnitude of each output, by its value and two derivatives.
 
@@ -188,7 +175,7 @@ class Lockstep:
             values: (N, k) changed parameters of each variant.
             end: time up to which magnitudes count, one of the communication points [s].
             progress: called now and then with the number of variants that were simulated since the last call.
-            paces: (N,) how many times as long as the course's motion each variant's motion of the same shape takes; the
+            time_scales: (N,) how many times as long as the course's motion each variant's motion of the same shape takes; the
                 standstill after it takes the same time. None for the course's own motion.
 
         Returns:
@@ -196,7 +183,7 @@ class Lockstep:
         """
         peaks, failed = np.empty((len(values), self._shape[0])), np.zeros(len(values), dtype=np.bool_)
         memory = self._memory(finds_peaks=True)
-        values = np.insert(values, 0, 1.0 if paces is None else paces, axis=1)
+        values = np.insert(values, 0, 1.0 if time_scales is None else time_scales, axis=1)
         for first in range(0, len(values), BATCH):
             piece = slice(first, first + BATCH)
             failed[piece] = self._run(

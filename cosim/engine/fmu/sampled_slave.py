@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.engine.binding import Copy, Phase, Refresh, SampleCall, SampleStep, Take, nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveError
-from flexfmu.cosim.engine.fmu.capabilities import fixed_step
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value
@@ -60,7 +60,7 @@ def fmu_slave(
             )
         return SampledFmu(path, name, parameters)
     # no sample time: a stepped slave
-    chosen = fixed_step(fmu) if sample_time is None else sample_time
+    chosen = fmu.fixed_step if sample_time is None else sample_time
     if chosen is None:
         if offset:
             raise InputError(f"{name}: an offset of {offset:g} s needs a sample time; add sample_time in s")
@@ -114,11 +114,8 @@ def _immediate(slave: FmuSlave) -> frozenset[str]:
     return frozenset(found)
 
 
-class FmuTask:
-    """A sampled FMU that calculates its outputs in fmi2DoStep, like a task of a digital controller.
-
-    At t_k its inputs are set, it steps from t_k to t_k + sample_time, and its outputs are held from t_k on, as for a
-    Python block y_k = f(x_k, u_k). It is initialised at its first sample instant; thus all steps have the same length.
+class _HeldFmu:
+    """What both kinds of sampled FMUs have in common: the FMU's variables, reports and states; outputs held between samples.
 
     Args:
         slave: the FMU; nothing else may step it.
@@ -130,19 +127,11 @@ class FmuTask:
         can_save: whether the FMU can save and restore its state.
     """
 
-    feedthrough: Mapping[str, tuple[str, ...]] = {}
-
-    def __init__(self, slave: FmuSlave, sample_time: float, offset: float = 0.0) -> None:
+    def __init__(self, slave: FmuSlave, sample_time: float, offset: float) -> None:
         self._fmu = slave
         self.name, self.sample_time, self.offset = slave.name, sample_time, offset
         self.path, self.parameters, self.variables = slave.path, slave.parameters, slave.variables
-        self.can_save = slave.can_save
-        self.set, self.get = slave.set, slave.get
-        self.bind_set, self.bind_get = slave.bind_set, slave.bind_get
-        self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
-        self.terminate, self.report, self.take_report = slave.terminate, slave.report, slave.take_report
-        # first instant, sample time, number of steps
-        self._steps = np.array([0.0, sample_time, 0.0])
+        self.can_save, self.report, self.take_report = slave.can_save, slave.report, slave.take_report
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -153,6 +142,47 @@ class FmuTask:
     def remarks(self) -> tuple[str, ...]:
         """Remarks as in `FmuSlave`."""
         return self._fmu.remarks
+
+    def step(self, time: float, step: float) -> None:
+        """Do nothing: between sample instants the outputs are held."""
+
+    def _saved(self, state: object, parts: int) -> tuple[Any, ...]:
+        """The parts of a state returned by `save`.
+
+        Raises:
+            InputError: the state was saved by another kind of slave.
+        """
+        if not (isinstance(state, tuple) and len(state) == parts):
+            raise InputError(f"{self.name}: this state was not saved by this slave")
+        return state
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one to be saved."""
+        if isinstance(state, tuple):
+            self._fmu.release(state[0])
+
+
+class FmuTask(_HeldFmu):
+    """A sampled FMU that calculates its outputs in fmi2DoStep, like a task of a digital controller.
+
+    At t_k its inputs are set, it steps from t_k to t_k + sample_time, and its outputs are held from t_k on, as for a
+    Python block y_k = f(x_k, u_k). It is initialised at its first sample instant; thus all steps have the same length.
+
+    Args:
+        slave: the FMU; nothing else may step it.
+        sample_time, offset: sample time and first sample instant after the start [s].
+    """
+
+    feedthrough: Mapping[str, tuple[str, ...]] = {}
+
+    def __init__(self, slave: FmuSlave, sample_time: float, offset: float = 0.0) -> None:
+        super().__init__(slave, sample_time, offset)
+        self.set, self.get = slave.set, slave.get
+        self.bind_set, self.bind_get = slave.bind_set, slave.bind_get
+        self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
+        self.terminate = slave.terminate
+        # first instant, sample time, number of steps
+        self._steps = np.array([0.0, sample_time, 0.0])
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Initialise at the first sample instant; the FMU's stop time includes its steps beyond the end of the run."""
@@ -171,9 +201,6 @@ class FmuTask:
         bound = self._fmu.bound_step()
         return None if bound is None else (SampleStep(*bound, self._steps),)
 
-    def step(self, time: float, step: float) -> None:
-        """Do nothing: between sample instants the outputs are held."""
-
     def save(self) -> object:
         """Return the state of the FMU and the number of samples."""
         return self._fmu.save(), self._steps.copy()
@@ -184,19 +211,12 @@ class FmuTask:
         Raises:
             InputError: the state was saved by another kind of slave.
         """
-        if not (isinstance(state, tuple) and len(state) == 2):
-            raise InputError(f"{self.name}: this state was not saved by this slave")
-        saved, steps = state
+        saved, steps = self._saved(state, 2)
         self._fmu.restore(saved)
         self._steps[:] = steps
 
-    def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one to be saved."""
-        if isinstance(state, tuple):
-            self._fmu.release(state[0])
 
-
-class SampledFmu:
+class SampledFmu(_HeldFmu):
     """A sampled FMU that calculates its outputs before its step, an exported block for example.
 
     Sample instants, order of calls and results are those of the Python block. The FMU stays at its last sample instant
@@ -209,10 +229,6 @@ class SampledFmu:
         times: sample time and offset [s] of an FMU that isn't an exported block; it is initialised at its first sample
             instant, so that all steps have the same length. None for the times of an exported block.
         feedthrough: output → inputs that it depends on at the same instant; None for that of the model description.
-
-    Attributes:
-        path: the FMU file.
-        can_save: whether the FMU can save and restore its state.
 
     Raises:
         FmuFileError: the FMU is missing or broken, or has no sample time, neither stated nor in ``times``.
@@ -234,12 +250,7 @@ class SampledFmu:
                 f"{path} doesn't tell its sample time; run it as a slave that is stepped, or give it one: "
                 "fmu_slave(path, sample_time=1e-3)"
             )
-        self.name = name
-        self.sample_time, self.offset = times
-        self._fmu = FmuSlave(path, name, parameters, input_order=0, output_order=0)
-        self.path, self.parameters = self._fmu.path, self._fmu.parameters
-        self.report, self.take_report = self._fmu.report, self._fmu.take_report
-        self.variables, self.can_save = self._fmu.variables, self._fmu.can_save
+        super().__init__(FmuSlave(path, name, parameters, input_order=0, output_order=0), *times)
         self.feedthrough = self._fmu.feedthrough if feedthrough is None else feedthrough
         # inputs, stored until the next sample instant
         self._is_input = np.array([each.causality == "input" for each in self.variables])
@@ -259,16 +270,6 @@ class SampledFmu:
         self._fmu.get(self._inputs, self._sent)
         self._values[self._inputs] = self._sent
         self._reached[0], self._initialized = begin, True
-
-    @property
-    def messages(self) -> tuple[str, ...]:
-        """Messages of the FMU in the last run with status warning or worse."""
-        return self._fmu.messages
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Remarks as in `FmuSlave`."""
-        return self._fmu.remarks
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs for the next sample instant.
@@ -339,9 +340,6 @@ class SampledFmu:
         """Step to ``time`` [s] and calculate outputs from the inputs just set."""
         self.output(time)
 
-    def step(self, time: float, step: float) -> None:
-        """Do nothing: between sample instants the outputs are held."""
-
     def save(self) -> object:
         """Return the state of the FMU, its time [s] and the stored inputs."""
         return self._fmu.save(), float(self._reached[0]), self._values.copy()
@@ -352,17 +350,10 @@ class SampledFmu:
         Raises:
             InputError: the state was saved by another kind of slave.
         """
-        if not (isinstance(state, tuple) and len(state) == 3):
-            raise InputError(f"{self.name}: this state was not saved by this slave")
-        saved, self._reached[0], values = state
+        saved, self._reached[0], values = self._saved(state, 3)
         self._fmu.restore(saved)
         self._sent.fill(np.nan)
         self._values[:] = values
-
-    def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one to be saved."""
-        if isinstance(state, tuple):
-            self._fmu.release(state[0])
 
     def terminate(self) -> None:
         """End the run and free the FMU's instance."""

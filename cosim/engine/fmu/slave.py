@@ -18,12 +18,6 @@ from flexfmu.cosim.engine.binding import nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.engine.errors import CosimError, InputError, SlaveError
 from flexfmu.cosim.engine.fmu.calls import address, value_references
-from flexfmu.cosim.engine.fmu.capabilities import (
-    highest_input_derivative,
-    highest_output_derivative,
-    needs_regular_steps,
-    only_once_per_process,
-)
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.fmi3 import Fmi3Instance
 from flexfmu.cosim.engine.fmu.fmi3_transfers import Fmi3Transfers
@@ -95,14 +89,14 @@ class FmuSlave:
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        self._stated_order = highest_output_derivative(self._fmu)
+        self._stated_order = int(self._fmu.description.coSimulation.maxOutputDerivativeOrder or 0)
         if output_order is not None and not output_order >= 0:
             raise InputError(f"{name}: output_order must be zero or positive, got {output_order}")
         self.max_output_order = self._stated_order if output_order is None else min(output_order, self._stated_order)
-        highest = highest_input_derivative(self._fmu)
+        highest = self._fmu.highest_input_derivative
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
-        self.needs_regular_steps = needs_regular_steps(self._fmu)
+        self.needs_regular_steps = self._fmu.needs_regular_steps
         # the instance, transfers of its variables, and calls that set start values
         self._instance, self._transfers = _interface(self._fmu)
         self._counters = Statistics(known.others, self._transfers.get)
@@ -143,7 +137,7 @@ class FmuSlave:
         try:
             if AVAILABLE:
                 self.lacking = self.absent = in_child(tried, lambda: None, CALL_LIMIT)
-            elif not only_once_per_process(self._fmu):
+            elif not self._fmu.only_once_per_process:
                 self.lacking = self.absent = tried()
         except CosimError:
             return

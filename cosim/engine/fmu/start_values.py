@@ -48,7 +48,7 @@ class StartValues:
         self._readings: dict[str, tuple[StatusCall, Callable[[], Value]]] = {}
         self._starts = self._given = self._starting(given)
         # those that are set together, by name, and whether their values are to be taken over
-        self._together: _Together | None = None
+        self._batch: _BatchSetter | None = None
         self._is_new = True
 
     def vary(self, changes: Mapping[str, Value]) -> None:
@@ -75,11 +75,11 @@ class StartValues:
         """
         if self._fmu.is_ours and self._is_new:
             real = {name: each.setting for name, each in self._starts.items() if each.setting.handle.kind == "Real"}
-            if self._together is None or self._together.names != real.keys():
-                self._together = _Together([*real.values()], self._transfers)
-            self._together.values[:] = [float(each.value) for each in real.values()]
+            if self._batch is None or self._batch.names != real.keys():
+                self._batch = _BatchSetter([*real.values()], self._transfers)
+            self._batch.values[:] = [float(each.value) for each in real.values()]
             self._is_new = False
-        done = self._together.set() if self._together is not None else frozenset[str]()
+        done = self._batch.set() if self._batch is not None else frozenset[str]()
         for name, start in self._starts.items():
             if name not in done:
                 start.set()
@@ -93,7 +93,7 @@ class StartValues:
 
     def differences(self) -> Iterator[tuple[str, str]]:
         """Yield name and a sentence for each start value that differs from the value read back."""
-        equal = self._together.read_equal() if self._together is not None else frozenset[str]()
+        equal = self._batch.read_equal() if self._batch is not None else frozenset[str]()
         for name, start in self._starts.items():
             # leave out guesses, and variables that can't be read
             if name in equal or not start.setting.lasting:
@@ -115,7 +115,7 @@ class StartValues:
         return value() if self._instance.accepts(call) else None
 
 
-class _Together:
+class _BatchSetter:
     """Start values of type Real that are set and read by one call each; where one fails nothing is said of any of them.
 
     Args:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver, Tolerance
 
 
-class Algorithm(Protocol):
-    """A coupling algorithm, as the master uses it."""
+@dataclass(frozen=True)
+class Algorithm:
+    """A coupling algorithm, as the master uses it; steps aren't iterated unless the algorithm has a solver."""
 
     @property
-    def solver(self) -> LoopSolver | None:
+    def iteration(self) -> LoopSolver | None:
         """Solver for the signals at the end of a step in closed loops of slaves; None if steps aren't iterated."""
+        return None
 
     def interpolates(self, ahead: bool) -> bool:
         """Whether an input is interpolated between both ends of a step, else extrapolated from its beginning.
@@ -21,31 +22,20 @@ class Algorithm(Protocol):
         Args:
             ahead: whether the source is stepped before the target.
         """
+        return ahead
 
 
 @dataclass(frozen=True)
-class GaussSeidel:
+class GaussSeidel(Algorithm):
     """Steps one slave after the other, sources first.
 
     An input is interpolated if its source has been stepped already; the inputs that close a loop are extrapolated.
     """
 
-    @property
-    def solver(self) -> None:
-        """None: steps are not iterated."""
-
-    def interpolates(self, ahead: bool) -> bool:
-        """Whether the source has been stepped before the target."""
-        return ahead
-
 
 @dataclass(frozen=True)
-class Jacobi:
+class Jacobi(Algorithm):
     """Steps all slaves with inputs extrapolated from the beginning of the step; their order doesn't matter."""
-
-    @property
-    def solver(self) -> None:
-        """None: steps are not iterated."""
 
     def interpolates(self, ahead: bool) -> bool:
         """False: every input is extrapolated."""
@@ -53,7 +43,7 @@ class Jacobi:
 
 
 @dataclass(frozen=True)
-class Implicit:
+class Implicit(Algorithm):
     """Iterates the step of slaves in a closed loop until the signals at its end agree; stiff couplings stay stable.
 
     Every input is interpolated. With k derivatives of the signals the order is 2k + 2. An input that takes no
@@ -66,6 +56,11 @@ class Implicit:
     """
 
     solver: LoopSolver = field(default_factory=lambda: Anderson(tolerance=Tolerance(relative=1e-8)))
+
+    @property
+    def iteration(self) -> LoopSolver:
+        """The solver."""
+        return self.solver
 
     def interpolates(self, ahead: bool) -> bool:
         """True: every input is interpolated."""

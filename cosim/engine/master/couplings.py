@@ -78,7 +78,7 @@ def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: 
     interpolates = algorithm.interpolates(ahead)
     if interpolates and accepted:
         return Coupling(Transport.INTERPOLATED, min(known, accepted), min(known, (accepted - 1) // 2), exact=True)
-    if interpolates and algorithm.solver is not None:
+    if interpolates and algorithm.iteration is not None:
         return Coupling(Transport.AVERAGED, 0, 0, exact=False)
     return Coupling(Transport.EXTRAPOLATED, min(known, accepted), None, exact=False)
 
@@ -120,9 +120,9 @@ class StepGroup:
 def step_groups(system: System, algorithm: Algorithm) -> tuple[StepGroup, ...]:
     """All slaves that are stepped, in order; those of a closed loop are one group if the step is iterated."""
     stepped, signals = _stepped(system)
-    if algorithm.solver is None:
+    if algorithm.iteration is None:
         return tuple(StepGroup((i,)) for i in stepped)
-    return tuple(_group(each, stepped, signals, algorithm.solver) for each in _ordered_rings(stepped, signals))
+    return tuple(_group(each, stepped, signals, algorithm.iteration) for each in _ordered_rings(stepped, signals))
 
 
 def step_order(system: System, algorithm: Algorithm) -> tuple[int, ...]:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 
-from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT
+from flexfmu.cosim.engine.child_process import AVAILABLE
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
@@ -17,25 +16,14 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.slave import Slave
 
 
-@dataclass(frozen=True)
-class Isolation:
-    """Settings of a run in a child process.
-
-    Attributes:
-        call_limit: longest duration of one call of a slave [s].
-    """
-
-    call_limit: float = CALL_LIMIT
-
-
-def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *, theirs: bool) -> Isolation | None:
-    """The isolation for a run of these slaves; None for a run in this process.
+def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *, caller_owned: bool) -> float | None:
+    """The call limit [s] of a run of these slaves in a child process; None for a run in this process.
 
     Args:
         wanted: the user's choice; None isolates runs with foreign slaves, where the platform allows it.
         slaves: the slaves.
         call_limit: longest duration of one call of a slave [s].
-        theirs: whether Python slaves are the caller's own objects, which the caller may read after the run; if
+        caller_owned: whether Python slaves are the caller's own objects, which the caller may read after the run; if
             ``wanted`` is None, such a run stays in this process.
 
     Raises:
@@ -48,9 +36,9 @@ def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *
     # isolate foreign slaves, but not objects that the caller may read after the run
     if wanted is None:
         foreign = [slave for slave in slaves if is_foreign(slave)]
-        objects = theirs and any(not (hasattr(slave, "path") or hasattr(slave, "block")) for slave in foreign)
+        objects = caller_owned and any(not (hasattr(slave, "path") or hasattr(slave, "block")) for slave in foreign)
         wanted = AVAILABLE and bool(foreign) and not objects
-    return Isolation(call_limit) if wanted else None
+    return call_limit if wanted else None
 
 
 def is_foreign(slave: Slave) -> bool:

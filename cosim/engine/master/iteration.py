@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,19 +42,6 @@ class IterationResult:
         return int(np.argmax(abs(self.residual) / self.allowed))
 
 
-class LoopSolver(Protocol):
-    """Finds v with G(v) = v. The solution that it returns is the last v at which it evaluated G."""
-
-    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
-        """Iterate until the residuals count as zero, or the maximum number of rounds is reached.
-
-        Args:
-            around: the function G.
-            guess: (n,) initial v.
-            scale: (n,) largest magnitudes of the signals so far, for the relative tolerance; zero if there are none.
-        """
-
-
 @dataclass(frozen=True)
 class Tolerance:
     """When a residual counts as zero: at most relative * magnitude + absolute, in the signal's unit."""
@@ -74,8 +61,48 @@ class Tolerance:
         return np.asarray(self.relative * magnitude + self.absolute)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LoopSolver(ABC):
+    """Finds v with G(v) = v. The solution that it returns is the last v at which it evaluated G.
+
+    Args:
+        tolerance: when a residual counts as zero.
+        rounds: maximum number of rounds.
+    """
+
+    tolerance: Tolerance = Tolerance()
+    rounds: int = 100
+
+    def __post_init__(self) -> None:
+        if self.rounds < 1:
+            raise InputError(f"a loop needs at least one round to be solved, got {self.rounds}")
+
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
+        """Iterate until the residuals count as zero, or the maximum number of rounds is reached.
+
+        Args:
+            around: the function G.
+            guess: (n,) initial v.
+            scale: (n,) largest magnitudes of the signals so far, for the relative tolerance; zero if there are none.
+        """
+        value = guess
+        rounds: list[IterationResult] = []
+        for count in range(1, self.rounds + 1):
+            passed = around(value)
+            solution = IterationResult(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
+            if solution.converged:
+                break
+            rounds.append(solution)
+            value = self._next(rounds)
+        return solution
+
+    @abstractmethod
+    def _next(self, rounds: list[IterationResult]) -> RealArray:
+        """The next v (n,) after these rounds, of which none has converged."""
+
+
 @dataclass(frozen=True)
-class FixedPoint:
+class FixedPoint(LoopSolver):
     """Fixed-point iteration v ← v + relaxation * (G(v) - v).
 
     Converges if |1 - relaxation * (1 - g)| < 1 for every eigenvalue g of G's Jacobian: without relaxation (1) for
@@ -83,33 +110,21 @@ class FixedPoint:
 
     Args:
         relaxation: above zero, at most one.
-        tolerance: when a residual counts as zero.
-        rounds: maximum number of rounds.
     """
 
     relaxation: float = 1.0
-    tolerance: Tolerance = Tolerance()
-    rounds: int = 100
 
     def __post_init__(self) -> None:
         if not 0.0 < self.relaxation <= 1.0:
             raise InputError(f"the relaxation must be above 0 and at most 1, got {self.relaxation}")
-        _check_rounds(self.rounds)
+        super().__post_init__()
 
-    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
-        """Iterate until the residuals count as zero, or the maximum number of rounds is reached."""
-        value = guess
-        for count in range(1, self.rounds + 1):
-            passed = around(value)
-            solution = IterationResult(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
-            if solution.converged:
-                break
-            value = value + self.relaxation * solution.residual
-        return solution
+    def _next(self, rounds: list[IterationResult]) -> RealArray:
+        return rounds[-1].value + self.relaxation * rounds[-1].residual
 
 
 @dataclass(frozen=True)
-class Anderson:
+class Anderson(LoopSolver):
     """Anderson's acceleration: a quasi-Newton method that estimates the Jacobian from the last rounds.
 
     D. G. Anderson, J. ACM 12 (1965) 547; H. F. Walker and P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715, eq. (2.1).
@@ -117,50 +132,27 @@ class Anderson:
 
     Args:
         depth: number of last rounds that the estimate uses.
-        tolerance: when a residual counts as zero.
-        rounds: maximum number of rounds.
     """
 
     depth: int = 8
-    tolerance: Tolerance = Tolerance()
-    rounds: int = 50
+    rounds: int = field(default=50, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.depth < 1:
             raise InputError(f"the depth of Anderson's acceleration must be at least 1, got {self.depth}")
-        _check_rounds(self.rounds)
+        super().__post_init__()
 
-    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
-        """Iterate until the residuals count as zero, or the maximum number of rounds is reached."""
-        value = guess
-        values: list[RealArray] = []
-        residuals: list[RealArray] = []
-        # evaluate G once per round, and extrapolate from the last rounds
-        for count in range(1, self.rounds + 1):
-            passed = around(value)
-            solution = IterationResult(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
-            if solution.converged:
-                break
-            values, residuals = [*values[-self.depth :], value], [*residuals[-self.depth :], solution.residual]
-            value = _accelerated(values, residuals, solution.allowed)
-        return solution
-
-
-def _accelerated(values: list[RealArray], residuals: list[RealArray], allowed: RealArray) -> RealArray:
-    """The next v: the linear model of G through the last rounds, where its residual is smallest (least squares)."""
-    value, residual = values[-1], residuals[-1]
-    if len(values) == 1:
-        return np.asarray(value + residual)
-    value_steps, residual_steps = np.diff(np.stack(values), axis=0).T, np.diff(np.stack(residuals), axis=0).T
-    # weights make residuals of different units comparable; unit columns keep the least-squares problem well conditioned
-    weighted = residual_steps / allowed[:, None]
-    lengths = np.linalg.norm(weighted, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    share = np.linalg.lstsq(weighted / lengths, residual / allowed, rcond=None)[0] / lengths
-    return np.asarray(value + residual - (value_steps + residual_steps) @ share)
-
-
-def _check_rounds(rounds: int) -> None:
-    """Refuse less than one round."""
-    if rounds < 1:
-        raise InputError(f"a loop needs at least one round to be solved, got {rounds}")
+    def _next(self, rounds: list[IterationResult]) -> RealArray:
+        """The linear model of G through the last rounds, where its residual is smallest (least squares)."""
+        last = rounds[-self.depth - 1 :]
+        value, residual, allowed = last[-1].value, last[-1].residual, last[-1].allowed
+        if len(last) == 1:
+            return np.asarray(value + residual)
+        value_steps = np.diff(np.stack([each.value for each in last]), axis=0).T
+        residual_steps = np.diff(np.stack([each.residual for each in last]), axis=0).T
+        # weights make residuals of different units comparable; unit columns keep the least-squares problem well conditioned
+        weighted = residual_steps / allowed[:, None]
+        lengths = np.linalg.norm(weighted, axis=0)
+        lengths[lengths == 0.0] = 1.0
+        share = np.linalg.lstsq(weighted / lengths, residual / allowed, rcond=None)[0] / lengths
+        return np.asarray(value + residual - (value_steps + residual_steps) @ share)

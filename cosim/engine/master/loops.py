@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from ctypes import c_int
-from dataclasses import dataclass
 from math import factorial
-from types import TracebackType
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -65,9 +63,7 @@ class StateKeeper:
     def __enter__(self) -> StateKeeper:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.release()
 
     def release(self) -> None:
@@ -164,8 +160,7 @@ class LoopSignals:
         raise IndexError(index)
 
 
-@dataclass(frozen=True, slots=True)
-class LoopCall:
+class LoopCall(NamedTuple):
     """One call in a round of a loop.
 
     Attributes:
@@ -179,8 +174,16 @@ class LoopCall:
     read: OutputPort | None
 
 
-class InstantLoop:
-    """Solves an algebraic loop at one instant.
+def solve_at_instant(
+    loop: AlgebraicLoop,
+    calls: Sequence[LoopCall],
+    sampling: Sequence[tuple[Slave, Sequence[int]]],
+    signals: LoopSignals,
+    active: c_int,
+) -> TimedCall:
+    """A call that iterates an algebraic loop until its signals agree at ``end``, the time of the instant.
+
+    The call raises `LoopError` if the iteration doesn't converge.
 
     Args:
         loop: the loop.
@@ -191,46 +194,40 @@ class InstantLoop:
         active: set to the index of the slave that is being called.
     """
 
-    def __init__(
-        self,
-        loop: AlgebraicLoop,
-        calls: Sequence[LoopCall],
-        sampling: Sequence[tuple[Slave, Sequence[int]]],
-        signals: LoopSignals,
-        active: c_int,
-    ) -> None:
-        self._loop, self._calls, self._sampling = loop, calls, sampling
-        self._signals, self._active = signals, active
-
-    def solve(self, point: int, begin: float, end: float) -> None:
-        """Iterate until the signals agree at ``end``, the time of the instant.
-
-        Raises:
-            LoopError: the iteration has not converged.
-        """
-        signals, active = self._signals, self._active
-        with StateKeeper([slave for slave, due in self._sampling if due[point]]) as states:
+    def solve(point: int, begin: float, end: float) -> None:
+        with StateKeeper([slave for slave, due in sampling if due[point]]) as states:
 
             def around(values: RealArray) -> RealArray:
                 """One round of calls from the assumed unknowns; G(v)."""
                 states.restore()
                 passed = np.empty_like(values)
                 signals.scatter(values)
-                for each in self._calls:
-                    active.value = each.slave
-                    each.call(point, begin, end)
+                for slave, call, read in calls:
+                    active.value = slave
+                    call(point, begin, end)
                     # keep what the call has read, and feed the following slaves with the assumed values
-                    if each.read is not None:
-                        signals.take(each.read, passed)
+                    if read is not None:
+                        signals.take(read, passed)
                         signals.scatter(values)
                 return passed
 
-            solution = self._loop.solver.solve(around, signals.gather(), signals.scale)
-        signals.scatter(signals.accept(solution, self._loop.name, end, INSTANT_REMEDY))
+            solution = loop.solver.solve(around, signals.gather(), signals.scale)
+        signals.scatter(signals.accept(solution, loop.name, end, INSTANT_REMEDY))
+
+    return solve
 
 
-class IteratedStep:
-    """Iterates a step of slaves in a closed loop until the signals at its end agree.
+def solve_step(
+    solver: LoopSolver,
+    name: str,
+    slaves: Sequence[Slave],
+    calls: Sequence[LoopCall],
+    signals: LoopSignals,
+    active: c_int,
+) -> TimedCall:
+    """A call that iterates a step of slaves in a closed loop until the assumed signals at its end agree with those reached.
+
+    The call raises `LoopError` if the iteration doesn't converge.
 
     Args:
         solver: solves for these signals.
@@ -243,38 +240,22 @@ class IteratedStep:
     Raises:
         InputError: a slave can't save and restore its state.
     """
+    check_can_save(slaves, "repeating a step")
 
-    def __init__(
-        self,
-        solver: LoopSolver,
-        name: str,
-        slaves: Sequence[Slave],
-        calls: Sequence[LoopCall],
-        signals: LoopSignals,
-        active: c_int,
-    ) -> None:
-        check_can_save(slaves, "repeating a step")
-        self._solver, self._name, self._slaves, self._calls = solver, name, slaves, calls
-        self._signals, self._active = signals, active
-
-    def solve(self, point: int, begin: float, end: float) -> None:
-        """Step to ``end`` with assumed signals that agree with the ones reached.
-
-        Raises:
-            LoopError: the iteration has not converged.
-        """
-        with StateKeeper(self._slaves) as states:
+    def solve(point: int, begin: float, end: float) -> None:
+        with StateKeeper(slaves) as states:
 
             def around(values: RealArray) -> RealArray:
                 """One step of all slaves with the assumed signals at its end; G(v)."""
                 states.restore()
-                self._signals.scatter(values)
-                for each in self._calls:
-                    self._active.value = each.slave
-                    each.call(point, begin, end)
-                return self._signals.gather()
+                signals.scatter(values)
+                for slave, call, _ in calls:
+                    active.value = slave
+                    call(point, begin, end)
+                return signals.gather()
 
             # initial guess: extrapolate the signals over the step
-            guess = self._signals.extrapolated(end - begin)
-            solution = self._solver.solve(around, guess, self._signals.scale)
-        self._signals.accept(solution, self._name, end, STEP_REMEDY)
+            solution = solver.solve(around, signals.extrapolated(end - begin), signals.scale)
+        signals.accept(solution, name, end, STEP_REMEDY)
+
+    return solve

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from flexfmu.cosim.engine.master.algorithms import Algorithm
-from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.master.simulator import Simulator
@@ -26,7 +25,7 @@ def simulate(
     step_control: StepDoubling | None = None,
     compiled: bool | None = None,
     record: Selection = EVERYTHING,
-    isolation: Isolation | None = None,
+    isolation: float | None = None,
 ) -> Simulation:
     """Co-simulate a system from ``start`` to ``stop`` [s].
 
@@ -50,8 +49,9 @@ def simulate(
         compiled: True or None to run the loop over the points in C if the system allows it (no step control, no loops
             to iterate) and there is a C compiler, False for Python; the results are the same.
         record: which outputs to record, with how many derivatives.
-        isolation: settings of a run in a child process, where a slave that crashes, exits or hangs ends only the run;
-            what slaves change in their own attributes stays there. None for this process.
+        isolation: for a run in a child process the longest duration of one call of a slave [s], `CALL_LIMIT` for example; a
+            slave that crashes, exits or hangs ends only the run, and what slaves change in their own attributes stays
+            there. None for this process.
 
     Returns:
         Recording, outcome, message and delays.

@@ -17,12 +17,12 @@ from flexfmu.cosim.engine.master.algorithms import Algorithm
 from flexfmu.cosim.engine.master.blocks import Block, RunGrid
 from flexfmu.cosim.engine.master.couplings import StepGroup, couplings
 from flexfmu.cosim.engine.master.loops import (
-    InstantLoop,
-    IteratedStep,
     LoopCall,
     LoopSignals,
     StateKeeper,
     needs_rollback,
+    solve_at_instant,
+    solve_step,
 )
 from flexfmu.cosim.engine.master.plan import Action, Operation, When, make_plan
 from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall, columns, wire
@@ -225,13 +225,13 @@ class Schedule:
             ]
             # all rounds of an exchange share the loop's unknowns and their magnitudes
             signals = self._unknowns.setdefault(loop.name, self._unknowns_at_instant(loop))
-            return InstantLoop(loop, calls, sampling, signals, self.active).solve
+            return solve_at_instant(loop, calls, sampling, signals, self.active)
         assert loop is not None
         assert loop.solver is not None
         name = ", ".join(self._system.describe(each) for each in loop.torn)
         signals = self._unknowns.setdefault(name, self._unknowns_of_step(loop))
         members = [self.slaves[i] for i in loop.slaves]
-        return IteratedStep(loop.solver, name, members, calls, signals, self.active).solve
+        return solve_step(loop.solver, name, members, calls, signals, self.active)
 
     def _unknowns_at_instant(self, loop: AlgebraicLoop) -> LoopSignals:
         """The unknowns of an algebraic loop, with as many derivatives as its couplings pass round."""

@@ -30,7 +30,6 @@ from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.engine.master.dependencies import Connection
 from flexfmu.cosim.engine.master.grid import NO_POINTS
-from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
 from flexfmu.cosim.engine.master.program import can_compile
@@ -101,7 +100,7 @@ def _seconds_per_step(trial: Callable[[int], Simulation]) -> float | None:
 
 
 @dataclass(frozen=True)
-class Ending:
+class RunEnd:
     """End of a run; a child process sends it to its parent.
 
     Attributes:
@@ -139,7 +138,7 @@ class Simulator:
         step_control: StepDoubling | None = None,
         compiled: bool | None = None,
         record: Selection = EVERYTHING,
-        isolation: Isolation | None = None,
+        isolation: float | None = None,
         points: RealArray | None = None,
     ) -> None:
         outputs = [
@@ -225,21 +224,21 @@ class Simulator:
             return self._result(self._attempt(tolerance, progress))
         return self._result(self._supervised(self._isolation, tolerance, progress))
 
-    def _attempt(self, tolerance: float | None, progress: Progress | None) -> Ending:
+    def _attempt(self, tolerance: float | None, progress: Progress | None) -> RunEnd:
         """Execute a run in this process; its end."""
         loop = SimulationLoop(self._schedule, self._grid, self._recorder, progress, self._compiled)
         if self._control is not None:
             loop.control_steps(self._control, self._coupling_error(self._control), self._step)
         error = self._completed(loop, tolerance)
-        return Ending(error, loop.initialized, self._schedule.active_name, loop.reached)
+        return RunEnd(error, loop.initialized, self._schedule.active_name, loop.reached)
 
-    def _supervised(self, isolation: Isolation, tolerance: float | None, progress: Progress | None) -> Ending:
+    def _supervised(self, call_limit: float, tolerance: float | None, progress: Progress | None) -> RunEnd:
         """Execute a run in a child process, which may crash, exit or hang; its end."""
         active, recorder, start, stop = self._schedule.active, self._recorder, self._grid.start, self._grid.stop
         active.value = 0
 
         # in the child: run, and make the ending picklable
-        def attempt() -> Ending:
+        def attempt() -> RunEnd:
             recorder.populate()
             ending = self._attempt(tolerance, None)
             if (error := ending.error) is not None:
@@ -256,7 +255,7 @@ class Simulator:
 
         error: BaseException
         try:
-            ending: Ending = in_child(attempt, look, isolation.call_limit)
+            ending: RunEnd = in_child(attempt, look, call_limit)
             look()
             # changes of slaves stay in the child: take over texts and reports
             TEXTS.learn(ending.texts)
@@ -270,7 +269,7 @@ class Simulator:
             error = interrupted
         finally:
             recorder.catch_up()
-        return Ending(error, recorder.count > 0, self._schedule.active_name, self._recorded_so_far())
+        return RunEnd(error, recorder.count > 0, self._schedule.active_name, self._recorded_so_far())
 
     def _recorded_so_far(self) -> StepStatistics:
         """The time and steps of a run that was lost in its child process, from its recording."""
@@ -310,7 +309,7 @@ class Simulator:
         if _failure(lambda: self._schedule.outputs[0].read(float(recorded[-1]))) is None:
             self._recorder.append(ended.time)
 
-    def _result(self, ending: Ending) -> Simulation:
+    def _result(self, ending: RunEnd) -> Simulation:
         """The result of a run that has ended; warns of remarks of the slaves."""
         recording = _without_absent(self._recorder.recording(), self._system.slaves)
         _warn(recording, self._reporting)

@@ -10,7 +10,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexfmu.cosim.engine.fmu.capabilities import fixed_step
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import Value, typed
 from flexfmu.cosim.exchange.slave_export import ExportedSlave, ExportedSystem, ExportProgress, export_slaves
@@ -146,7 +145,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     # write sample time and offset unless the FMU states them
     facts = slave.facts
     times = None if facts.sample_time is None else (facts.sample_time, facts.offset or 0.0)
-    stated = fmu.sampling is not None or (fixed_step(fmu), 0.0) == times
+    stated = fmu.sampling is not None or (fmu.fixed_step, 0.0) == times
     component = Component(
         slave.name,
         _source(slave),

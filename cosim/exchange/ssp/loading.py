@@ -97,7 +97,7 @@ class SspSystem:
             progress=progress,
             algorithm=algorithm,
             step_control=step_control,
-            isolation=isolation(isolate, self.system.slaves, call_limit, theirs=False),
+            isolation=isolation(isolate, self.system.slaves, call_limit, caller_owned=False),
         )
         return replace(simulation, recording=self._renamed(simulation.recording))
 

@@ -16,11 +16,10 @@ import fmpy
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.child_process import AVAILABLE
+from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
@@ -38,10 +37,10 @@ TEXTS = (
 )
 TWO_OUTPUTS = "</ModelVariables>", Y + "</ModelVariables>"
 STATES_DERIVATIVES = "<CoSimulation ", '<CoSimulation maxOutputDerivativeOrder="1" canInterpolateInputs="true" '
-ISOLATED = pytest.param(Isolation(), marks=pytest.mark.skipif(not AVAILABLE, reason="isolation needs Linux"))
+ISOLATED = pytest.param(CALL_LIMIT, marks=pytest.mark.skipif(not AVAILABLE, reason="isolation needs Linux"))
 
 
-def alone(slave: Any, isolation: Isolation | None = None, **more: Any) -> Simulation:
+def alone(slave: Any, isolation: float | None = None, **more: Any) -> Simulation:
     """One second."""
     return simulate(connect([slave], []), 1.0, 0.1, isolation=isolation, **more)
 
@@ -66,7 +65,7 @@ def remarks(action: Callable[[], Any]) -> tuple[Any, list[str]]:
     ],
 )
 def test_derivatives_that_are_not_there(
-    make_decay: Make, trouble: str, absent: Sequence[str], isolation: Isolation | None
+    make_decay: Make, trouble: str, absent: Sequence[str], isolation: float | None
 ) -> None:
     """Derivatives that are stated and are NaN, or refused, are left out of the results, output by output, with one
     warning; those of other outputs and all values are right."""
@@ -126,7 +125,7 @@ def test_scenes_have_the_output_order() -> None:
 
 
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
-def test_forgotten_start_values_are_set_again(make_decay: Make, isolation: Isolation | None) -> None:
+def test_forgotten_start_values_are_set_again(make_decay: Make, isolation: float | None) -> None:
     """Parameters, inputs and texts that an FMU resets when it enters initialisation mode count all the same."""
     starts = {"rate": 2.0, "u": 3.0, "label": "Bob", "trouble": "resets"}
     slave = FmuSlave(make_decay(("</ModelVariables>", TEXTS + "</ModelVariables>")), "decay", starts)
@@ -138,7 +137,7 @@ def test_forgotten_start_values_are_set_again(make_decay: Make, isolation: Isola
 
 
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
-def test_values_that_are_not_taken_are_named(foreign_fmu: Path, isolation: Isolation | None) -> None:
+def test_values_that_are_not_taken_are_named(foreign_fmu: Path, isolation: float | None) -> None:
     """A start value that reads back otherwise is a warning with both values, in words where they have any."""
     starts = {"trouble": "ignores", "rate": 2.0, "label": 50 * "x"}
     _, told = remarks(lambda: alone(FmuSlave(foreign_fmu, "decay", starts), isolation))
@@ -157,7 +156,7 @@ def test_a_connected_input_may_differ_from_its_start(foreign_fmu: Path) -> None:
 
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
 @pytest.mark.parametrize("compiled", [None, False])
-def test_a_slave_may_end_the_simulation(foreign_fmu: Path, compiled: bool | None, isolation: Isolation | None) -> None:
+def test_a_slave_may_end_the_simulation(foreign_fmu: Path, compiled: bool | None, isolation: float | None) -> None:
     """fmi2Discard with fmi2Terminated is a normal end: recorded to the last time that a lone FMU has reached, as fmpy does."""
     slave = FmuSlave(foreign_fmu, "decay", {"trouble": "ends"})
     result = alone(slave, isolation, compiled=compiled)
@@ -209,9 +208,7 @@ def test_pending_steps_are_waited_for(make_decay: Make, compiled: bool | None) -
 
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
 @pytest.mark.parametrize("compiled", [None, False])
-def test_pending_steps_that_are_not_stated(
-    foreign_fmu: Path, compiled: bool | None, isolation: Isolation | None
-) -> None:
+def test_pending_steps_that_are_not_stated(foreign_fmu: Path, compiled: bool | None, isolation: float | None) -> None:
     """fmi2Pending without canRunAsynchronuously ends the run with the reason and the remedy, in C and in Python alike."""
     result = alone(FmuSlave(foreign_fmu, "decay", {"trouble": "lingers"}), isolation, compiled=compiled)
     assert result.outcome is Outcome.STEP_FAILED
@@ -273,7 +270,7 @@ def test_sequential_runs_of_an_fmu_that_lives_once(make_decay: Make, monkeypatch
     monkeypatch.setenv("DECAY_ONCE", "yes")
     path = make_decay(ONCE, STATES_DERIVATIVES, ('guid="decay"', 'guid="decay" generationTool="Tired 1.0"'))
     slave = FmuSlave(path, "decay")
-    assert [alone(slave, Isolation()).outcome for _ in range(3)] == 3 * [Outcome.COMPLETED]
+    assert [alone(slave, CALL_LIMIT).outcome for _ in range(3)] == 3 * [Outcome.COMPLETED]
     alone(slave)
     again = alone(slave)
     assert again.outcome is Outcome.INITIALISATION_FAILED
@@ -304,9 +301,7 @@ class Parrot:
 
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
 @pytest.mark.parametrize("compiled", [None, False])
-def test_texts_are_signals(
-    make_decay: Make, tmp_path: Path, compiled: bool | None, isolation: Isolation | None
-) -> None:
+def test_texts_are_signals(make_decay: Make, tmp_path: Path, compiled: bool | None, isolation: float | None) -> None:
     """Strings are connected, recorded and written like any signal, and never to a number."""
     slave = FmuSlave(make_decay(("</ModelVariables>", TEXTS + "</ModelVariables>")), "decay")
     system = connect([Parrot(), slave], [("parrot.word", "decay.word")])
@@ -344,7 +339,7 @@ def test_what_isolated_fmus_print(
 ) -> None:
     """A program that runs FMUs keeps its standard output for itself."""
     monkeypatch.setenv("DECAY_PRINTS", "yes")
-    alone(FmuSlave(foreign_fmu), Isolation())
+    alone(FmuSlave(foreign_fmu), CALL_LIMIT)
     printed = capfd.readouterr()
     assert printed.out == ""
     assert "a licence of 1000 lines" in printed.err

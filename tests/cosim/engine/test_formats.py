@@ -146,7 +146,6 @@ def test_unknown_and_missing_formats(recording: Recording, tmp_path: Path, monke
     for module in ("pandas", "pyarrow"):
         monkeypatch.setitem(sys.modules, module, None)
         monkeypatch.delitem(sys.modules, f"flexfmu.cosim.engine.formats.{module.replace('pyarrow', 'parquet')}", False)
-        monkeypatch.delitem(sys.modules, "flexfmu.cosim.engine.formats.frames", False)
     with pytest.raises(InputError, match=r'pandas isn.t installed; run: pip install "flexfmu\[pandas\]"'):
         recording.to_pandas()
     with pytest.raises(InputError, match=r'pyarrow isn.t installed; run: pip install "flexfmu\[parquet\]"'):

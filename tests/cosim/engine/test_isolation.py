@@ -18,7 +18,7 @@ import pytest
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master import isolation as module
-from flexfmu.cosim.engine.master.isolation import Isolation, isolation
+from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.outcome import message_of
 from flexfmu.cosim.engine.master.step_control import StepDoubling
@@ -27,7 +27,7 @@ from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
 
-QUICK = Isolation(call_limit=0.3)
+QUICK = 0.3
 
 
 @pytest.fixture(autouse=True)
@@ -140,7 +140,6 @@ def test_sys_exit_is_caught_without_isolation() -> None:
 HANGING = """
 import signal, sys, time, threading
 from pathlib import Path
-from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.master import simulate
 from flexfmu.cosim.engine.master.system import connect
 from test_isolation import Ramp
@@ -152,7 +151,7 @@ def hang():
     print("hanging", file=sys.stderr, flush=True)
     {loop}
 
-run = simulate(connect([Ramp(hang)], []), 1.0, 0.01, isolation=Isolation(60.0))
+run = simulate(connect([Ramp(hang)], []), 1.0, 0.01, isolation=60.0)
 print(run.outcome.name, run.steps, flush=True)
 """
 
@@ -236,16 +235,16 @@ def test_who_is_isolated(foreign_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> 
     """Other tools' FMUs and a scene's Python slaves are, unless the user says no; our own slaves and objects whose state the
     caller may look at aren't, unless the user says yes."""
     guest, python = FmuSlave(foreign_fmu), Ramp()
-    assert isolation(None, [guest], 1.0, theirs=True) == Isolation(1.0)
-    assert isolation(None, [python], 1.0, theirs=False) == Isolation(1.0)
-    assert isolation(None, [guest, python], 1.0, theirs=True) is None
-    assert isolation(False, [guest], 1.0, theirs=False) is None
-    assert isolation(True, [python], 1.0, theirs=True) == Isolation(1.0)
-    assert isolation(None, [], 1.0, theirs=False) is None
+    assert isolation(None, [guest], 1.0, caller_owned=True) == 1.0
+    assert isolation(None, [python], 1.0, caller_owned=False) == 1.0
+    assert isolation(None, [guest, python], 1.0, caller_owned=True) is None
+    assert isolation(False, [guest], 1.0, caller_owned=False) is None
+    assert isolation(True, [python], 1.0, caller_owned=True) == 1.0
+    assert isolation(None, [], 1.0, caller_owned=False) is None
     monkeypatch.setattr(module, "AVAILABLE", False)
-    assert isolation(None, [guest], 1.0, theirs=False) is None
+    assert isolation(None, [guest], 1.0, caller_owned=False) is None
     with pytest.raises(InputError, match="needs Linux"):
-        isolation(True, [], 1.0, theirs=False)
+        isolation(True, [], 1.0, caller_owned=False)
 
 
 def test_an_exit_that_was_pickled_keeps_its_status() -> None:

@@ -127,7 +127,7 @@ def test_loop_in_c_calls_it(write: Write) -> None:
         )
     )
     assert any(isinstance(call, Evaluation) for call in slave.sample_calls("sample") or ())
-    assert isolation(None, [slave], 1.0, theirs=True) is not None
+    assert isolation(None, [slave], 1.0, caller_owned=True) is not None
 
 
 def test_compiled_block_includes_it(write: Write) -> None:
