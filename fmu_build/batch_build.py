@@ -18,7 +18,7 @@ from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError, ModelError
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, runtime_sources
-from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, Compiler, find_compiler
+from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, find_compiler
 
 LANE_FLAGS: Mapping[int, tuple[str, ...]] = {
     8: ("-mavx512f", "-mavx512dq", "-mprefer-vector-width=512"),
@@ -58,17 +58,13 @@ def in_lanes(name: str, code: str) -> str:
     return _DEFAULT.sub(r"\1flex_real(0.0);", code)
 
 
+@cache
 def lanes_of_processor() -> int:
     """Lanes of the widest library that this processor can run: 8 with AVX-512, 4 with AVX2, otherwise 1.
 
     Raises:
         BuildError: there is no C compiler.
     """
-    return _lanes_of_processor()
-
-
-@cache
-def _lanes_of_processor() -> int:
     library = _compiled("flexfmu_processor", {}, runtime_sources("processor"), ("-fvisibility=default",))
     return int(CDLL(str(library)).flex_processor_lanes())
 
@@ -105,9 +101,9 @@ def _compiled(name: str, generated: dict[str, str], runtime: dict[str, str], fla
     texts = generated | runtime
     parts = (compiler.identity(), *flags, *(part for file in sorted(texts) for part in (file, texts[file])))
     file = f"batch/{content_hash(part.encode() for part in parts)}{compiler.platform.suffix}"
-    return cached(file) or store(file, _compile(Sources(name, "", "", generated, runtime, {}), compiler, flags))
-
-
-def _compile(sources: Sources, compiler: Compiler, flags: tuple[str, ...]) -> bytes:
-    generated_flags = ("-std=c99", "-O2", "-w", *flags, *_FIRST)
-    return compile_library(sources, compiler, runtime_flags=(*RUNTIME_FLAGS, *flags), generated_flags=generated_flags)
+    if (found := cached(file)) is not None:
+        return found
+    sources, generated_flags = Sources(name, "", "", generated, runtime, {}), ("-std=c99", "-O2", "-w", *flags, *_FIRST)
+    runtime_flags = (*RUNTIME_FLAGS, *flags)
+    library = compile_library(sources, compiler, runtime_flags=runtime_flags, generated_flags=generated_flags)
+    return store(file, library)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +11,8 @@ from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_from_sources
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, MAX_INPUT_ORDER
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation import documentation_files
-from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import FmiVariable, Interface, Unknown, check_names, real_variable
+from flexfmu.fmu_build.interface import Interface, Unknown, check_names, counter_variable, feedthrough, real_variable
 from flexfmu.fmu_build.naming import Naming, named_block
 from flexfmu.fmu_build.picture import FINE_PEN, ICON_SIZE, PAGE_SIZE, block_picture, png
 from flexfmu.fmu_build.regular_sampling import regular
@@ -140,34 +139,16 @@ def block_interface(block: SymbolicBlock) -> Interface:
     check_names([*(variable.name for variable in scalars), SAMPLES])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
     reals = tuple(real_variable(variable, index_of, output_variability="discrete") for variable in scalars)
-    counter = FmiVariable(
-        index=len(reals) + 1,
-        value_reference=0,
-        kind="Integer",
-        name=SAMPLES,
-        description="Samples completed since initialisation",
-        causality="local",
-        variability="discrete",
-        initial="calculated",
-    )
+    counter = counter_variable(SAMPLES, "Samples completed since initialisation", len(reals) + 1, 0)
     # outputs depend on inputs by direct feedthrough; initially on all inputs and parameters
     known = tuple(variable.index for variable in reals if variable.causality != "output")
-    outputs = tuple(
-        Unknown(index_of[output.name], _feedthrough(block, output.name, index_of)) for output in block.outputs
-    )
+    everything = [variable.name for variable in block.inputs]
+    declared = {output.name: block.feedthrough.get(output.name, everything) for output in block.outputs}
+    direct = feedthrough(block.outputs, block.inputs, declared, index_of)
+    outputs = tuple(Unknown(index, inputs) for index, inputs in direct.items())
     return Interface(
         variables=(*reals, counter),
         outputs=outputs,
         derivatives=(),
         initial_unknowns=tuple(Unknown(output.index, known) for output in outputs),
     )
-
-
-def _feedthrough(block: SymbolicBlock, output: str, index_of: Mapping[str, int]) -> tuple[int, ...]:
-    """Indices of the inputs with direct feedthrough to an output; all inputs if the block declares none."""
-    inputs = [variable.name for variable in block.inputs]
-    names = block.feedthrough.get(output, inputs)
-    unknown = sorted(set(names) - set(inputs))
-    if unknown:
-        raise ModelError(f"feedthrough of output '{output}' names '{unknown[0]}', which is no input")
-    return tuple(sorted(index_of[name] for name in names))

@@ -96,7 +96,12 @@ def build_fmu(
 
     # called only if the cache has no equal FMU
     def make_sources() -> Sources:
-        return _generate(model, experiment, naming, enumerations, progress)
+        from flexfmu.fmu_build.sources import generate_sources
+
+        progress("building the model")
+        symbolic = model() if callable(model) else model
+        progress("generating C")
+        return generate_sources(symbolic, experiment, naming, enumerations)
 
     return build_from_sources(
         make_sources,
@@ -169,21 +174,6 @@ def _keep(name: str, content: bytes, is_needed: bool) -> Path:
         if is_needed:
             raise ArchiveError(f"{error}, name it in the variable FLEXFMU_CACHE, or give an output file") from error
         return cache_folder() / name
-
-
-def _generate(
-    model: SymbolicModel | Callable[[], SymbolicModel],
-    experiment: DefaultExperiment,
-    naming: Naming,
-    enumerations: bool,
-    progress: BuildProgress,
-) -> Sources:
-    from flexfmu.fmu_build.sources import generate_sources
-
-    progress("building the model")
-    symbolic = model() if callable(model) else model
-    progress("generating C")
-    return generate_sources(symbolic, experiment, naming, enumerations)
 
 
 def _build(

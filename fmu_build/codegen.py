@@ -16,8 +16,7 @@ import numpy as np
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.states import find_states
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.twin_code import twin_code
-from flexfmu.fmu_build.twins import Entry
+from flexfmu.fmu_build.twins import Entry, twin_code
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel, Variable
 
 MAX_INPUT_ORDER = 9

@@ -112,9 +112,9 @@ def build_interface(model: SymbolicModel) -> Interface:
     aliases = _state_variables(reals[first - 1 :], states, first_state)
 
     # outputs and derivatives depend on inputs and states
-    feedthrough, needed = _feedthrough(model, index_of), state_dependencies(model)
+    direct, needed = feedthrough(model.outputs, model.inputs, model.feedthrough, index_of), state_dependencies(model)
     unknowns = tuple(
-        Unknown(first + k, (*feedthrough[first + k], *sorted(first_state + state for state in needed[k])))
+        Unknown(first + k, (*direct[first + k], *sorted(first_state + state for state in needed[k])))
         for k in range(len(model.outputs))
     )
     # initial unknowns depend on all inputs and parameters
@@ -171,16 +171,25 @@ def _with_derivatives(
     return tuple(replace(variable, derivative=state_of.get(variable.index)) for variable in reals)
 
 
-def _feedthrough(model: SymbolicModel, index_of: Mapping[str, int]) -> dict[int, tuple[int, ...]]:
-    inputs = {variable.name for variable in model.inputs}
-    for output in model.outputs:
-        unknown = set(model.feedthrough.get(output.name, ("(missing)",))) - inputs
-        if unknown:
+def feedthrough(
+    outputs: Iterable[Variable],
+    inputs: Iterable[Variable],
+    declared: Mapping[str, Sequence[str]],
+    index_of: Mapping[str, int],
+) -> dict[int, tuple[int, ...]]:
+    """Index of each output → indices of the inputs that it depends on directly.
+
+    Raises:
+        ModelError: an output is missing in ``declared``, or has the name of something else than an input.
+    """
+    known = {variable.name for variable in inputs}
+    found = {}
+    for output in outputs:
+        names = declared.get(output.name, ("(missing)",))
+        if unknown := set(names) - known:
             raise ModelError(f"feedthrough of output '{output.name}' names '{min(unknown)}', which is no input")
-    return {
-        index_of[output.name]: tuple(sorted(index_of[name] for name in model.feedthrough[output.name]))
-        for output in model.outputs
-    }
+        found[index_of[output.name]] = tuple(sorted(index_of[name] for name in names))
+    return found
 
 
 def check_names(names: Iterable[str]) -> None:
@@ -274,21 +283,26 @@ def choice_variable(
     )
 
 
+def counter_variable(name: str, description: str, index: int, value_reference: int) -> FmiVariable:
+    """The entry of a counter; index and value reference as in `FmiVariable`."""
+    return FmiVariable(
+        index=index,
+        value_reference=value_reference,
+        kind="Integer",
+        name=name,
+        description=description,
+        causality="local",
+        variability="discrete",
+        initial="calculated",
+    )
+
+
 def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
     """The parameter ``initial`` and the integrator's counters, with value references from 0."""
     initial = choice_variable(INITIAL, "static" if static_start else "undeformed", first_index, value_reference=0)
     # counters have value references from 1
     counters = tuple(
-        FmiVariable(
-            index=first_index + count,
-            value_reference=count,
-            kind="Integer",
-            name=name,
-            description=description,
-            causality="local",
-            variability="discrete",
-            initial="calculated",
-        )
+        counter_variable(name, description, first_index + count, count)
         for count, (name, description) in enumerate(STATISTICS.items(), start=1)
     )
     return (initial, *counters)

@@ -16,15 +16,17 @@ name.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from flexfmu.fmu_build.errors import ModelError
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.interface import Interface
     from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
+
+Symbolic = TypeVar("Symbolic", "SymbolicModel", "SymbolicBlock")
 
 Naming = Literal["structured", "flat"]
 """Naming convention of the variables; FMI's attribute ``variableNamingConvention``."""
@@ -96,14 +98,7 @@ def named_model(model: SymbolicModel, naming: Naming) -> SymbolicModel:
     Raises:
         ModelError: a variable has no flat name.
     """
-    return replace(
-        model,
-        unknowns=tuple(map(namer(naming), model.unknowns)),
-        inputs=named_variables(model.inputs, naming),
-        parameters=named_variables(model.parameters, naming),
-        outputs=named_variables(model.outputs, naming),
-        feedthrough=_named_feedthrough(model.feedthrough, naming),
-    )
+    return replace(_named(model, naming), unknowns=tuple(map(namer(naming), model.unknowns)))
 
 
 def named_block(block: SymbolicBlock, naming: Naming) -> SymbolicBlock:
@@ -112,18 +107,19 @@ def named_block(block: SymbolicBlock, naming: Naming) -> SymbolicBlock:
     Raises:
         ModelError: a variable has no flat name.
     """
-    return replace(
-        block,
-        inputs=named_variables(block.inputs, naming),
-        parameters=named_variables(block.parameters, naming),
-        outputs=named_variables(block.outputs, naming),
-        feedthrough=_named_feedthrough(block.feedthrough, naming),
-    )
+    return _named(block, naming)
 
 
-def _named_feedthrough(feedthrough: Mapping[str, tuple[str, ...]], naming: Naming) -> dict[str, tuple[str, ...]]:
+def _named(model: Symbolic, naming: Naming) -> Symbolic:
+    """A model or block with names of inputs, parameters and outputs by a convention."""
     name = namer(naming)
-    return {name(output): tuple(map(name, inputs)) for output, inputs in feedthrough.items()}
+    return replace(
+        model,
+        inputs=named_variables(model.inputs, naming),
+        parameters=named_variables(model.parameters, naming),
+        outputs=named_variables(model.outputs, naming),
+        feedthrough={name(output): tuple(map(name, inputs)) for output, inputs in model.feedthrough.items()},
+    )
 
 
 def named_interface(interface: Interface, naming: Naming) -> Interface:

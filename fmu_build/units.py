@@ -11,7 +11,7 @@ from flexfmu.fmu_build.errors import ModelError
 
 DIMENSIONLESS = "1"
 
-_SYMBOLS: Mapping[str, Mapping[str, int]] = {
+COHERENT: Mapping[str, Mapping[str, int]] = {
     "1": {},
     "kg": {"kg": 1},
     "m": {"m": 1},
@@ -133,10 +133,10 @@ def unit_exponents(name: str) -> dict[str, int]:
     total = dict.fromkeys(_BASE_UNITS, 0)
     for factor in factors:
         symbol = factor["symbol"]
-        if symbol not in _SYMBOLS:
-            raise ModelError(f"unit '{name}' has the unknown symbol '{symbol}'; known are {', '.join(_SYMBOLS)}")
+        if symbol not in COHERENT:
+            raise ModelError(f"unit '{name}' has the unknown symbol '{symbol}'; known are {', '.join(COHERENT)}")
         power = int(factor["power"] or 1) * (-1 if factor["sign"] == "/" else 1)
-        for base, exponent in _SYMBOLS[symbol].items():
+        for base, exponent in COHERENT[symbol].items():
             total[base] += power * exponent
     return {base: exponent for base, exponent in total.items() if exponent}
 

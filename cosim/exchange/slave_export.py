@@ -131,43 +131,34 @@ def export_slaves(
     chosen = _chosen(system.slaves, names, step)
     # an FMU for each slave
     options = BuildOptions(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
-    export = _Exporter(scene, float(f"{loop.motion.stop_time:.12g}"), options)
+    stop_time = float(f"{loop.motion.stop_time:.12g}")
     exported = []
     for number, facts in enumerate(slave_facts(chosen)):
         progress(f"exporting {facts.name}", number / len(chosen))
         path = folder / f"{facts.name}.fmu"
-        export.write(chosen[number], path)
+        _write(chosen[number], path, scene, stop_time, options)
         exported.append(ExportedSlave(facts, path, _start_values(chosen[number], system)))
     # connections between exported slaves
     there = {slave.name for slave in chosen}
     connections = tuple(
         ends for ends in system.wiring.connections if all(end.partition(".")[0] in there for end in ends)
     )
-    whole = ExportedSystem(tuple(exported), connections, step, export.stop_time)
+    whole = ExportedSystem(tuple(exported), connections, step, stop_time)
     return whole.named(naming, {slave.name for slave in chosen if not _is_copied(slave)})
 
 
-@dataclass(frozen=True)
-class _Exporter:
-    """Writes the FMUs of slaves."""
-
-    scene: Scene
-    stop_time: float
-    options: BuildOptions
-
-    def write(self, slave: Slave, path: Path) -> None:
-        """Build or copy the slave's FMU."""
-        scene, options = self.scene, self.options
-        match slave:
-            case FmuSlave() | SampledFmu() | FmuTask() if _is_copied(slave):
-                write_atomically(path, slave.path.read_bytes())
-            case FmuSlave():
-                build_scene(scene, output=path, **options)
-            case BlockSlave():
-                build_block_fmu(slave.block, path, stop_time=self.stop_time, **options)
-            case TrajectorySlave():
-                step = scene.cosimulation.communication_step
-                build_trajectory_fmu(slave.trajectory, path, stop_time=self.stop_time, step=step, **options)
+def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: BuildOptions) -> None:
+    """Build or copy the slave's FMU; the default experiment of a built one ends at ``stop_time`` [s]."""
+    match slave:
+        case FmuSlave() | SampledFmu() | FmuTask() if _is_copied(slave):
+            write_atomically(path, slave.path.read_bytes())
+        case FmuSlave():
+            build_scene(scene, output=path, **options)
+        case BlockSlave():
+            build_block_fmu(slave.block, path, stop_time=stop_time, **options)
+        case TrajectorySlave():
+            step = scene.cosimulation.communication_step
+            build_trajectory_fmu(slave.trajectory, path, stop_time=stop_time, step=step, **options)
 
 
 class BuildOptions(TypedDict):

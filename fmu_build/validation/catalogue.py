@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from flexfmu.fmu_build.validation.calls import refuses_illegal_calls
 from flexfmu.fmu_build.validation.dependencies import declared_dependencies_hold, initial_dependencies_hold
 from flexfmu.fmu_build.validation.derivatives import (
     directional_derivatives_are_right,
@@ -25,6 +24,7 @@ from flexfmu.fmu_build.validation.lifecycle import (
     gives_memory_back,
     instantiates,
     outputs_are_finite,
+    refuses_illegal_calls,
     refuses_wrong_guid,
 )
 from flexfmu.fmu_build.validation.replay import (

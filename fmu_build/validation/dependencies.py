@@ -35,9 +35,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     if fmu.kind is InterfaceType.EXCHANGE:
         unknowns += structure.derivatives or ()
     # knowns: in co-simulation also discrete inputs
-    inputs, reported, done = fmu.inputs, set[str](), 0
-    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange, discrete inputs may be set only in Event Mode
-        inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
+    inputs, reported, done = fmu.real_inputs, set[str](), 0
     with fmu.instance("dependencies") as instance:
 
         def set_input(known: Any, value: RealArray) -> None:

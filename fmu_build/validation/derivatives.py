@@ -129,9 +129,7 @@ def _unknowns(fmu: FmuUnderTest) -> list[Any]:
 
 
 def _states(fmu: FmuUnderTest) -> list[Any]:
-    if fmu.kind is InterfaceType.COSIMULATION:
-        return []
-    return [unknown.variable.derivative for unknown in fmu.description.derivatives or ()]
+    return [] if fmu.kind is InterfaceType.COSIMULATION else fmu.states
 
 
 def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> RealArray:

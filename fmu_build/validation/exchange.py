@@ -225,7 +225,7 @@ def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
 
 def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
     """Yield start values and inputs: perturbed states, then perturbed inputs, then neither."""
-    states = {v: moved(v, PERTURBATION) for v in fmu.states if v in fmu.settable("output", "local")}
+    states = {variable: moved(variable, PERTURBATION) for variable in fmu.perturbable_states}
     still = np.array([start_of(variable) for variable in fmu.inputs])
     if states:
         yield states, still
@@ -253,40 +253,31 @@ def _integrated(
     for variable, value in zip(fmu.inputs, inputs, strict=True):
         signals[variable.name] = value
     with redirect_stdout(None):  # fmpy prints the names of inputs without values
-        result = _simulate(fmu, starts, signals, stop, tolerance)
+        result = fmpy.simulate_fmu(
+            str(fmu.folder),
+            fmi_type="ModelExchange",
+            validate=False,
+            model_description=fmu.description,
+            start_time=fmu.start,
+            stop_time=stop,
+            output_interval=fmu.step,
+            solver="CVode",
+            relative_tolerance=tolerance,
+            record_events=False,
+            start_values={variable.name: value for variable, value in starts.items()},
+            input=signals if fmu.inputs else None,
+            output=[variable.name for variable in fmu.smooth_outputs],
+            timeout=LONGEST,
+        )
     return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
-
-
-def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: float, tolerance: float) -> Any:
-    return fmpy.simulate_fmu(
-        str(fmu.folder),
-        fmi_type="ModelExchange",
-        validate=False,
-        model_description=fmu.description,
-        start_time=fmu.start,
-        stop_time=stop,
-        output_interval=fmu.step,
-        solver="CVode",
-        relative_tolerance=tolerance,
-        record_events=False,
-        start_values={variable.name: value for variable, value in starts.items()},
-        input=signals if fmu.inputs else None,
-        output=[variable.name for variable in fmu.smooth_outputs],
-        timeout=LONGEST,
-    )
 
 
 def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, parts: int) -> RealArray:
     """Outputs of co-simulation after each step with constant inputs, shape (steps, outputs)."""
     slave = replace(fmu, kind=InterfaceType.COSIMULATION, _library=None)
-    rows = []
     with slave.instance("stepped") as instance:
         instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
-        for n in range(min(fmu.steps, POINTS)):
-            if not all(instance.step(n + part / parts, parts) for part in range(parts)):
-                break
-            rows.append(instance.get(fmu.smooth_outputs))
-    return np.array(rows)
+        return np.asarray(instance.read_steps(fmu.smooth_outputs, min(fmu.steps, POINTS), parts))
 
 
 def _is_euler(

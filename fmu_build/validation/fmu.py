@@ -74,7 +74,7 @@ class FmuUnderTest:
         description: model description as read by fmpy.
         folder: folder of the extracted FMU.
         kind: the interface under test.
-        pace: wall time of a communication step [s]; 0 if unknown.
+        step_seconds: wall time of a communication step [s]; 0 if unknown.
         messages: log messages of all instances so far.
         memory: blocks of allocateMemory that are not freed, address → block with its guards.
         misuse: wrong uses of these blocks, as parts of sentences.
@@ -83,7 +83,7 @@ class FmuUnderTest:
     description: Any
     folder: Path
     kind: InterfaceType
-    pace: float = 0.0
+    step_seconds: float = 0.0
     messages: list[str] = field(default_factory=list)
     memory: dict[int, Any] = field(default_factory=dict)
     misuse: list[str] = field(default_factory=list)
@@ -113,7 +113,7 @@ class FmuUnderTest:
     @property
     def steps(self) -> int:
         """Communication steps of a run; fewer for a slow FMU, at least 4 unless the experiment is shorter."""
-        affordable = int(SECONDS_A_RUN / self.pace) if self.pace else MOST_STEPS
+        affordable = int(SECONDS_A_RUN / self.step_seconds) if self.step_seconds else MOST_STEPS
         return min(self.all_steps, MOST_STEPS, max(affordable, 4))
 
     @property
@@ -157,6 +157,21 @@ class FmuUnderTest:
     def smooth_outputs(self) -> list[Any]:
         """Continuous outputs: only these reveal errors of a solver."""
         return [variable for variable in self.outputs if is_smooth(variable)]
+
+    @property
+    def real_inputs(self) -> list[Any]:
+        """Real inputs that may be set at any time: in model exchange discrete ones may be set only in Event Mode."""
+        return self.inputs if self.kind is InterfaceType.EXCHANGE else self._variables("input")
+
+    @property
+    def times(self) -> list[Any]:
+        """The independent variable; empty if the FMU has none."""
+        return self._variables("independent")[:1]
+
+    @property
+    def perturbable_states(self) -> list[Any]:
+        """States whose start values may be set."""
+        return [variable for variable in self.states if variable in self.settable("output", "local")]
 
     @property
     def states(self) -> list[Any]:

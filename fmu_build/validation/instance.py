@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from ctypes import POINTER, byref, c_double, c_size_t, cast, create_string_buffer
 from time import sleep
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from fmpy import fmi2
@@ -34,45 +34,16 @@ _ACCESS = {
 """Type of a variable → suffix of the functions that get and set it."""
 
 
-class Subject(Protocol):
-    """The properties of an FMU that its instances use.
-
-    Attributes:
-        description: model description as read by fmpy.
-        start, stop, step: times of the default experiment [s].
-        tolerance: relative tolerance of the default experiment; None if it has none.
-        inputs, outputs: variables that are set and read in each step.
-    """
-
-    description: Any
-    start: float
-    stop: float
-    step: float
-    tolerance: float | None
-    inputs: list[Any]
-    outputs: list[Any]
-
-    @property
-    def element(self) -> Any:
-        """Element CoSimulation or ModelExchange of the description."""
-
-    @property
-    def steps(self) -> int:
-        """Communication steps of a run."""
-
-    def input_values(self, n: int, size: float = 1.0) -> RealArray:
-        """Inputs at step ``n``, shape (inputs,): start values plus an excitation, multiplied by ``size``."""
-
-
 class InstanceUnderTest(ABC):
     """Base class of instances; a failed FMI call raises fmpy's exception.
 
     Attributes:
+        fmu: the `FmuUnderTest`: its description, default experiment, inputs and outputs.
         finished: whether the FMU has terminated the simulation.
         next_event: time of the FMU's next time event in model exchange [s]; infinite if there is none.
     """
 
-    def __init__(self, fmu: Subject, library: Any) -> None:
+    def __init__(self, fmu: Any, library: Any) -> None:
         self.fmu = fmu
         self.library = library
         self.finished = False
@@ -93,7 +64,7 @@ class InstanceUnderTest(ABC):
         """
 
     def run(self) -> RealArray:
-        """Initialise, run `Subject.steps` steps and terminate; return the results, one row per step."""
+        """Initialise, run all steps and terminate; return the results, one row per step."""
         self.initialize()
         rows = self.advance(0, self.fmu.steps)
         self.library.terminate()
@@ -225,6 +196,18 @@ class CosimulationInstance(InstanceUnderTest):
             MisbehaviourError: the FMU discards the step without terminating the simulation.
         """
         return self.step_from(self.fmu.start + n * self.fmu.step, self.fmu.step / parts)
+
+    def read_steps(self, variables: Sequence[Any], count: int, parts: int) -> RealArray:
+        """Values of variables after each of ``count`` communication steps from the start, shape (steps, variables).
+
+        Every step is made in ``parts`` equal ones. There are fewer rows if the FMU terminates the simulation.
+        """
+        rows: list[RealArray] = []
+        for n in range(count):
+            if not all(self.step(n + part / parts, parts) for part in range(parts)):
+                break
+            rows.append(self.get(variables))
+        return _table(rows, len(variables))
 
     def step_from(self, time: float, length: float) -> bool:
         """Make a step of any length [s] from any time [s]; returns and raises as `step`."""

@@ -1,12 +1,16 @@
-"""Checks of an instance's life cycle: instantiation, a run over the default experiment, memory after it is freed."""
+"""Checks of an instance's life cycle: instantiation, a run over the default experiment, memory after it is freed.
+
+Illegal FMI calls must return an error, and calls without variables must succeed.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from ctypes import c_double, c_uint
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
@@ -17,8 +21,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, NoMoreInstancesError, OnlyOnceError
-from flexfmu.fmu_build.validation.library import Watch, announce, is_guarded
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
+from flexfmu.fmu_build.validation.library import CANARY, Watch, announce, is_guarded
 from flexfmu.fmu_build.validation.variables import attribute
 
 WHOLE_RUN = 5.0
@@ -98,7 +102,7 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
         while done < fmu.all_steps and monotonic() - begin < WHOLE_RUN and not instance.finished:
             rows.append(instance.advance(done, min(done + 10, fmu.all_steps), size=0.0))
             done += len(rows[-1])
-        fmu.pace = (monotonic() - begin) / max(done, 1)
+        fmu.step_seconds = (monotonic() - begin) / max(done, 1)
         if not instance.finished:
             yield from _check_time(fmu, instance, fmu.start + done * fmu.step)
             instance.library.terminate()
@@ -112,7 +116,7 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
     # a slow FMU may not reach the end
     if done < fmu.all_steps and not instance.finished:
         until, end = (fmu.start + n * fmu.step for n in (done, fmu.all_steps))
-        message = f"simulated to {until:.6g} s of {end:.6g} s: a step of {fmu.step:g} s takes {fmu.pace:.2g} s"
+        message = f"simulated to {until:.6g} s of {end:.6g} s: a step of {fmu.step:g} s takes {fmu.step_seconds:.2g} s"
         yield Finding("simulation", message, "what comes later was not checked", Severity.NOTE)
     if rows:
         yield from _judged(fmu, np.vstack(rows))
@@ -120,7 +124,7 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def _check_time(fmu: FmuUnderTest, instance: Any, expected: float) -> Iterator[Finding]:
     """Check that the independent variable shows the time; an FMU with an internal step may lag behind."""
-    times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
+    times = fmu.times
     value = float(instance.get(times)[0]) if times else expected
     if not abs(value - expected) <= 1.5 * fmu.step + LAG * (fmu.stop - fmu.start):
         message = f"{times[0].name} is {value:.9g} s after a run to {expected:.9g} s"
@@ -222,7 +226,7 @@ def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
 def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
     """Bytes of malloc that each instance leaks; 0 without mallinfo2 (glibc 2.33) or for a slow FMU."""
     libc = ctypes.CDLL(None)
-    if not hasattr(libc, "mallinfo2") or fmu.pace * 20 * MEMORY_RUNS > WHOLE_RUN:
+    if not hasattr(libc, "mallinfo2") or fmu.step_seconds * 20 * MEMORY_RUNS > WHOLE_RUN:
         return 0
     libc.mallinfo2.restype = _MallocInfo
     # bytes in use after each of several short runs
@@ -261,3 +265,96 @@ class _MallocInfo(ctypes.Structure):
             "keepcost",
         ]
     ]
+
+
+NO_VARIABLE = 0x7FFFFFF1
+"""A value reference that no variable has."""
+
+
+def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check illegal calls (unknown value references, wrong state), calls without variables, and writes out of bounds."""
+    # calls without variables, and writes out of bounds
+    with fmu.instance("calls") as instance:
+        instance.initialize()
+        yield from _empty_call(instance)
+        yield from _overrun(fmu, instance)
+    # unknown value references, and calls in the wrong state
+    when = f"for the value reference {NO_VARIABLE}, which no variable has"
+    yield from _accepted(fmu, _UNKNOWN, True, when, Severity.WARNING)
+    yield from _accepted(fmu, _EARLY[fmu.kind], False, "before the initialisation")
+    late = _LATE[fmu.kind]
+    if fixed := [v for v in fmu.settable("parameter") if v.type == "Real" and v.variability == "fixed"][:1]:
+        late = late | {f"fmi2SetReal of the fixed parameter {fixed[0].name}": lambda i: i.write(fixed, i.read(fixed))}
+    yield from _accepted(fmu, late, True, "after the initialisation")
+
+
+FmiCall = Callable[[Any], Any]
+
+_UNKNOWN: dict[str, FmiCall] = {
+    "fmi2GetReal": lambda instance: instance.library.getReal([NO_VARIABLE]),
+    "fmi2SetReal": lambda instance: instance.library.setReal([NO_VARIABLE], [0.0]),
+    "fmi2GetInteger": lambda instance: instance.library.getInteger([NO_VARIABLE]),
+    "fmi2GetBoolean": lambda instance: instance.library.getBoolean([NO_VARIABLE]),
+}
+
+_EARLY: dict[InterfaceType, dict[str, FmiCall]] = {
+    InterfaceType.COSIMULATION: {
+        "fmi2ExitInitializationMode": lambda instance: instance.library.exitInitializationMode(),
+        "fmi2DoStep": lambda instance: instance.library.doStep(instance.fmu.start, instance.fmu.step),
+    },
+    InterfaceType.EXCHANGE: {
+        "fmi2ExitInitializationMode": lambda instance: instance.library.exitInitializationMode(),
+        "fmi2NewDiscreteStates": lambda instance: instance.library.newDiscreteStates(),
+    },
+}
+
+_LATE: dict[InterfaceType, dict[str, FmiCall]] = {
+    InterfaceType.COSIMULATION: {
+        "fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode(),
+        "fmi2DoStep with a negative step": lambda instance: instance.library.doStep(
+            instance.fmu.start, -instance.fmu.step
+        ),
+    },
+    InterfaceType.EXCHANGE: {
+        "fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode()
+    },
+}
+
+
+def _accepted(
+    fmu: FmuUnderTest, calls: dict[str, FmiCall], initialized: bool, when: str, severity: Severity = Severity.NOTE
+) -> Iterator[Finding]:
+    """Yield one finding for all accepted calls; each call has a separate instance, since an error may end it."""
+    accepted = []
+    for name, call in calls.items():
+        with fmu.instance("illegal") as instance:
+            if initialized:
+                instance.initialize()
+            announce(f"{name} {when}")
+            try:
+                call(instance)
+                accepted.append(name)
+            except FMICallException:
+                continue
+    # one finding for all of them
+    if accepted:
+        remedy = "return fmi2Error: mistakes of the importing tool stay hidden otherwise"
+        yield Finding("calls", f"{', '.join(accepted)} gives fmi2OK {when}", remedy, severity)
+
+
+def _empty_call(instance: Any) -> Iterator[Finding]:
+    try:
+        instance.library.getReal([])
+    except FMICallException as error:
+        yield Finding("calls", f"fmi2GetReal of no variable fails: {error}", "nvr = 0 is legal", Severity.WARNING)
+
+
+def _overrun(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
+    """Yield a finding if fmi2GetReal writes more than nvr values."""
+    variables = [variable for variable in fmu.outputs if variable.type == "Real"][:1]
+    if variables:
+        values = (c_double * 4)(*[CANARY] * 4)
+        references = (c_uint * 1)(variables[0].valueReference)
+        instance.library.fmi2GetReal(instance.library.component, references, 1, values)
+        if any(value != CANARY for value in values[1:]):
+            yield Finding("memory", "fmi2GetReal writes more values than nvr", "fill nvr values", section="2.1.7")

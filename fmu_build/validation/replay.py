@@ -2,7 +2,7 @@
 
 The same calls with the same values run the same arithmetic. A difference reveals memory that is not part of the state.
 
-    python -m flexfmu.fmu_build.validation.replay FOLDER KIND PACE STATE RESULT    # in a separate process
+    python -m flexfmu.fmu_build.validation.replay FOLDER KIND STEP_SECONDS STATE RESULT    # in a separate process
 """
 
 from __future__ import annotations
@@ -176,11 +176,8 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     if not fmu.can_save:
         return
     # inputs whose bounds allow another value
-    inputs = list(fmu.inputs)
-    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange, discrete inputs may be set only in Event Mode
-        inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
-    inputs = [variable for variable in inputs if moved(variable, PERTURBATION) != start_of(variable)]
-    times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
+    inputs = [variable for variable in fmu.real_inputs if moved(variable, PERTURBATION) != start_of(variable)]
+    times = fmu.times
     with fmu.instance("inputs") as instance:
         instance.initialize()
         half = fmu.steps // 2
@@ -270,7 +267,7 @@ def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArra
         state, result = Path(home) / "state", Path(home) / "rows.npy"
         state.write_bytes(data)
         module = "flexfmu.fmu_build.validation.replay"
-        command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, repr(fmu.pace)]
+        command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, repr(fmu.step_seconds)]
         outcome = subprocess.run(
             [*command, str(state), str(result)], capture_output=True, timeout=OTHER_PROCESS_TIMEOUT, check=False
         )
@@ -356,9 +353,11 @@ def _compare(
 
 
 def _main() -> None:
-    """Write the results of `_continue_from` to a file; arguments FOLDER KIND PACE STATE RESULT, see `_in_new_process`."""
-    folder, kind, pace, state, result = sys.argv[1:]
-    fmu = FmuUnderTest(read_model_description(folder, validate=False), Path(folder), InterfaceType[kind], float(pace))
+    """Write the results of `_continue_from` to a file; arguments FOLDER KIND STEP_SECONDS STATE RESULT, see `_in_new_process`."""
+    folder, kind, step_seconds, state, result = sys.argv[1:]
+    fmu = FmuUnderTest(
+        read_model_description(folder, validate=False), Path(folder), InterfaceType[kind], float(step_seconds)
+    )
     np.save(result, _continue_from(fmu, Path(state).read_bytes()))
 
 

@@ -60,12 +60,7 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
         with fmu.instance("halved") as instance:
             instance.initialize(perturbed_states(fmu))
             instance.set(fmu.inputs, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs]))
-            rows = []
-            for n in range(min(fmu.steps, SPLIT_POINTS)):
-                if not all(instance.step(n + part / parts, parts) for part in range(parts)):
-                    break
-                rows.append(instance.get(fmu.smooth_outputs))
-        runs.append(np.array(rows).reshape(len(rows), -1))
+            runs.append(instance.read_steps(fmu.smooth_outputs, min(fmu.steps, SPLIT_POINTS), parts))
     length = min(map(len, runs))
     whole, half, quarter = (rows[:length] for rows in runs)
     if length < 3:
@@ -89,7 +84,7 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def perturbed_states(fmu: FmuUnderTest) -> dict[Any, float]:
     """Perturbed start values of the settable states."""
-    return {v: moved(v, PERTURBATION) for v in fmu.states if v in fmu.settable("output", "local")}
+    return {variable: moved(variable, PERTURBATION) for variable in fmu.perturbable_states}
 
 
 def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -97,7 +92,7 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
 
     Only a constant offset in communication steps is an error; an internal step of the FMU gives another pattern.
     """
-    times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
+    times = fmu.times
     if not times or not fmu.has_variable_step or fmu.steps < TIMES:
         return
     shares = []

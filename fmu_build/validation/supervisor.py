@@ -40,7 +40,7 @@ class _Outcome:
     Attributes:
         begun: the last check begun, ``KIND:CHECK``.
         found: pairs of interface and finding.
-        pace: wall time of a communication step [s]; 0 if unknown.
+        step_seconds: wall time of a communication step [s]; 0 if unknown.
         problem: crash, hang or timeout as a finding; None if the worker ended normally.
         hangs: whether an FMI call hangs.
         again: whether the last check must be repeated in a new process.
@@ -48,7 +48,7 @@ class _Outcome:
 
     begun: str = ""
     found: list[tuple[str, Finding]] = field(default_factory=list)
-    pace: float = 0.0
+    step_seconds: float = 0.0
     problem: Finding | None = None
     hangs: bool = False
     again: bool = False
@@ -68,7 +68,7 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
     """
     end = monotonic() + limit
     findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
-    remaining, pace, hangs = list(jobs), 0.0, Counter[str]()
+    remaining, step_seconds, hangs = list(jobs), 0.0, Counter[str]()
     while remaining:
         if monotonic() > end:
             _add(
@@ -78,8 +78,10 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
             )
             break
         # one process for all remaining checks, or for the next one
-        outcome = _run(folder, remaining if together else remaining[:1], pace, end - monotonic(), CALL_SHARE * limit)
-        pace = outcome.pace or pace
+        outcome = _run(
+            folder, remaining if together else remaining[:1], step_seconds, end - monotonic(), CALL_SHARE * limit
+        )
+        step_seconds = outcome.step_seconds or step_seconds
         for kind, finding in outcome.found:
             _add(findings, kind, finding)
         # a crash or a hang is a finding of the check that was running
@@ -106,7 +108,7 @@ def _add(findings: dict[str, list[Finding]], kind: str, finding: Finding) -> Non
         findings[kind].append(finding)
 
 
-def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit: float) -> _Outcome:
+def _run(folder: Path, jobs: list[str], step_seconds: float, timeout: float, call_limit: float) -> _Outcome:
     """Run a worker and return its report.
 
     Raises:
@@ -116,7 +118,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
         # run the process and read its report
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.validation.worker"
-        numbers = [repr(call_limit), repr(pace)]
+        numbers = [repr(call_limit), repr(step_seconds)]
         command = [sys.executable, "-m", module, str(os.getpid()), str(folder), str(report), *numbers, *jobs]
         status, last = _end_of(command, Path(home), timeout)
         outcome, lines = _Outcome(begun=jobs[0]), list(_lines(report))
@@ -125,7 +127,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
     # evaluate the report line by line
     before = 0
     for line in lines:
-        outcome.pace = line.get("pace", outcome.pace)
+        outcome.step_seconds = line.get("step_seconds", outcome.step_seconds)
         if "begin" in line:
             outcome.begun, before = line["begin"], len(outcome.found)
         if "finding" in line:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
+from flexfmu.fmu_build.units import COHERENT
 from flexfmu.fmu_build.validation.finding import Finding
 
 Exponents = dict[str, int]
@@ -19,19 +20,14 @@ BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
 """Base units whose exponents are checked; rad is not, since an angle may also have the unit 1."""
 
 _SYMBOLS: dict[str, tuple[float, Exponents]] = {
-    "1": (1.0, {}),
+    **{
+        symbol: (1.0, {b: e for b, e in units.items() if b != "rad"})
+        for symbol, units in COHERENT.items()
+        if symbol not in ("kg", "Hz")
+    },
     "g": (1e-3, {"kg": 1}),
-    "m": (1.0, {"m": 1}),
-    "s": (1.0, {"s": 1}),
-    "A": (1.0, {"A": 1}),
-    "K": (1.0, {"K": 1}),
     "mol": (1.0, {"mol": 1}),
     "cd": (1.0, {"cd": 1}),
-    "rad": (1.0, {}),
-    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
-    "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}),
-    "J": (1.0, {"kg": 1, "m": 2, "s": -2}),
-    "W": (1.0, {"kg": 1, "m": 2, "s": -3}),
     "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
     "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
     "S": (1.0, {"kg": -1, "m": -2, "s": 3, "A": 2}),

@@ -1,6 +1,6 @@
 """Runs checks of an FMU in a separate process and writes each finding as a line of JSON to a report file.
 
-python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT PACE KIND:CHECK [KIND:CHECK...]
+python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT STEP_SECONDS KIND:CHECK [KIND:CHECK...]
 
 Process state that an FMU must not change: locale, rounding, signal handlers, standard streams, files.
 """
@@ -160,14 +160,14 @@ LOOK = 0.1
 
 def main() -> None:
     """Run the checks that the command line names."""
-    parent, folder, report, limit, pace, *jobs = sys.argv[1:]
+    parent, folder, report, limit, step_seconds, *jobs = sys.argv[1:]
     with Path(report).open("a", encoding="utf-8", buffering=1) as file:
         # watchdog thread for FMI calls that hang
         watched = (file, float(limit), Path(folder).parent, int(parent))
         threading.Thread(target=_watch, args=watched, daemon=True).start()
         # the FMU, and the state of the process before the first check
         description = read_model_description(folder, validate=False)
-        fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in InterfaceType}
+        fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(step_seconds)) for kind in InterfaceType}
         standard = [os.dup(number) for number in range(3)]
         before = surroundings(Path(folder))
         # one check after the other; findings are in the file before the next check may crash
@@ -181,7 +181,7 @@ def main() -> None:
             except NoMoreInstancesError as error:
                 _report(file, exhausted=str(error))
                 break
-            _report(file, pace=fmus[kind].pace)
+            _report(file, step_seconds=fmus[kind].step_seconds)
         _report(file, end=True)
 
 

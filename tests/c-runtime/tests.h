@@ -59,7 +59,6 @@
   X(fmi_model_exchange_states_are_restored)     \
   X(fmi_directional_derivatives)                \
   X(fmi_life_cycle)                             \
-  X(fmi_calls_out_of_place_are_refused)         \
   X(fmi_instantiation_is_checked)               \
   X(fmi_values_are_checked)                     \
   X(fmi_steps_are_checked)                      \

@@ -15,8 +15,7 @@ from flexfmu.fmu_build.codegen import _prepare, _sizes, c_code, twin_arguments, 
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler
-from flexfmu.fmu_build.twin_code import twin_code
-from flexfmu.fmu_build.twins import Graph, find_twins
+from flexfmu.fmu_build.twins import Graph, find_twins, twin_code
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicModel

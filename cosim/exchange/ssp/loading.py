@@ -157,10 +157,10 @@ def load_ssp(
     remarks = _remarks(structure, fmus)
     # connections and start values through all levels
     network = Network(structure, fmus)
-    starts = start_values(structure, fmus, network)
+    starts, ignored = start_values(structure, fmus, network)
     names = _names(fmus)
     # slaves for the master
-    slaves = [_slave(fmu, names[name], starts.values[name], output_order) for name, fmu in fmus.items()]
+    slaves = [_slave(fmu, names[name], starts[name], output_order) for name, fmu in fmus.items()]
     system = connect(slaves, wires(network, fmus, names), loops=Anderson() if loops is None else loops)
     # times: argument, file, FMUs, in this order
     defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
@@ -169,10 +169,10 @@ def load_ssp(
     return SspSystem(
         structure,
         system,
-        _first(start, structure.start, 0.0),
+        _known("start", archive, start, structure.start, 0.0),
         _known("stop", archive, stop, structure.stop, max(stops, default=None)),
         _known("step", archive, step, structure.step, min(steps, default=None)),
-        starts.ignored,
+        ignored,
         names,
         shown(structure, network),
         structure.tolerance,
@@ -295,11 +295,6 @@ def _trajectory(fmu: ComponentFmu, name: str) -> Slave:
     positions = [each for each in outputs if each.name.endswith(suffix)]
     axes = [each.name.removesuffix(suffix) for each in positions]
     return TrajectorySlave(FmuTrajectory(fmu.fmu.path), axes, positions[0].unit or "", name=name)
-
-
-def _first(*values: float | None) -> float:
-    """Return the first value that is not None."""
-    return next(value for value in values if value is not None)
 
 
 _OPTIONS = {"stop": "--stop-time", "step": "--step"}

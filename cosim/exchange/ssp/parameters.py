@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.variables import Value
@@ -21,20 +21,9 @@ from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, conversion, varia
 from flexfmu.cosim.exchange.ssp.wiring import ConnectorName, Network, Origin
 
 
-@dataclass(frozen=True)
-class StartValues:
-    """Values for all components.
-
-    Attributes:
-        values: name of a component → its variables' start values.
-        ignored: parameters that match no variable, which the standard allows.
-    """
-
-    values: Mapping[str, Mapping[str, Value]]
-    ignored: tuple[str, ...]
-
-
-def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network) -> StartValues:
+def start_values(
+    structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
+) -> tuple[Mapping[str, Mapping[str, Value]], tuple[str, ...]]:
     """Return the start values after all parameter bindings.
 
     Bindings of outer systems take precedence over those of inner elements, later bindings over earlier ones. Values of systems'
@@ -44,6 +33,9 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
         structure: the system.
         fmus: full name of a component → the component with its FMU.
         network: its connections; remarks are added to it.
+
+    Returns:
+        Name of a component → its variables' start values; and the parameters that match no variable, which the standard allows.
 
     Raises:
         SspError: a value has the wrong type or unit, or its variable can't be set.
@@ -80,7 +72,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
             if origin.way != IDENTITY:
                 parameter = replace(parameter, value=_along(origin, _number(parameter, where), where))
             values[node[0]][node[1]] = _value(parameter, fmus[node[0]], node[1], where)
-    return StartValues(values, tuple(dict.fromkeys(ignored)))
+    return values, tuple(dict.fromkeys(ignored))
 
 
 def _levels(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import cast, get_args
 
 from flexfmu.cosim.engine.slave import Type
@@ -45,20 +46,18 @@ def read_structure(archive: SspArchive) -> Structure:
     if system is None:
         raise root.error("has no System; export it again")
     experiment = root.child("DefaultExperiment")
+    # SSP 1.0 has no attribute for the step: known annotations do
+    steps = [] if experiment is None else [(experiment, *OSP_STEP)]
+    steps += [(system, *each) for each in OMS_STEPS]
     # the outermost system has the same elements as those within it
     outer = _system(system, archive)
     return Structure(
-        name=root.required("name"),
-        components=outer.components,
-        connections=outer.connections,
-        connectors=outer.connectors,
-        bindings=outer.bindings,
-        systems=outer.systems,
+        **{**vars(outer), "name": root.required("name")},
         units=read_units(root),
         start=None if experiment is None else experiment.number("startTime"),
         stop=None if experiment is None else experiment.number("stopTime"),
-        step=_step(experiment, system),
-        tolerance=_tolerance(system),
+        step=_positive(steps, " [s]"),
+        tolerance=_positive([(system, element, "relativeTolerance") for element, _ in OMS_STEPS], ""),
         description=root.text("description") or "",
     )
 
@@ -78,36 +77,23 @@ def _system(node: XmlElement, archive: SspArchive) -> Subsystem:
     )
 
 
-def _step(experiment: XmlElement | None, system: XmlElement) -> float | None:
-    """Return the communication step [s] from the known annotations, as SSP 1.0 has no attribute for it; None if absent.
+def _positive(places: Sequence[tuple[XmlElement, str, str]], unit: str) -> float | None:
+    """The first number that is stated at one of the places, None where there is none.
+
+    Args:
+        places: (element around, name of the element, attribute).
+        unit: of the number, for errors.
 
     Raises:
         SspError: it isn't positive.
     """
-    known = [(experiment, *OSP_STEP)] if experiment is not None else []
-    for place, element, attribute in [*known, *((system, *each) for each in OMS_STEPS)]:
-        for node in place.descendants(element):
-            step = node.number(attribute)
-            if step is not None and step <= 0.0:
-                raise node.error(f"has {attribute}='{step:g}', which must be positive [s]")
-            if step is not None:
-                return step
-    return None
-
-
-def _tolerance(system: XmlElement) -> float | None:
-    """The FMUs' relative tolerance in an annotation of OMSimulator; None where there is none.
-
-    Raises:
-        SspError: it isn't positive.
-    """
-    for element, _ in OMS_STEPS:
-        for node in system.descendants(element):
-            tolerance = node.number("relativeTolerance")
-            if tolerance is not None and tolerance <= 0.0:
-                raise node.error(f"has relativeTolerance='{tolerance:g}', which must be positive")
-            if tolerance is not None:
-                return tolerance
+    for around, element, attribute in places:
+        for node in around.descendants(element):
+            value = node.number(attribute)
+            if value is not None and value <= 0.0:
+                raise node.error(f"has {attribute}='{value:g}', which must be positive{unit}")
+            if value is not None:
+                return value
     return None
 
 

@@ -6,7 +6,7 @@ Names follow SSP 1.0 (Modelica Association, 2019); of SSP 2.0 there is what 1.0 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isclose
 from typing import Literal
 
@@ -186,11 +186,15 @@ class Component:
 
 @dataclass(frozen=True)
 class Subsystem:
-    """A system within another.
+    """A system: that of the file, or one within another.
 
     Attributes:
         name: name of the element.
-        components, connections, connectors, bindings, systems: as for `Structure`.
+        components: its FMUs.
+        connections: the signal paths between its elements.
+        connectors: the system's own connectors.
+        bindings: parameter sets of the system, which outrank those of its elements.
+        systems: systems within it.
         where: file and line, for errors.
     """
 
@@ -204,16 +208,10 @@ class Subsystem:
 
 
 @dataclass(frozen=True)
-class Structure:
-    """A whole system.
+class Structure(Subsystem):
+    """A whole file: the outermost system under the name of the file.
 
     Attributes:
-        name: name of the file's system.
-        components: its FMUs.
-        connections: the signal paths between them.
-        connectors: the system's own connectors.
-        bindings: parameter sets of the system, which outrank those of its elements.
-        systems: systems within it.
         units: units that connectors refer to.
         start, stop: default experiment [s]; None where the file doesn't say.
         step: communication step [s]; None where the file doesn't say.
@@ -221,23 +219,17 @@ class Structure:
         description: what it is.
     """
 
-    name: str
-    components: tuple[Component, ...]
-    connections: tuple[SspConnection, ...]
-    connectors: tuple[Connector, ...] = ()
-    bindings: tuple[Binding, ...] = ()
-    units: tuple[SspUnit, ...] = field(default=())
+    units: tuple[SspUnit, ...] = ()
     start: float | None = None
     stop: float | None = None
     step: float | None = None
-    description: str = ""
-    systems: tuple[Subsystem, ...] = ()
     tolerance: float | None = None
+    description: str = ""
 
 
-def levels(structure: Structure) -> Iterator[tuple[str, Structure | Subsystem]]:
+def levels(structure: Structure) -> Iterator[tuple[str, Subsystem]]:
     """Yield the system and all subsystems, outer ones first, each with the prefix of its elements' names, such as ``inner.``."""
-    waiting: list[tuple[str, Structure | Subsystem]] = [("", structure)]
+    waiting: list[tuple[str, Subsystem]] = [("", structure)]
     while waiting:
         prefix, level = waiting.pop(0)
         yield prefix, level

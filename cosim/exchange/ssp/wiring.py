@@ -164,7 +164,7 @@ class Network:
             )
         return items[value]
 
-    def _add(self, connection: SspConnection, prefix: str, level: Structure | Subsystem) -> None:
+    def _add(self, connection: SspConnection, prefix: str, level: Subsystem) -> None:
         """Add a connection from source to target."""
         ends = [self._end(connection, *end, prefix, level) for end in (connection.start, connection.end)]
         # seen from inside, a system's inputs are sources and its outputs are targets
@@ -179,7 +179,7 @@ class Network:
         self.feeds[taker] = giver, connection
 
     def _end(
-        self, connection: SspConnection, element: str | None, name: str, prefix: str, level: Structure | Subsystem
+        self, connection: SspConnection, element: str | None, name: str, prefix: str, level: Subsystem
     ) -> ConnectorName:
         """Return the connector at an end of a connection.
 

@@ -65,7 +65,7 @@ def ssv_xml(values: ParameterSet, tool: str) -> bytes:
     return _bytes(root)
 
 
-def _system(node: Any, system: Structure | Subsystem) -> None:
+def _system(node: Any, system: Subsystem) -> None:
     """The content of a system and of those within it."""
     _connectors(node, system.connectors)
     _bindings(node, system.bindings)

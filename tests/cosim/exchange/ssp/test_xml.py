@@ -98,13 +98,14 @@ STRUCTURES = st.builds(
     CONNECTIONS,
     few(connectors(), "name"),
     few(BINDINGS),
+    few(SYSTEMS, "name"),
+    st.just(""),
     few(UNITS, "name"),
     st.none() | NUMBERS,
     st.none() | NUMBERS,
     st.none() | st.floats(1e-9, 1e3),
-    st.just("") | NAMES,
-    few(SYSTEMS, "name"),
     st.none() | st.floats(1e-12, 1.0),
+    st.just("") | NAMES,
 )
 
 
