@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.interface import STATISTICS
 from flexfmu.model.symbolic import SymbolicModel
@@ -63,7 +63,9 @@ def test_variants_side_by_side_start_as_their_fmu_does(
     path = build_fmu(make_oscillators(static_start=static), enumerations=enumerations).path
     time = np.linspace(0.0, 0.5, 51)
     force = np.full((time.size - 1, 1, 1), FORCE)
-    course = Course(time, np.zeros(time.size, dtype=bool), ["force"], np.array([FORCE]), force, [0], time.size - 1)
+    course = SampledInputs(
+        time, np.zeros(time.size, dtype=bool), ["force"], np.array([FORCE]), force, [0], time.size - 1
+    )
     solver = Lockstep(path, {}, course, ["mass"], STATES[:2], order=0, tolerance=1e-9)
     masses = np.array([1.0, 2.0, 5.0])
     found, failed = solver.record(masses[:, None])

@@ -105,6 +105,27 @@ def test_mutants_that_need_not_run_are_found(found: Found) -> None:
     assert [each.name for each in still if not found(each)] == []
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    {
+        "guid empty": "guid: the attribute guid is empty",
+        "guid of another build": "instantiation: fmi2Instantiate returns no instance",
+        "start beyond max": "starts at 2.0, outside -1.0 to 1.0",
+        "unknown element": "model description: ",
+        "no binary": f"binary: {LIBRARY} is missing",
+        "binary of another name": "linux64/ has binaries/linux64/other.so",
+        "binary is text": "not a 64-bit ELF file",
+        "nan_late": "simulation: ",
+        "cut off": "build it again",
+        "no archive": "no intact FMU",
+        "description in a folder": "modelDescription.xml is missing",
+    }.items(),
+)
+def test_messages_of_what_is_usual(found: Found, name: str, message: str) -> None:
+    """Each names the check, what was found and where."""
+    assert message in "\n".join(map(str, found(mutant(name))))
+
+
 @pytest.mark.parametrize("name", NAMED)
 def test_spoilt_behaviour_is_found(found: Found, name: str) -> None:
     """What costs users most, each by the check for it."""
