@@ -67,7 +67,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class SignalTable:
     """Signals as rows of an array.
 
     Attributes:
@@ -79,7 +79,7 @@ class Table:
     places: Mapping[str, tuple[str, range]]
 
     @classmethod
-    def of(cls, columns: Mapping[str, Column]) -> Table:
+    def of(cls, columns: Mapping[str, Column]) -> SignalTable:
         """Return these columns as a table."""
         if isinstance(columns, LazyColumns) and columns.table is not None:
             return columns.table
@@ -103,7 +103,7 @@ class LazyColumns(Mapping[str, Column]):
         table: the array that the columns come from; None if there are others.
     """
 
-    def __init__(self, names: Collection[str], make: Callable[[str], Column], table: Table | None = None) -> None:
+    def __init__(self, names: Collection[str], make: Callable[[str], Column], table: SignalTable | None = None) -> None:
         self._names, self._make, self._made = names, make, dict[str, Column]()
         self.table = table
 

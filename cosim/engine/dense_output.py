@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.master.c_library import CDense, load_interpolation
-from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, Table
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, SignalTable
 from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray
 
 KNOWN = 3
@@ -148,7 +148,7 @@ class DenseOutput:
             into[:] = (part[:, 0] + part[:, 1]) + (part[:, 2] + part[:, 3])
             into[fixed] = rows[own + n * own_step][self._points[fixed]]
 
-    def signals_in(self, table: Table) -> Mapping[str, Signal]:
+    def signals_in(self, table: SignalTable) -> Mapping[str, Signal]:
         """Numbers for `of` of a table's signals; runs of one system have the same ones."""
         if self._signals is None or self._signals[0] is not table.places:
             self._signals = table.places, smooth_signals(table.places)
@@ -182,7 +182,7 @@ def resampled(recording: Recording, dense: DenseOutput, order: int) -> Recording
         dense: their interpolation.
         order: highest derivative to keep, 0 to 2.
     """
-    columns, table = recording.columns, Table.of(recording.columns)
+    columns, table = recording.columns, SignalTable.of(recording.columns)
     signals = dense.signals_in(table)
 
     @cache

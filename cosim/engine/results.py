@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flexfmu.cosim.engine.columns import Column, LazyColumns, Table, chosen
+from flexfmu.cosim.engine.columns import Column, LazyColumns, SignalTable, chosen
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra, suggestion
 from flexfmu.cosim.engine.formats.csv_table import read_csv, write_csv
 from flexfmu.cosim.engine.showing import few_lines, html_table
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["EVERYTHING", "FORMATS", "Column", "LazyColumns", "Recording", "Selection", "Table", "check_format"]
+__all__ = ["EVERYTHING", "FORMATS", "Column", "LazyColumns", "Recording", "Selection", "SignalTable", "check_format"]
 
 FORMATS = ("csv", "parquet", "mat", "mcap")
 """Suffixes of the files that `Recording.write` writes."""

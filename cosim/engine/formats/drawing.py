@@ -11,7 +11,7 @@ from flexfmu.cosim.engine.columns import Column
 from flexfmu.cosim.engine.slave import RealArray
 
 
-class Drawing(Figure):
+class SignalFigure(Figure):
     """A figure that belongs to no window; notebooks show it once, scripts save it by `savefig`."""
 
     def _repr_png_(self) -> bytes:
@@ -20,7 +20,7 @@ class Drawing(Figure):
         return content.getvalue()
 
 
-def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = "") -> Drawing:
+def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = "") -> SignalFigure:
     """Return a figure of signals over time, those of a unit in one pair of axes; a jump is a vertical line.
 
     Args:
@@ -29,7 +29,7 @@ def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = ""
         title: heading; empty for none.
     """
     units = list(dict.fromkeys(column.unit for column in columns.values()))
-    figure = Drawing(figsize=(8.0, 1.0 + 2.0 * max(len(units), 1)), layout="constrained")
+    figure = SignalFigure(figsize=(8.0, 1.0 + 2.0 * max(len(units), 1)), layout="constrained")
     figure.suptitle(title)
     all_axes = figure.subplots(max(len(units), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, unit in zip(all_axes, units, strict=False):

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.ports import OutputPort
-from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, Table
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, SignalTable
 from flexfmu.cosim.engine.slave import TEXTS, RealArray, SlaveVariable
 
 _MADV_POPULATE_WRITE = 23
@@ -184,7 +184,7 @@ class Recorder:
                 return Column(unit, rows[own[0]], texts=TEXTS.known())
             return Column(unit, *(rows[i] for i in own))
 
-        return Recording(rows[0], LazyColumns(places, column, Table(rows, places)))
+        return Recording(rows[0], LazyColumns(places, column, SignalTable(rows, places)))
 
     def _references(self) -> int:
         """Number of references to the memory, those of its views included."""

@@ -15,25 +15,28 @@ from flexfmu.cosim.engine.child_process import CALL_LIMIT
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.algorithms import Algorithm
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver
-from flexfmu.cosim.engine.master.linear_map import TableMap
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, TableMap
 from flexfmu.cosim.engine.master.master import Progress, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import Slave
-from flexfmu.cosim.engine.trajectory_slave import REFERENCES, TrajectorySlave
+from flexfmu.cosim.engine.trajectory_slave import REFERENCES as KINDS
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.exchange.ssp.parameters import start_values
 from flexfmu.cosim.exchange.ssp.reading import read_structure
-from flexfmu.cosim.exchange.ssp.scene_names import as_in_scene, is_exported_scene
 from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, Subsystem, levels
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, check_connectors, component_fmu
 from flexfmu.cosim.exchange.ssp.wiring import Network, Origin, shown, wires
+from flexfmu.cosim.experiment.recording import held, plain_names
+from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 
 
 @dataclass(frozen=True)
@@ -290,7 +293,7 @@ def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output
 
 def _trajectory(fmu: ComponentFmu, name: str) -> Slave:
     """Return the slave for an exported trajectory, with all its derivatives."""
-    suffix = f".reference.{REFERENCES[0][0]}"
+    suffix = f".reference.{KINDS[0][0]}"
     outputs = [each for each in fmu.variables.values() if each.causality == "output"]
     positions = [each for each in outputs if each.name.endswith(suffix)]
     axes = [each.name.removesuffix(suffix) for each in positions]
@@ -314,3 +317,44 @@ def _known(what: str, archive: SspArchive, *values: float | None) -> float:
             f"load_ssp(path, {what}=...)"
         )
     return known[0]
+
+
+class FoundByBothNames(dict[str, Column]):
+    """Columns by their names in the scene, which a look-up finds by their names in the file too."""
+
+    def __init__(self, columns: Mapping[str, Column], by_file: Mapping[str, Column]) -> None:
+        super().__init__(columns)
+        self._by_file = by_file
+
+    def __missing__(self, name: str) -> Column:
+        return self._by_file[name]
+
+
+def is_exported_scene(system: System) -> bool:
+    """Return whether a system is an exported scene: our robot as ``plant``, led by our ``trajectory``."""
+    slaves = {slave.name: slave for slave in system.slaves}
+    plant = slaves.get(PLANT)
+    is_ours = isinstance(plant, FmuSlave) and open_fmu(plant.path).is_ours
+    return is_ours and isinstance(slaves.get(REFERENCES), TrajectorySlave)
+
+
+def as_in_scene(system: System, columns: Mapping[str, Column]) -> Mapping[str, Column]:
+    """Return the columns with the names of the scene's recording; a look-up finds their names in the file, too.
+
+    Args:
+        system: the exported scene.
+        columns: name in the file, ``plant.joint1.torque`` for example → column.
+    """
+    unchanged = (each for each in system.connections if each.transformation == IDENTITY)
+    ends = (system.describe(each).split(" -> ") for each in unchanged)
+    feeding = {target.removeprefix(f"{PLANT}."): source for source, target in ends if target.startswith(f"{PLANT}.")}
+    sources = plain_names(columns, PLANT, REFERENCES, feeding)
+    found = {name: held(columns[each.name]) if each.held else columns[each.name] for name, each in sources.items()}
+    # inputs of the robot that nothing feeds, at the values that the file sets
+    plant = next(slave for slave in system.slaves if slave.name == PLANT)
+    shape = next(iter(columns.values())).values.shape
+    for each in plant.variables:
+        value = plant.parameters.get(each.name) if isinstance(plant, FmuSlave) else None
+        if each.causality == "input" and each.name not in feeding and isinstance(value, float):
+            found[each.name] = held(Column(each.unit, np.broadcast_to(value, shape)))
+    return FoundByBothNames(found, columns)
