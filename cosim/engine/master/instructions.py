@@ -64,18 +64,11 @@ class CProgram(Structure):
     """``master_program``."""
 
     _fields_ = (
-        ("advance", c_void_p),
-        ("exchange", c_void_p),
-        ("n_advance", c_size_t),
-        ("n_exchange", c_size_t),
+        *((name, c_void_p) for name in ("advance", "exchange")),
+        *((name, c_size_t) for name in ("n_advance", "n_exchange")),
         ("channels", c_void_p),
-        ("n_channels", c_size_t),
-        ("capacity", c_size_t),
-        ("times", c_void_p),
-        ("jumps", c_void_p),
-        ("instants", c_void_p),
-        ("recorded_times", c_void_p),
-        ("active", c_void_p),
+        *((name, c_size_t) for name in ("n_channels", "capacity")),
+        *((name, c_void_p) for name in ("times", "jumps", "instants", "recorded_times", "active")),
     )
 
 

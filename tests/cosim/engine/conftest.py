@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from math import factorial, fsum
@@ -18,6 +19,8 @@ from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.toolchain import fmi_header_folder
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # pytest imports tests without their folder
 
 FOREIGN = Path(__file__).parent / "foreign-fmu"
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver
@@ -15,26 +16,20 @@ from flexfmu.cosim.engine.master.system import AlgebraicLoop, connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 
-class Function:
+class Function(PythonSlave):
     """y = f(u, w), at every instant, and nothing else."""
 
+    variables = (SlaveVariable("y", "output"), *(SlaveVariable(each, "input", start=0.0) for each in ("u", "w")))
+
     def __init__(self, name: str, function: Callable[[float, float], float]) -> None:
-        self.name, self.function = name, function
-        names = ("u", "w")
-        self.variables = (SlaveVariable("y", "output"), *(SlaveVariable(each, "input", start=0.0) for each in names))
-        self.inputs = np.zeros(3)
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.inputs[indices] = values
+        super().__init__(name)
+        self.function = function
 
     def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.function(self.inputs[1], self.inputs[2])
+        values[0] = self.function(self.memory[1], self.memory[2])
 
 
-class Clock:
+class Clock(PythonSlave):
     """y = t."""
 
     name = "clock"
@@ -42,19 +37,11 @@ class Clock:
     variables = (SlaveVariable("y", "output"),)
     max_output_order = 1
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.time = start_time
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-
     def get(self, indices: Indices, values: RealArray) -> None:
         values[0] = self.time
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         derivatives[:] = 1.0
-
-    def step(self, time: float, step: float) -> None:
-        self.time = time + step
 
 
 WIRES = [("a.y", "b.u"), ("b.y", "a.u"), ("clock.y", "a.w")]
@@ -109,24 +96,16 @@ def test_what_hangs_on_a_loop_is_up_to_date() -> None:
     np.testing.assert_allclose(result.recording["after.y"].values, result.recording.time * 4.0 / 3.0, atol=1e-9)
 
 
-class Accumulator:
+class Accumulator(PythonSlave):
     """At its samples: y = 2 (1 - u) + the sum of what it was fed before; counts them."""
 
     name, sample_time = "controller", 0.5
     variables = (SlaveVariable("y", "output"), SlaveVariable("u", "input", start=0.0))
 
     def __init__(self) -> None:
+        super().__init__()
         self.memory = np.zeros(3)
         self.samples = 0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.memory[1] = values[0]
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.memory[0]
 
     def sample(self, time: float) -> None:
         self.memory[0] = 2.0 * (1.0 - self.memory[1]) + self.memory[2]

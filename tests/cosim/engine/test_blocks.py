@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master import blocks
@@ -79,27 +80,18 @@ def test_blocks_are_the_whole_grid(
     assert grid.time(grid.steps // 2) == expected.times[grid.steps // 2]
 
 
-class Follower:
+class Follower(PythonSlave):
     """Adds up its input; samples every 3 ms if it is to."""
 
     name = "follower"
     feedthrough = {"y": ()}  # noqa: RUF012
     variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("y", "output"))
 
-    def __init__(self) -> None:
-        self.y = self.u = 0.0
-
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.y = 0.0
-
-    def set(self, indices: object, values: np.ndarray) -> None:
-        self.u = float(values[0])
-
-    def get(self, indices: object, values: np.ndarray) -> None:
-        values[0] = self.y
+        self.memory[1] = 0.0
 
     def step(self, time: float, step: float) -> None:
-        self.y += self.u * step
+        self.memory[1] += self.memory[0] * step
 
 
 class Sampling(Follower):
@@ -108,7 +100,7 @@ class Sampling(Follower):
     sample_time = 3e-3
 
     def sample(self, time: float) -> None:
-        self.y += self.u * self.sample_time
+        self.memory[1] += self.memory[0] * self.sample_time
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.master import c_library
@@ -73,26 +74,18 @@ def test_the_same_numbers(scene: Scene) -> None:
     assert_identical(compiled, interpreted)
 
 
-class Tripping:
+class Tripping(PythonSlave):
     """A slave in Python that puts out a sine and fails at 50 ms, one way or another."""
 
     variables: tuple[SlaveVariable, ...] = (SlaveVariable("x", "output"), SlaveVariable("u", "input", start=0.0))
 
     def __init__(self, fail: Callable[[], float]) -> None:
-        self.name = "tripping"
+        super().__init__("tripping")
         self.feedthrough: dict[str, tuple[str, ...]] = {"x": ()}
-        self._fail, self._time = fail, 0.0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self._time = start_time
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
+        self._fail = fail
 
     def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = np.sin(self._time) if self._time < 0.05 else self._fail()
-
-    def step(self, time: float, step: float) -> None:
-        self._time = time + step
+        values[:] = np.sin(self.time) if self.time < 0.05 else self._fail()
 
 
 def stumble() -> float:

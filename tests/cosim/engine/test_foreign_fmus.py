@@ -15,6 +15,7 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning, WiringError
@@ -277,18 +278,15 @@ def test_sequential_runs_of_an_fmu_that_lives_once(make_decay: Make, monkeypatch
     assert "needs Tired 1.0 on this machine" in again.message
 
 
-class Parrot:
+class Parrot(PythonSlave):
     """Says the steps that it has made."""
 
     name = "parrot"
     variables = (SlaveVariable("word", "output", discrete=True, type="String"),)
     feedthrough = {"word": ()}  # noqa: RUF012
-    steps = 0
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         self.steps = 0
-
-    def set(self, indices: Any, values: Any) -> None: ...
 
     def get(self, indices: Any, values: Any) -> None:
         from flexfmu.cosim.engine.slave import TEXTS as CODES

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
@@ -38,25 +39,22 @@ def quiet_crashes() -> Iterator[None]:
     faulthandler.enable(sys.__stderr__)
 
 
-class Ramp:
+class Ramp(PythonSlave):
     """x = t; at 0.5 s it does something else."""
 
+    name = "ramp"
     variables = (SlaveVariable("x", "output"),)
     feedthrough = {"x": ()}  # noqa: RUF012
 
     def __init__(self, deed: Callable[[], object] = lambda: None) -> None:
-        self.name, self._deed, self.time = "ramp", deed, 0.0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.time = start_time
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
+        super().__init__()
+        self._deed = deed
 
     def get(self, indices: Indices, values: RealArray) -> None:
         values[:] = self.time
 
     def step(self, time: float, step: float) -> None:
-        self.time = time + step
+        super().step(time, step)
         if self.time > 0.5 + 1e-9:
             self._deed()
 
@@ -165,7 +163,7 @@ def test_interrupted_and_killed(loop: str, number: signal.Signals) -> None:
     """Ctrl-C keeps what was recorded, also where the slave doesn't listen; a parent that is killed leaves no child behind."""
     script = HANGING.format(loop=f"import test_isolation; {loop}")
     folder = Path(__file__).parent
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (folder, folder.parents[1])))}
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", script], start_new_session=True, env=environment, **pipes) as parent:
         assert parent.stdout is not None

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave, SampledSlave
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.master.master import Outcome, simulate
@@ -13,38 +14,28 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 
-class Source:
+class Source(PythonSlave):
     """y = sin(3 t), without any derivatives or knowledge of the future."""
 
     name = "source"
     variables = (SlaveVariable("y", "output"),)
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.time = start_time
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-
     def get(self, indices: Indices, values: RealArray) -> None:
         values[0] = np.sin(3.0 * self.time)
 
-    def step(self, time: float, step: float) -> None:
-        self.time = time + step
 
-
-class Recorder:
+class Recorder(PythonSlave):
     """Passes its input on as its output and notes everything that it is told."""
 
     max_input_order = 1
     variables = (SlaveVariable("u", "input", start=7.0), SlaveVariable("y", "output"))
 
     def __init__(self, name: str = "recorder") -> None:
-        self.name = name
+        super().__init__(name)
         self.steps: list[tuple[float, float]] = []
         self.inputs: list[tuple[float, float]] = []
         self.terminated = 0
         self.input = [7.0, 0.0]
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
 
     def set(self, indices: Indices, values: RealArray) -> None:
         self.input = [float(values[0]), 0.0]
@@ -79,6 +70,7 @@ class Wave(Source):
     """The same with some derivatives."""
 
     def __init__(self, order: int) -> None:
+        super().__init__()
         self.max_output_order = order
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
@@ -117,53 +109,30 @@ def test_breakpoints_and_ticks_are_exact() -> None:
     assert sum(target.steps[-1]) == pytest.approx(10.0, rel=1e-15)
 
 
-class Controller:
+class Controller(SampledSlave):
     """Samples its input every 0.25 s and holds minus twice its value."""
 
-    name = "controller"
-    sample_time = 0.25
+    name, sample_time = "controller", 0.25
     variables = (SlaveVariable("y", "input", start=0.0), SlaveVariable("u", "output"))
 
     def __init__(self) -> None:
-        self.y = self.u = 0.0
+        super().__init__()
         self.samples: list[float] = []
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.y = float(values[0])
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.u
-
-    def step(self, time: float, step: float) -> None:
-        raise AssertionError("a sampled slave is never stepped")
 
     def sample(self, time: float) -> None:
         self.samples.append(time)
-        self.u = -2.0 * self.y
+        self.memory[1] = -2.0 * self.memory[0]
 
 
-class Integrator:
+class Integrator(PythonSlave):
     """x' = u, from x = 1."""
 
     name = "plant"
     feedthrough = {"x": ()}  # noqa: RUF012
-    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output"))
-
-    def __init__(self) -> None:
-        self.x, self.u = 1.0, 0.0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.u = float(values[0])
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.x
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output", start=1.0))
 
     def step(self, time: float, step: float) -> None:
-        self.x += step * self.u
+        self.memory[1] += step * self.memory[0]
 
 
 def test_sampled_controller() -> None:

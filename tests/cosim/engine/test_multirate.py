@@ -6,72 +6,51 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave, SampledSlave
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.grid import Clock, time_grid
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import SlaveVariable
 
 
-class Sampler:
+class Sampler(SampledSlave):
     """Puts out its input of one sample earlier, y_k = x_k, x_k+1 = u_k, and notes its instants."""
 
-    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("y", "output"))
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("y", "output", start=-1.0))
     feedthrough = {"y": ()}  # noqa: RUF012
 
     def __init__(self, name: str, sample_time: float, offset: float = 0.0, start: float = 0.0) -> None:
-        self.name, self.sample_time, self.offset = name, sample_time, offset
-        self.u, self.x, self.y = 0.0, start, -1.0
+        super().__init__(name)
+        self.sample_time, self.offset, self.x = sample_time, offset, start
         self.times: list[float] = []
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.u = float(values[0])
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.y
-
-    def step(self, time: float, step: float) -> None:
-        raise AssertionError("a sampled slave is never stepped")
 
     def sample(self, time: float) -> None:
         self.times.append(time)
-        self.y, self.x = self.x, self.u
+        self.memory[1], self.x = self.x, float(self.memory[0])
 
 
 class InTwoPhases(Sampler):
     """The same, in two phases."""
 
     def output(self, time: float) -> None:
-        self.y = self.x
+        self.memory[1] = self.x
 
     def update(self, time: float) -> None:
         self.times.append(time)
-        self.x = self.u
+        self.x = float(self.memory[0])
 
 
-class Counter:
+class Counter(PythonSlave):
     """A stepped slave that passes on its input."""
 
     name = "plant"
     feedthrough = {"x": ()}  # noqa: RUF012
-    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output"))
-
-    def __init__(self) -> None:
-        self.x = self.u = 1.0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.u = float(values[0])
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.x
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output", start=1.0))
 
     def step(self, time: float, step: float) -> None:
-        self.x += self.u
+        self.memory[1] += self.memory[0]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.master import simulate
@@ -82,27 +83,25 @@ def test_odd_selections() -> None:
         Selection("joint1.torque")
 
 
-class Counter:
+class Counter(PythonSlave):
     """Two outputs that count steps, and a note of which were read."""
 
     name = "counter"
     variables = (SlaveVariable("a", "output"), SlaveVariable("b", "output"))
 
     def __init__(self) -> None:
-        self.count = 0
+        super().__init__()
         self.read: set[int] = set()
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.count = 0
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
+        self.memory[:] = 0.0
 
     def get(self, indices: Indices, values: RealArray) -> None:
         self.read |= set(indices.tolist())
-        values[:] = self.count
+        super().get(indices, values)
 
     def step(self, time: float, step: float) -> None:
-        self.count += 1
+        self.memory += 1.0
 
 
 @pytest.mark.parametrize("compiled", [True, False])

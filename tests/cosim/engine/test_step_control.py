@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError, SlaveError
 from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling, fitted
 from flexfmu.cosim.engine.master.system import System, connect
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.path import PickAndPlacePath
@@ -116,25 +117,20 @@ def test_the_error_is_kept(
         assert [slave.saved for slave in oscillator.slaves] == [0, 0]
 
 
-class Kicks:
+class Kicks(PythonSlave):
     """Does nothing but has instants that must be hit."""
 
     name = "kicks"
     variables = (SlaveVariable("y", "output"),)
 
     def __init__(self, breakpoints: tuple[float, ...]) -> None:
+        super().__init__()
         self.breakpoints = breakpoints
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
-    def restore(self, state: object) -> None: ...
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = 0.0
 
     def save(self) -> object:
         return None
+
+    def restore(self, state: object) -> None: ...
 
 
 def with_marks(oscillator: Any, marks: tuple[float, ...]) -> System:

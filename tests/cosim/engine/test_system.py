@@ -5,25 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import AlgebraicLoopError, InputError, WiringError
 from flexfmu.cosim.engine.master.linear_map import LinearMap
 from flexfmu.cosim.engine.master.system import System, connect
-from flexfmu.cosim.engine.slave import TAKES, Indices, RealArray, SlaveVariable, Type
+from flexfmu.cosim.engine.slave import TAKES, SlaveVariable, Type
 
 
-class Block:
+class Block(PythonSlave):
     """A slave that does nothing, with inputs u1.. and outputs y1.. in metres."""
 
     def __init__(self, name: str, feedthrough: Mapping[str, Sequence[str]], unit: str = "m") -> None:
-        self.name, self.feedthrough = name, feedthrough
         inputs = [SlaveVariable(f"u{i}", "input", "m", 0.0) for i in (1, 2)]
         self.variables = (*inputs, *(SlaveVariable(output, "output", unit) for output in ("y1", "y2")))
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-    def get(self, indices: Indices, values: RealArray) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
+        self.feedthrough = feedthrough
+        super().__init__(name)
 
 
 def state(name: str) -> Block:

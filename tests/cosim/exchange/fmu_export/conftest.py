@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
+sys.path.insert(0, str(Path(__file__).parents[3]))  # pytest imports tests without their folder
+sys.path.insert(0, str(Path(__file__).parent))
 
 from export_support.instance import opened
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from export_support.blocks import SAMPLE_TIME, delay, linear_system, pd_controller
 from export_support.trajectories import lame
+from python_slave import PythonSlave
 from scipy.linalg import expm
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -20,14 +21,14 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 from flexfmu.trajectories.profiles import BangBang
 
 
-class Mass:
+class Mass(PythonSlave):
     """A mass on a spring, pushed by a held force: x'' = force - 900 x, solved exactly."""
 
     name = "mass"
@@ -36,17 +37,12 @@ class Mass:
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         self.state = np.array([0.1, 0.0])
-        self.force = 0.0
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.force = float(values[0])
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[0] = self.state[0]
+        self.memory[:] = 0.1, 0.0
 
     def step(self, time: float, step: float) -> None:
-        rest = np.array([self.force / 900.0, 0.0])
+        rest = np.array([self.memory[1] / 900.0, 0.0])
         self.state = rest + expm(step * np.array([[0.0, 1.0], [-900.0, 0.0]])) @ (self.state - rest)
+        self.memory[0] = self.state[0]
 
 
 def closed_loop(controller: Any, step: float) -> dict[str, RealArray]:

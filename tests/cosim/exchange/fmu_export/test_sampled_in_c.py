@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from export_support.blocks import SAMPLE_TIME, pd_controller
 from export_support.kinds import KINDS, signals_of, source
+from python_slave import PythonSlave
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
@@ -26,22 +27,14 @@ COUNT = 200
 """Samples of a run: all stages of the source, and more than the memory of what delays."""
 
 
-class Clock:
+class Clock(PythonSlave):
     """y = (t, sin t), stepped in Python."""
 
     name = "clock"
     variables = (SlaveVariable("t", "output"), SlaveVariable("sine", "output"))
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.time = start_time
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-
     def get(self, indices: Indices, values: RealArray) -> None:
         values[:] = np.array([self.time, np.sin(self.time)])[indices]
-
-    def step(self, time: float, step: float) -> None:
-        self.time = time + step
 
 
 class Counted:
