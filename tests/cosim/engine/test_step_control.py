@@ -213,7 +213,7 @@ def test_a_trajectory_is_announced_for_every_chosen_step() -> None:
     target = Impatient(())
     target.limit = 0.013
     target.variables = (*target.variables, SlaveVariable("u", "input", "m"))
-    target.max_input_order = 9
+    target.memory, target.max_input_order = np.zeros(2), 9
     target.set_derivatives = lambda indices, derivatives: None
     system = connect([target, source], [("trajectory.x.reference.position", "kicks.u")])
     result = simulate(system, 0.5, 0.1, step_control=StepDoubling())
