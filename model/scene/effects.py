@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -23,59 +23,54 @@ Acceleration = Annotated[float, Field(ge=-1e4, le=1e4)]
 ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
 
 
+class EffectSection(Section):
+    """An effect with a sentence in the summary of a run, ``text``, in which {0} stands for the section."""
+
+    text: ClassVar[str]
+
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return self.text.format(self)
+
+
 class NoDampingSection(Section):
     """No structural damping."""
 
     kind: Literal["none"] = "none"
 
 
-class ModalDampingSection(Section):
+class ModalDampingSection(EffectSection):
     """C_ii = 2 ratio sqrt(K_ii M_ii) for every mode of every link, with the link's own modal mass and stiffness."""
 
+    text: ClassVar[str] = "Modal damping of every link mode, ratio {0.ratio:g}"
     kind: Literal["modal"]
     ratio: Annotated[float, quantity("1", ge=0.0, le=1e3)]
 
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return f"Modal damping of every link mode, ratio {self.ratio:g}"
 
-
-class StiffnessDampingSection(Section):
+class StiffnessDampingSection(EffectSection):
     """C = time * K on the elastic coordinates."""
 
+    text: ClassVar[str] = "Damping proportional to the stiffness, time constant {0.time:g} s"
     kind: Literal["stiffness"]
     time: Annotated[float, quantity("s", ge=0.0, le=1e3)]
 
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return f"Damping proportional to the stiffness, time constant {self.time:g} s"
 
-
-class MassDampingSection(Section):
+class MassDampingSection(EffectSection):
     """C = rate * M on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
+    text: ClassVar[str] = "Damping proportional to the mass, rate {0.rate:g} 1/s"
     kind: Literal["mass"]
     rate: Annotated[float, quantity("1/s", ge=0.0, le=1e6)]
 
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return f"Damping proportional to the mass, rate {self.rate:g} 1/s"
 
-
-class RayleighDampingSection(Section):
+class RayleighDampingSection(EffectSection):
     """C = rate * M + time * K on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
+    text: ClassVar[str] = "Damping {0.rate:g} 1/s times the mass and {0.time:g} s times the stiffness"
     kind: Literal["rayleigh"]
     rate: Annotated[float, quantity("1/s", ge=0.0, le=1e6)]
     time: Annotated[float, quantity("s", ge=0.0, le=1e3)]
-
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return f"Damping {self.rate:g} 1/s times the mass and {self.time:g} s times the stiffness"
 
 
 DampingSection = Annotated[
@@ -85,9 +80,10 @@ DampingSection = Annotated[
 ]
 
 
-class SmoothFrictionSection(Section):
+class SmoothFrictionSection(EffectSection):
     """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor, with the motor rate w."""
 
+    text: ClassVar[str] = "Friction of each motor: {0.viscous:g} N m s/rad viscous, {0.coulomb:g} N m dry"
     kind: Literal["smooth"] = "smooth"
     viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0, le=LARGEST)] = 0.0
     coulomb: Annotated[float, quantity("N.m", ge=0.0, le=LARGEST)] = 0.0
@@ -98,18 +94,16 @@ class SmoothFrictionSection(Section):
         """Whether there is any friction."""
         return bool(self.viscous or self.coulomb)
 
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return f"Friction of each motor: {self.viscous:g} N m s/rad viscous, {self.coulomb:g} N m dry"
 
-
-class StictionSection(Section):
+class StictionSection(EffectSection):
     """Friction with stiction: a motor sticks up to `breakaway` (by default `coulomb`), and slips with `coulomb`.
 
     With a Stribeck velocity w_s, friction falls smoothly: coulomb + (breakaway - coulomb) exp(-(w / w_s)²).
     """
 
+    text: ClassVar[str] = (
+        "Friction of each motor: {0.viscous:g} N m s/rad viscous, {0.coulomb:g} N m dry, sticking up to {0.holding:g} N m"
+    )
     kind: Literal["stiction"]
     viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0, le=LARGEST)] = 0.0
     coulomb: Annotated[float, quantity("N.m", ge=0.0, le=LARGEST)] = 0.0
@@ -125,14 +119,6 @@ class StictionSection(Section):
     def is_there(self) -> bool:
         """Whether there is any friction."""
         return bool(self.viscous or self.holding)
-
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return (
-            f"Friction of each motor: {self.viscous:g} N m s/rad viscous, {self.coulomb:g} N m dry, "
-            f"sticking up to {self.holding:g} N m"
-        )
 
     @model_validator(mode="after")
     def _holds_more_than_it_brakes(self) -> Self:

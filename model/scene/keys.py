@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from flexfmu.model.scene.errors import SceneError
@@ -102,28 +102,28 @@ def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
 
 def value_at(data: Mapping[str, Any], key: str, label: str = "") -> Any:
     """The value of a dotted key in a scene's plain data, None where it isn't set; arguments and errors as for `set_value`."""
-    found: Any = data
-    parts = _parts(data, key, label)
-    for i, part in enumerate(parts):
-        place = _place(found, part, parts[:i], key, label)
-        found = found.get(place) if isinstance(found, Mapping) else found[place]
-        if found is None:
-            return None
-    return found
+    return [found for _, found in _walk(data, key, label)][-1]
 
 
 def location(data: Mapping[str, Any], key: str) -> tuple[str | int, ...]:
     """The key as pydantic writes locations of errors: names, indices, and kinds of tables that have one."""
-    found: Any = data
-    parts = _parts(data, key, "the scene")
     where: list[str | int] = []
-    for i, part in enumerate(parts):
-        place = _place(found, part, parts[:i], key, "")
+    for place, found in _walk(data, key, "the scene"):
         where.append(place)
-        found = (found.get(place) if isinstance(found, Mapping) else found[place]) if found is not None else None
         if isinstance(found, Mapping) and "kind" in found:
             where.append(found["kind"])
     return tuple(where)
+
+
+def _walk(data: Mapping[str, Any], key: str, label: str) -> Iterator[tuple[Any, Any]]:
+    """Place and value of each part of a dotted key, None where it isn't set; errors as for `set_value`."""
+    found: Any = data
+    parts = _parts(data, key, label)
+    for i, part in enumerate(parts):
+        place = _place(found, part, parts[:i], key, label)
+        if found is not None:
+            found = found.get(place) if isinstance(found, Mapping) else found[place]
+        yield place, found
 
 
 def full_key(data: Mapping[str, Any], key: str, label: str = "the scene") -> str:

@@ -18,7 +18,7 @@ from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.controllers.joints import PerJoint, per_joint, saturate
 from flexfmu.cosim.control.sections import LoopContext
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.schedules import ScheduleSection
+from flexfmu.model.scene.controllers import ScheduleSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 PAYLOAD = "payload.mass"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from math import isfinite
 from numbers import Real
 from typing import Any, Unpack
@@ -114,31 +114,6 @@ def section_channels(
 def sampling(section: SignalSection | EncoderSection, context: LoopContext) -> Sampling:
     """Return sample time and offset [s] of a section's block."""
     return Sampling(sample_time=section.sample_time or context.sample_time, offset=section.offset)
-
-
-def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
-    """Return the connections of channels from the first slave through imperfections to the last.
-
-    ``chain(channels, "plant", "encoder", "noise", "pd")`` connects ``plant.joint1.position`` to
-    ``encoder.joint1.position.input``, ..., ``noise.joint1.position`` to ``pd.joint1.position``.
-
-    Args:
-        channels: the channels; only their names matter.
-        slaves: names of the source, the imperfections in order, and the receiver.
-
-    Returns:
-        Pairs for `flexfmu.cosim.engine.master.system.connect`.
-
-    Raises:
-        InputError: there are fewer than two slaves.
-    """
-    if len(slaves) < 2:
-        raise InputError(f"a chain leads from one slave to another, got {list(slaves)}")
-    return [
-        (f"{source}.{channel.name}", f"{target}.{channel.name if target == slaves[-1] else channel.input}")
-        for source, target in pairwise(slaves)
-        for channel in channels
-    ]
 
 
 def inputs(channels: Sequence[Channel]) -> list[Variable]:

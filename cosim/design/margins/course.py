@@ -19,7 +19,7 @@ from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.model.scene.assembly import motor_angles
-from flexfmu.model.scene.schedules import ScheduleSection
+from flexfmu.model.scene.controllers import ScheduleSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
 from flexfmu.trajectories.jets import RealArray

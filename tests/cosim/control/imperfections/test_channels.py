@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.control.imperfections.channels import Channel, chain, joint_channels, per_second
+from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels, per_second
 from flexfmu.cosim.control.imperfections.delay import Lagrange, Thiran, delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import lag
 from flexfmu.cosim.control.imperfections.signal_blocks import (
@@ -23,7 +22,6 @@ from flexfmu.cosim.control.imperfections.signal_blocks import (
     uniform_noise,
 )
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.system import connect
 from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
@@ -131,33 +129,12 @@ def test_units_of_rates() -> None:
     ]
 
 
-def test_chain() -> None:
-    """Signals lead through imperfections in the order given, by names alone, and the master accepts the wiring."""
-    torques = joint_channels("torque", (0.0, 0.0))
-    slaves = [
-        BlockSlave(pd(1.0, 1.0, sample_time=H)),
-        BlockSlave(saturation(torques, -5.0, 5.0, sample_time=H)),
-        BlockSlave(lag(torques, 1e-3, sample_time=H)),
-        BlockSlave(whole_delay(torques, 1, sample_time=H, name="plant")),
-    ]
-    pairs = chain(torques, "pd", "saturation", "lag")
-    assert pairs[0] == ("pd.joint1.torque", "saturation.joint1.torque.input")
-    assert pairs[-1] == ("saturation.joint2.torque", "lag.joint2.torque")
-    system = connect(
-        slaves, [(a, b) for a, b in chain(torques, "pd", "saturation", "lag", "plant") if "plant" not in b]
-    )
-    assert [system.describe(each) for each in system.connections][-1] == (
-        "saturation.joint2.torque -> lag.joint2.torque.input"
-    )
-
-
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: Channel(""), "a channel needs a name"),
     (lambda: Channel("a", "turns"), r"channel a: unit 'turns' has the unknown symbol 'turns'; known are"),
     (lambda: Channel("a", "rad", np.nan), r"channel a: the initial value must be finite, got nan rad"),
     (lambda: joint_channels("angle"), r"joints have position, velocity, acceleration, torque; got 'angle'"),
     (lambda: joint_channels("torque", (1.0,)), r"one number for each of joint1, joint2, got \(1\.0,\)"),
-    (lambda: chain([TORQUE], "pd"), r"leads from one slave to another, got \['pd'\]"),
     (lambda: saturation([], -1.0, 1.0, sample_time=H), "needs at least one channel"),
     (lambda: saturation([TORQUE, TORQUE], -1.0, 1.0, sample_time=H), "two variables are named 'joint1.torque.input'"),
     (lambda: saturation([TORQUE], 2.0, 1.0, sample_time=H),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.channels import Channel, chain
+from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import lag
 from flexfmu.cosim.control.imperfections.signal_blocks import (
@@ -69,8 +70,8 @@ def test_a_chain_is_its_links_one_after_the_other(run: Any) -> None:
         whole_delay([POSITION], 2, sample_time=H),
         saturation([POSITION], 0.0, 0.6, sample_time=H),
     ]
-    names = [block.name for block in blocks]
-    wiring = chain([POSITION], "ramp", *names, "receiver")[:-1]
+    names = ["ramp", *(block.name for block in blocks)]
+    wiring = [(f"{source}.joint1.position", f"{target}.joint1.position.input") for source, target in pairwise(names)]
     result = simulate(connect([Ramp(), *map(BlockSlave, blocks)], wiring), stop=0.3, step=H)
     assert result.outcome is Outcome.COMPLETED, result.message
     expected = 0.3 + 2.0 * H * np.arange(31)
