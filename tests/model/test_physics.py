@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
-from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
@@ -144,21 +143,6 @@ def test_a_load_that_buckles_the_robot_is_an_error_with_the_pose(heavy: Scene) -
     scene = heavy.replace({"payload.mass": 60.0, "mechanism.material.youngs_modulus": 7e7})
     with pytest.raises(EquilibriumError, match=r"q11 = .* rad"):
         natural_frequencies(scene, motor_angles(scene.mechanism, (-0.175, 0.32)))
-
-
-def test_effects_left_out_leave_nothing() -> None:
-    """States, parameters and operations follow the choice of effects; a rigid scene has no elastic state at all."""
-    scene = load_scene("barnard2012-6kg")
-    full = build_model(scene)
-    bare = build_model(
-        scene.replace({"effects.gravity": [0.0, 0.0], "payload.mass": 0.0, "effects.damping": {"kind": "none"}})
-    )
-    rigid = build_model(scene.replace({"effects.proximal_bending": 0, "effects.distal_axial": 0}))
-    names = {variable.name for variable in bare.parameters}
-    assert not names & {"gravity.x", "gravity.y", "payload.mass", "damping.ratio"}
-    assert bare.functions["residual"].n_instructions() < full.functions["residual"].n_instructions()
-    assert rigid.degrees_of_freedom == 0
-    assert rigid.functions["outputs"].n_instructions() < full.functions["outputs"].n_instructions() / 2
 
 
 @st.composite

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi
 import numpy as np
 import pytest
@@ -38,6 +40,12 @@ def outputs(plant: SymbolicModel, y: np.ndarray, v: np.ndarray, u: np.ndarray) -
     return {variable.name: float(value) for variable, value in zip(plant.outputs, values, strict=True)}
 
 
+def drawn(n: int, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Rates and accelerations of the motors, elastic coordinates and their rates."""
+    sizes = ((2, 3.0), (2, 30.0), (n, 1e-4), (n, 1e-2))
+    return tuple(rng.normal(size=count) * size for count, size in sizes)
+
+
 DRIVES = {
     "links only": {},
     "motor inertia and friction": {
@@ -64,12 +72,7 @@ def test_direct_and_inverse_model_are_inverses_of_each_other(changes: dict[str, 
     n, rng = inverse.degrees_of_freedom, np.random.default_rng(11)
     for _ in range(5):
         q_a = np.array(motor_angles(torque_scene().mechanism, POSE))
-        v_a, a_a, q_e, v_e = (
-            rng.normal(size=2) * 3,
-            rng.normal(size=2) * 30,
-            rng.normal(size=n) * 1e-4,
-            rng.normal(size=n) * 1e-2,
-        )
+        v_a, a_a, q_e, v_e = drawn(n, rng)
         u = np.concatenate([q_a, v_a, a_a])
         a_e = acceleration(inverse, q_e, v_e, u)
         torque = inverse.functions["outputs"](q_e, v_e, a_e, u, derived(inverse)).full().ravel()[:2]
@@ -80,41 +83,13 @@ def test_direct_and_inverse_model_are_inverses_of_each_other(changes: dict[str, 
         np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("changes", DRIVES.values(), ids=DRIVES.keys())
-def test_the_formulation_with_multipliers_agrees_with_drive_effects_too(changes: dict[str, object]) -> None:
-    """Transmissions, friction and motor inertia enter both formulations alike."""
-    scene = load_scene("barnard2012-6kg").replace(changes)
-    plant, constrained = build_model(scene), constrained_model(scene)
-    n, rng = plant.degrees_of_freedom, np.random.default_rng(12)
-    q_a = np.array(motor_angles(scene.mechanism, POSE))
-    v_a, a_a, q_e, v_e = (
-        rng.normal(size=2) * 3,
-        rng.normal(size=2) * 30,
-        rng.normal(size=n) * 1e-4,
-        rng.normal(size=n) * 1e-2,
-    )
-    u = np.concatenate([q_a, v_a, a_a])
-    a_e = acceleration(plant, q_e, v_e, u)
-    torque = plant.functions["outputs"](q_e, v_e, a_e, u, derived(plant)).full().ravel()[:2]
-    q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
-    full = motion_driven_accelerations(constrained, q, v, a_a)
-    np.testing.assert_allclose(full.accelerations[2 : 2 + n], a_e, atol=1e-9 * np.abs(a_e).max())
-    # the torques are differences of forces that belong to the largest accelerations
-    np.testing.assert_allclose(full.torque, torque, rtol=1e-9, atol=1e-13 * np.abs(full.accelerations).max())
-
-
 def test_reactions_are_the_multipliers_of_the_constraints() -> None:
     """The joint reactions that the projection passes on are those of the other formulation, eq. (17)."""
     scene = load_scene("barnard2012-6kg").replace({"effects.reactions": True})
     plant, constrained = build_model(scene), constrained_model(scene)
     n, rng = plant.degrees_of_freedom, np.random.default_rng(13)
     q_a = np.array(motor_angles(scene.mechanism, POSE))
-    v_a, a_a, q_e, v_e = (
-        rng.normal(size=2) * 3,
-        rng.normal(size=2) * 30,
-        rng.normal(size=n) * 1e-4,
-        rng.normal(size=n) * 1e-2,
-    )
+    v_a, a_a, q_e, v_e = drawn(n, rng)
     values = outputs(plant, q_e, v_e, np.concatenate([q_a, v_a, a_a]))
     q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
     multipliers = motion_driven_accelerations(constrained, q, v, a_a).reactions
@@ -144,9 +119,20 @@ def test_motor_inertia_alone_takes_its_torque() -> None:
     np.testing.assert_allclose((heavy(q, v, a) - base(q, v, a)).full().ravel(), 0.2 * np.array(a), rtol=1e-12)
 
 
-def test_friction_follows_its_law() -> None:
-    """Viscous torque is linear; the smooth Coulomb torque is c w / sqrt(w² + v²), at most c."""
-    friction = {"viscous": 0.5, "coulomb": 3.0, "velocity": 0.2}
+@pytest.mark.parametrize(
+    ("friction", "dry"),
+    [
+        ({"viscous": 0.5, "coulomb": 3.0, "velocity": 0.2}, lambda w: 3.0 * w / np.hypot(w, 0.2)),
+        (
+            {"kind": "stiction", "viscous": 0.5, "coulomb": 3.0, "breakaway": 4.0, "stribeck_velocity": 0.2},
+            lambda w: np.sign(w) * (3.0 + np.exp(-((w / 0.2) ** 2))),
+        ),
+    ],
+    ids=["smooth", "sticking"],
+)
+def test_friction_follows_its_law(friction: dict[str, object], dry: Callable[[float], float]) -> None:
+    """Viscous torque is linear; smooth Coulomb torque is c w / sqrt(w² + v²), at most c; that of a motor that sticks falls
+    in slip from breakaway to Coulomb friction (Stribeck), and has no direction where a rate of zero is given."""
     base, rough = (
         inverse_dynamics(load_scene("barnard2012-6kg").replace({"effects.joint_friction": law}))
         for law in ({}, friction)
@@ -154,22 +140,7 @@ def test_friction_follows_its_law() -> None:
     q, a = motor_angles(torque_scene().mechanism, POSE), [0.0, 0.0]
     for w in (-5.0, -0.1, 0.0, 0.01, 2.0):
         lost = (rough(q, [w, 0.0], a) - base(q, [w, 0.0], a)).full().ravel()
-        assert lost[0] == pytest.approx(0.5 * w + 3.0 * w / np.hypot(w, 0.2), abs=1e-12)
-        assert lost[1] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_sticking_friction_follows_stribecks_curve() -> None:
-    """In slip it falls from breakaway to Coulomb friction; where a rate of zero is given, it has no direction."""
-    friction = {"kind": "stiction", "viscous": 0.5, "coulomb": 3.0, "breakaway": 4.0, "stribeck_velocity": 0.2}
-    base, rough = (
-        inverse_dynamics(load_scene("barnard2012-6kg").replace({"effects.joint_friction": law}))
-        for law in ({}, friction)
-    )
-    q, a = motor_angles(torque_scene().mechanism, POSE), [0.0, 0.0]
-    for w in (-5.0, -0.1, 0.0, 0.01, 2.0):
-        lost = (rough(q, [w, 0.0], a) - base(q, [w, 0.0], a)).full().ravel()
-        dry = np.sign(w) * (3.0 + np.exp(-((w / 0.2) ** 2)))
-        assert lost == pytest.approx([0.5 * w + dry, 0.0], abs=1e-12)
+        assert lost == pytest.approx([0.5 * w + dry(w), 0.0], abs=1e-12)
 
 
 @pytest.mark.parametrize(
