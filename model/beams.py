@@ -206,8 +206,7 @@ class ShapeIntegrals:
 
 def integrate_shapes(shapes: Sequence[Shape]) -> ShapeIntegrals:
     """Integrals of the shapes by Gauss-Legendre quadrature, exact to rounding for the highest mode too."""
-    xi, weights = _quadrature(shapes)
-    values = np.array([shape.value(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    xi, weights, values = _quadrature(shapes, lambda shape: shape.value)
     return ShapeIntegrals(
         values @ weights,
         values @ (weights * xi),
@@ -218,8 +217,7 @@ def integrate_shapes(shapes: Sequence[Shape]) -> ShapeIntegrals:
 
 def gram(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate], weight: Evaluate = np.ones_like) -> RealArray:
     """∫ weight(xi) f_j f_k of a field f of the shapes, shape (K, K), exactly zero where they are orthogonal."""
-    xi, weights = _quadrature(shapes)
-    values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    xi, weights, values = _quadrature(shapes, field)
     products = (values * weights * weight(xi)) @ values.T
     norms = np.sqrt(np.diag(products))
     return np.where(np.abs(products) > INTEGRAL_ROUNDING * np.outer(norms, norms), products, 0.0)
@@ -227,14 +225,14 @@ def gram(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate], weight: Ev
 
 def mean(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate]) -> RealArray:
     """∫ f_k of a field f of the shapes, shape (K,), exactly zero where the integral vanishes."""
-    xi, weights = _quadrature(shapes)
-    values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    _, weights, values = _quadrature(shapes, field)
     means = values @ weights
     return np.where(np.abs(means) > INTEGRAL_ROUNDING * np.sqrt(values**2 @ weights), means, 0.0)
 
 
-def _quadrature(shapes: Sequence[Shape]) -> tuple[RealArray, RealArray]:
-    """Gauss-Legendre nodes and weights on [0, 1], enough of them for the largest wave number."""
+def _quadrature(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate]) -> tuple[RealArray, RealArray, RealArray]:
+    """Gauss-Legendre nodes and weights on [0, 1], enough of them for the largest wave number, and a field of the shapes (K, N)."""
     count = 40 + int(max((shape.wave_number for shape in shapes), default=0.0))
     nodes, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 * (nodes + 1.0), 0.5 * weights
+    xi = 0.5 * (nodes + 1.0)
+    return xi, 0.5 * weights, np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), count)

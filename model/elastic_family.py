@@ -78,12 +78,14 @@ class ElasticFamily(Effect):
 
     def outputs(self, robot: Robot) -> Sequence[Output]:
         family = self._family
-        mine = [(link.name, part.q) for link, part in robot.elastic if part.family is family]
+        links = [(link.name, part.q) for link, part in robot.elastic if part.family is family]
         found: list[Output] = []
         # displacement of the tip, where it moves
         name, text = _TIP_NAMES[family.direction]
         if any(shape.tip for shape in family.shapes):
-            found += [Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(family.tips)) for link, q in mine]
+            found += [
+                Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(family.tips)) for link, q in links
+            ]
         # bending strain at the clamped end, as a strain gauge measures it: D/2 times the curvature
         if (family.group, family.direction) == ("proximal", "bending"):
             lever = self._properties.outer_diameter / (2 * self._properties.length**2)
@@ -94,7 +96,7 @@ class ElasticFamily(Effect):
                 ]
             )
             text = "bending strain on the outer side of the root of"
-            found += [Output(f"{link}.root_strain", "1", f"{text} {link}", q, gain) for link, q in mine]
+            found += [Output(f"{link}.root_strain", "1", f"{text} {link}", q, gain) for link, q in links]
         return found
 
 

@@ -88,12 +88,12 @@ class PiecewisePolynomial:
         Raises:
             TrajectoryError: the duration is not finite or not positive.
         """
-        pace = self.duration / positive("trajectory duration", duration, "s")
-        if pace == 1.0:
+        time_scale = self.duration / positive("trajectory duration", duration, "s")
+        if time_scale == 1.0:
             return self
-        knots = self.knots / pace
+        knots = self.knots / time_scale
         knots[-1] = duration
-        return replace(self, knots=knots, coefficients=Jet(self.coefficients).rescale(pace).coefficients)
+        return replace(self, knots=knots, coefficients=Jet(self.coefficients).rescale(time_scale).coefficients)
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Return the coordinates and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""

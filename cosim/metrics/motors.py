@@ -25,7 +25,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.bernstein import bernstein_basis, cut, maximum_norm
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import TORQUES, segments
-from flexfmu.model.rigid_inertia import load_mass_matrix
+from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.motor import Motor
 
 SAMPLES = np.linspace(0.0, 1.0, 17)

@@ -67,7 +67,7 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
     Raises:
         EquilibriumError: the start has no static equilibrium, or the iteration of a step doesn't converge.
     """
-    course = _Course(robot, joints.evaluate(0.0, 0)[0, 0])
+    integration = _Integration(robot, joints.evaluate(0.0, 0)[0, 0])
     wanted = set(instants.tolist())
     # intervals between instants and breakpoints; a breakpoint that equals an instant but for rounding is dropped
     stop = float(instants[-1])
@@ -79,13 +79,13 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         stages = begin + h * (np.arange(count)[:, None] + METHOD.nodes)
         motors = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
         for n in range(count):
-            course.advance(float(stages[n, -1]), h, motors[:, n].transpose(0, 2, 1))
+            integration.advance(float(stages[n, -1]), h, motors[:, n].transpose(0, 2, 1))
         if end in wanted:
-            course.record(end)
-    return course.motion()
+            integration.record(end)
+    return integration.motion()
 
 
-class _Course:
+class _Integration:
     """State of the integration: present motion, factorised iteration matrix and recorded instants."""
 
     def __init__(self, robot: FiniteElementRobot, joints: RealArray) -> None:
@@ -94,7 +94,7 @@ class _Course:
         self._v, self._a, self._force = np.zeros((3, self._x.size))
         self._factors: Factors | None = None
         self._factors_step = 0.0
-        self._passed: list[tuple[float, RealArray, RealArray, RealArray, RealArray]] = []
+        self._recorded: list[tuple[float, RealArray, RealArray, RealArray, RealArray]] = []
 
     def advance(self, time: float, h: float, motors: RealArray) -> None:
         """Advance by a step h [s] to `time`; `motors` are angles, rates and accelerations (3, 2, stages)."""
@@ -137,8 +137,8 @@ class _Course:
     def record(self, time: float) -> None:
         """Record the present state."""
         end, motors = list(self._robot.mesh.end), list(MOTORS)
-        self._passed.append((time, self._x[end], self._v[end], self._a[end], self._force[motors]))
+        self._recorded.append((time, self._x[end], self._v[end], self._a[end], self._force[motors]))
 
     def motion(self) -> ElementMotion:
         """The motion at the recorded instants."""
-        return ElementMotion(*(np.array(column) for column in zip(*self._passed, strict=True)))
+        return ElementMotion(*(np.array(column) for column in zip(*self._recorded, strict=True)))

@@ -270,15 +270,15 @@ def reference_rows(
         np.concatenate(offsets),
         np.concatenate(orders),
     )
-    pace, last = joints[-1] / duration, constant(sparse.csr_matrix(([1.0], ([0], [2 * half])), (1, 2 * half + 1)))
-    slope = power * pace ** (power - 1) / duration
+    time_scale, last = joints[-1] / duration, constant(sparse.csr_matrix(([1.0], ([0], [2 * half])), (1, 2 * half + 1)))
+    slope = power * time_scale ** (power - 1) / duration
 
     def hessian(multipliers: casadi.MX, _: casadi.MX) -> tuple[casadi.MX, casadi.MX, casadi.MX]:
-        curve = casadi.dot(multipliers, power * (power - 1) * pace ** np.maximum(power - 2, 0)) / duration**2
+        curve = casadi.dot(multipliers, power * (power - 1) * time_scale ** np.maximum(power - 2, 0)) / duration**2
         return last.T @ (-curve) @ last, casadi.MX(), casadi.MX()
 
     return Constraints(
-        matrix @ joints + offset - pace**power,
+        matrix @ joints + offset - time_scale**power,
         matrix - slope @ last,
         casadi.MX(),
         np.full(len(power), -np.inf),

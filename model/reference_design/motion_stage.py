@@ -330,7 +330,7 @@ class Stage:
                 self.price *= 4.0
                 state = replace(state, merit=self.merit(state.motion, state.violations))
                 continue
-            found = self._tried(state, linear, step, penalty, fall)
+            found = self._after_step(state, linear, step, penalty, fall)
             ratio = (state.merit - found.merit) / fall
             if ratio > 0.1:
                 state = self.state(found.motion)
@@ -341,7 +341,7 @@ class Stage:
             if penalty > PENALTY[1]:
                 return
 
-    def _tried(self, state: State, linear: Linear, step: RealArray, penalty: float, fall: float) -> State:
+    def _after_step(self, state: State, linear: Linear, step: RealArray, penalty: float, fall: float) -> State:
         """The motion after a step, or after its second-order correction if that is better; the old one where there is none."""
         try:
             found = self.state(_moved(state.motion, step), derivatives=False)

@@ -34,7 +34,7 @@ LEAST_SPACING = 0.004
 DIRECTIONS = 8
 """Directions in which a distance in the plane is bounded; it is at most 1/cos(π/8) = 1.08 times the bound."""
 
-RINGING, RINGING_STEP = 0.1, 2e-3
+VIBRATION_TIME, VIBRATION_STEP = 0.1, 2e-3
 """Time [s] after the motion over which the vibration is bounded, and its resolution."""
 
 ON_PATH = 6
@@ -141,30 +141,31 @@ class _Problem:
         self._motors, self._tolerances = motors, tolerances
         self._elastic = ElasticResponse(scene, variants, motors.coefficients[0], motors.intervals)
         rest = self._elastic.model.rest(motors.coefficients[-1])
-        self._moves = _moves(motors, _spacing(rest))
-        self.count = 2 * self._moves.shape[1]
+        self._basis = _correction_basis(motors, _spacing(rest))
+        self.count = 2 * self._basis.shape[1]
         fractions = self._elastic.fractions
         self._targets = motion.evaluate(fractions * motors.duration - LEAD, 0)[0]
-        self._ringing, self._at_end = _ringing(rest), rest.elastic
+        self._free_vibration, self._at_end = _free_vibration(rest), rest.elastic
         # derivatives about the uncorrected references: the corrections are so small that they stay the same
-        self._by = self._response(motors, reference_derivatives(motors, self._moves, fractions))
-        largest = float(np.hypot(*np.moveaxis(self._away(self._by), -1, 0)).max())
+        self._by = self._response(motors, reference_derivatives(motors, self._basis, fractions))
+        largest = float(np.hypot(*np.moveaxis(self._path_errors(self._by), -1, 0)).max())
         if largest > tolerances.off_path:
             self._tolerances = replace(tolerances, off_path=GROWTH * largest)
-        self._rings_by = np.einsum(
-            "ptix,pxm->ptim", self._ringing, self._by.end_by.reshape(len(variants), -1, self.count)
+        self._vibration_by = np.einsum(
+            "ptix,pxm->ptim", self._free_vibration, self._by.end_by.reshape(len(variants), -1, self.count)
         )
 
     def motors(self, free: RealArray) -> JointSpline:
         """References with corrections."""
-        return replace(self._motors, coefficients=self._motors.coefficients + self._moves @ free.reshape(2, -1).T)
+        return replace(self._motors, coefficients=self._motors.coefficients + self._basis @ free.reshape(2, -1).T)
 
     def judged(self, free: RealArray) -> Correction:
         """What corrections reach, by the elastic response itself."""
         motors = self.motors(free)
         response = self._response(motors)
         largest = (
-            float(np.hypot(*np.moveaxis(each, -1, 0)).max()) for each in (self._rings(response), self._away(response))
+            float(np.hypot(*np.moveaxis(each, -1, 0)).max())
+            for each in (self._vibration(response), self._path_errors(response))
         )
         return Correction(motors, *largest)
 
@@ -181,17 +182,17 @@ class _Problem:
     def _vectors(self, response: Response) -> list[_Rows]:
         """Rows value + by change <= bound of the vibration and of the path."""
         some = np.unique(np.linspace(0, len(response.end) - 1, ON_PATH).round().astype(int))
-        path = _in_directions(self._away(response)[some, 5::6], self._by.position_by[some, 5::6])
-        ringing = _in_directions(self._rings(response), self._rings_by)
-        return [_Rows(*ringing, self._tolerances.residual), _Rows(*path, self._tolerances.off_path)]
+        path = _in_directions(self._path_errors(response)[some, 5::6], self._by.position_by[some, 5::6])
+        vibration = _in_directions(self._vibration(response), self._vibration_by)
+        return [_Rows(*vibration, self._tolerances.residual), _Rows(*path, self._tolerances.off_path)]
 
     def step(self, free: RealArray) -> RealArray:
         """The change of the corrections that the linear programmes about them find."""
         motors, t = self.motors(free), self._tolerances
         response = self._response(motors)
-        ringing, path = self._vectors(response)
+        vibration, path = self._vectors(response)
         others = [*self._torques(response), *self._jerks(motors)]
-        least = _solved(ringing, [path, *others], np.zeros(self.count))
+        least = _solved(vibration, [path, *others], np.zeros(self.count))
         if least is None:
             raise TrajectoryError(
                 f"no correction of the references keeps all variants within {1e3 * t.off_path:.3g} mm of the path and the "
@@ -199,23 +200,23 @@ class _Problem:
             )
         # nearest to the path with little more vibration
         change, residual = least
-        ringing = replace(ringing, bound=max(SLACK * residual, t.residual))
-        nearest = _solved(path, [ringing, *others], change)
+        vibration = replace(vibration, bound=max(SLACK * residual, t.residual))
+        nearest = _solved(path, [vibration, *others], change)
         return change if nearest is None else nearest[0]
 
     def _response(self, motors: JointSpline, by: RealArray | None = None) -> Response:
         references = np.hstack(list(motors.evaluate(self._elastic.fractions)))
         return self._elastic.respond(references, motors.duration, by)
 
-    def _away(self, response: Response) -> RealArray:
+    def _path_errors(self, response: Response) -> RealArray:
         """Displacements (P, N, 2) [m] of all variants from where they should be."""
         return np.asarray(response.position - self._targets)
 
-    def _rings(self, response: Response) -> RealArray:
+    def _vibration(self, response: Response) -> RealArray:
         """Displacements (P, times, 2) [m] from rest after the motion of all variants."""
         state = response.end.copy()
         state[:, 0] -= self._at_end
-        return np.asarray(np.einsum("ptix,px->pti", self._ringing, state.reshape(len(state), -1)))
+        return np.asarray(np.einsum("ptix,px->pti", self._free_vibration, state.reshape(len(state), -1)))
 
     def _torques(self, response: Response) -> list[_Rows]:
         limit = self._tolerances.torque
@@ -232,7 +233,7 @@ class _Problem:
             return []
         fractions = np.linspace(0.0, 1.0, 4 * motors.intervals + 1)
         matrix = basis(motors.degree, motors.intervals, fractions, 3) / motors.duration**3 / limit
-        value, by = matrix @ motors.coefficients, matrix @ self._moves
+        value, by = matrix @ motors.coefficients, matrix @ self._basis
         both = [np.asarray(np.kron(row, by), dtype=float) for row in np.eye(2)]
         return [_Rows(sign * value[:, i], sign * both[i], 1.0) for i in range(2) for sign in (1.0, -1.0)]
 
@@ -303,11 +304,11 @@ def _in_directions(value: RealArray, by: RealArray) -> tuple[RealArray, RealArra
 def _spacing(rest: Rest) -> float:
     """Distance of the corrections' knots [s]: a quintic spline makes no motion that is faster than half a period a knot."""
     frequencies = free_modes(rest).frequencies[:, :MODES]
-    wanted = PERIODS * 2.0 * np.pi / float(frequencies.max(initial=1.0))
-    return max(wanted, LEAST_SPACING)
+    spacing = PERIODS * 2.0 * np.pi / float(frequencies.max(initial=1.0))
+    return max(spacing, LEAST_SPACING)
 
 
-def _moves(motors: JointSpline, spacing: float) -> RealArray:
+def _correction_basis(motors: JointSpline, spacing: float) -> RealArray:
     """Coefficients of the references, a column for each free one of the corrections: splines with wide knots (interpolated)."""
     wide = max(round(motors.duration / spacing), 2 * REST)
     degree, intervals = motors.degree, motors.intervals
@@ -317,7 +318,7 @@ def _moves(motors: JointSpline, spacing: float) -> RealArray:
     return np.asarray(moves)
 
 
-def _ringing(rest: Rest) -> RealArray:
+def _free_vibration(rest: Rest) -> RealArray:
     """End effector (P, times, 2, 2 n) after the motion from elastic coordinates and rates at its end, about rest."""
     n = rest.elastic.shape[1]
     found = []
@@ -326,8 +327,8 @@ def _ringing(rest: Rest) -> RealArray:
         accelerations = np.linalg.solve(by_a[:n], -np.hstack([by_q[:n], by_v[:n]]))
         system = np.vstack([np.eye(2 * n)[n:], accelerations])
         output = np.hstack([by_q[n + 2 :], by_v[n + 2 :]]) + by_a[n + 2 :] @ accelerations
-        step, states = expm(system * RINGING_STEP), [np.eye(2 * n)]
-        for _ in range(round(RINGING / RINGING_STEP)):
+        step, states = expm(system * VIBRATION_STEP), [np.eye(2 * n)]
+        for _ in range(round(VIBRATION_TIME / VIBRATION_STEP)):
             states.append(step @ states[-1])
         found.append(output @ np.array(states))
     return np.array(found)

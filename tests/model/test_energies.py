@@ -135,7 +135,11 @@ def test_energies_are_those_of_the_material_points(changes: dict[str, object]) -
         return total
 
     scales = np.linspace(-1.0, 1.0, 5)
-    ours, theirs = (np.linalg.solve(np.vander(scales), [f(each) for each in scales]) for f in (model, exact))
-    np.testing.assert_allclose(ours[:2], 0.0, atol=1e-9 * np.abs(ours).max())
+    model_terms, exact_terms = (
+        np.linalg.solve(np.vander(scales), [f(each) for each in scales]) for f in (model, exact)
+    )
+    np.testing.assert_allclose(model_terms[:2], 0.0, atol=1e-9 * np.abs(model_terms).max())
     for order in (2, 3, 4):
-        np.testing.assert_allclose(ours[order], theirs[order], rtol=1e-9, atol=1e-11 * np.abs(ours[4]).max())
+        np.testing.assert_allclose(
+            model_terms[order], exact_terms[order], rtol=1e-9, atol=1e-11 * np.abs(model_terms[4]).max()
+        )

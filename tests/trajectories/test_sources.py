@@ -39,11 +39,11 @@ def limits_of(*, jerk: float = 8000.0) -> Any:
     return limits
 
 
-def assert_same(motion: PiecewisePolynomial, theirs: Any) -> None:
+def assert_same(motion: PiecewisePolynomial, original: Any) -> None:
     """Values, rates and accelerations of a ruckig trajectory."""
     instants = np.linspace(0.0, motion.duration, 203)[1:-1]
-    expected = np.array([theirs.at_time(time) for time in instants.tolist()]).swapaxes(0, 1)
-    assert motion.duration == theirs.duration
+    expected = np.array([original.at_time(time) for time in instants.tolist()]).swapaxes(0, 1)
+    assert motion.duration == original.duration
     for order, (found, each) in enumerate(zip(motion.evaluate(instants, 2), expected, strict=True)):
         np.testing.assert_allclose(found, each, rtol=1e-11, atol=1e-11 * 100.0**order)
 
@@ -54,9 +54,9 @@ def test_ruckig(synchronization: str, jerk: float) -> None:
     """Also where an axis waits for the other, and where the acceleration jumps; jerks stay constant between breakpoints."""
     limits = limits_of(jerk=jerk)
     limits.synchronization = getattr(ruckig.Synchronization, synchronization)
-    theirs = calculated(limits)
-    motion = from_ruckig(theirs)
-    assert_same(motion, theirs)
+    original = calculated(limits)
+    motion = from_ruckig(original)
+    assert_same(motion, original)
     assert abs(motion.evaluate(motion.breakpoints[:-1], 3)[3]).max() == pytest.approx(0.0 if jerk == np.inf else jerk)
     assert abs(motion.evaluate(np.linspace(0.0, motion.duration, 50), 4)[4]).max() == 0.0
 
@@ -71,8 +71,8 @@ def test_ruckig_from_any_state(p: float, q: float, v: float, w: float, a: float,
         [8 * v, 8 * w],
         [200 * a, 100 * b],
     )
-    theirs = calculated(limits)
-    assert_same(from_ruckig(theirs), theirs)
+    original = calculated(limits)
+    assert_same(from_ruckig(original), original)
 
 
 @pytest.mark.parametrize(("parametrizer", "degree"), [("ParametrizeSpline", 3), ("ParametrizeConstAccel", 6)])
@@ -80,12 +80,12 @@ def test_toppra(parametrizer: str, degree: int) -> None:
     """Cubic splines, and cubic paths after quadratic polynomials, whose grid doesn't have the path's knots."""
     path = toppra.SplineInterpolator([0.0, 0.37, 0.71, 1.0], ANGLES)
     limits = [JointVelocityConstraint([[-12.0, 12.0]] * 2), JointAccelerationConstraint([[-300.0, 300.0]] * 2)]
-    theirs = TOPPRA(limits, path, parametrizer=parametrizer).compute_trajectory(0, 0)
-    motion = from_toppra(theirs)
-    assert (motion.duration, motion.degree) == (pytest.approx(theirs.duration), degree)
-    instants = np.linspace(0.0, theirs.duration, 301)[1:-1]
+    original = TOPPRA(limits, path, parametrizer=parametrizer).compute_trajectory(0, 0)
+    motion = from_toppra(original)
+    assert (motion.duration, motion.degree) == (pytest.approx(original.duration), degree)
+    instants = np.linspace(0.0, original.duration, 301)[1:-1]
     for order, found in enumerate(motion.evaluate(instants, 2)):
-        np.testing.assert_allclose(found, theirs(instants, order), rtol=1e-11, atol=1e-11 * 100.0**order)
+        np.testing.assert_allclose(found, original(instants, order), rtol=1e-11, atol=1e-11 * 100.0**order)
 
 
 def test_scipy() -> None:

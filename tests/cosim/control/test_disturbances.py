@@ -18,7 +18,7 @@ from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.fmu_build.regular_sampling import regular
-from flexfmu.model.rigid_inertia import load_mass_matrix
+from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -22,8 +22,8 @@ from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.metrics.motors import MotorLoad, divided, largest_load_inertia, motor_loads, multiplied
 from flexfmu.cosim.reports.motors import motor_plots, motor_rows
 from flexfmu.cosim.reports.summary import summarise
+from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.numeric import numeric_model
-from flexfmu.model.rigid_inertia import load_mass_matrix
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.motor import Motor
 

@@ -10,7 +10,6 @@ import pytest
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
-from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -18,13 +17,6 @@ from flexfmu.trajectories.joint import JointTrajectory
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 
 DURATION = 0.16
-
-
-@pytest.fixture(scope="module")
-def robot() -> Scene:
-    """One bending mode for each proximal link; little damping, so that nothing is forgiven."""
-    few = {"effects.proximal_bending": 1, "effects.distal_axial": 0, "effects.damping.ratio": 0.01}
-    return load_scene("barnard2012-6kg").replace(few)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import JointSpline
 from flexfmu.model.reference_design.robust_correction import Correction, Tolerances, corrected
-from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -19,13 +18,6 @@ from flexfmu.trajectories.piecewise import PiecewisePolynomial
 
 DURATION = 0.2
 SEEN, OTHERS = ([{"payload.mass": float(mass)} for mass in np.linspace(4.2, 7.8, n)] for n in (16, 9))
-
-
-@pytest.fixture(scope="module")
-def robot() -> Scene:
-    """One bending mode for each proximal link, and little damping."""
-    few = {"effects.proximal_bending": 1, "effects.distal_axial": 0, "effects.damping.ratio": 0.01}
-    return load_scene("barnard2012-6kg").replace(few)
 
 
 @pytest.fixture(scope="module")
