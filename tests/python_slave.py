@@ -19,8 +19,8 @@ class PythonSlave:
     name = "slave"
     variables: tuple[SlaveVariable, ...] = ()
 
-    def __init__(self, name: str = "") -> None:
-        self.name = name or self.name
+    def __init__(self, name: str | None = None) -> None:
+        self.name = self.name if name is None else name
         self.memory = np.array([each.start or 0.0 for each in self.variables])
         self.time = 0.0
 
