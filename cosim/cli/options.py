@@ -23,6 +23,11 @@ def flag(help: str, *names: str) -> Any:
     return typer.Option(*names, help=help)
 
 
+def folder_option(ending: str = "") -> Any:
+    """The folder of a command's results."""
+    return option("DIR", f"Folder of the results. Default: results/<name of the scene>{ending}.")
+
+
 def run_option(name: str, *names: str) -> Any:
     """The option of a run that `flexfmu.cosim.experiment.run_options` describes."""
     described = RUN_OPTIONS[name]
@@ -44,6 +49,9 @@ PlatformOption = Annotated[
     option(
         "NAME", "linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's."
     ),
+]
+ProcessesOption = Annotated[
+    int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
 ]
 SetOption = Annotated[
     list[str] | None,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
+from flexfmu.cosim.cli.options import JsonOption, ProcessesOption, SceneArgument, SetOption, flag, folder_option, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -24,9 +24,7 @@ def plan(
         Path | None,
         option("FILE.toml", "Also write the planned scene here. Default: only into --out.", "-o", "--output"),
     ] = None,
-    out: Annotated[
-        Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>-plan.")
-    ] = None,
+    out: Annotated[Path | None, folder_option("-plan")] = None,
     minimise: Annotated[
         str | None,
         option(
@@ -86,9 +84,7 @@ def plan(
         float | None, option("SECONDS", "Begin nothing new after this time. Default: no limit.", min=0.0)
     ] = None,
     seed: Annotated[int | None, option("N", "Seed of the search. Default: the scene's, or 0.")] = None,
-    processes: Annotated[
-        int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
-    ] = None,
+    processes: ProcessesOption = None,
     robust: Annotated[bool, flag("Judge the chosen motion in richer models too.", "--robust/--no-robust")] = True,
     settings: SetOption = None,
     json: JsonOption = False,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import end_loading
-from flexfmu.cosim.cli.options import JsonOption, SetOption, flag, option, run_option
+from flexfmu.cosim.cli.options import JsonOption, SetOption, flag, folder_option, option, run_option
 from flexfmu.cosim.engine.errors import InputError
 
 
@@ -21,7 +21,7 @@ def run(
             show_default=False,
         ),
     ],
-    out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>.")] = None,
+    out: Annotated[Path | None, folder_option()] = None,
     step: Annotated[float | None, run_option("communication_step")] = None,
     stop_time: Annotated[
         float | None, option("SECONDS", "End of an SSP file's run. Default: what the file says, or the FMUs in it.")

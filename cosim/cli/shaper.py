@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, folder_option, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
@@ -15,7 +15,7 @@ from flexfmu.cosim.reports.text import to_json
 
 def shaper(
     scene: SceneArgument,
-    out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>.")] = None,
+    out: Annotated[Path | None, folder_option()] = None,
     payload_errors: Annotated[
         bool,
         flag("Seven payload errors instead of five; writes payload_errors.md too. Default: five.", "--payload-errors"),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, rich_output
-from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption, flag, option
+from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption, flag, folder_option, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
@@ -46,7 +46,7 @@ def workprec(
     scene: OptionalScene = None,
     out: Annotated[
         Path | None,
-        option("DIR", "Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases."),
+        folder_option("/workprec or results/hard-cases"),
     ] = None,
     only: Annotated[
         list[str] | None,

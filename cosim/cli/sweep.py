@@ -8,7 +8,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
+from flexfmu.cosim.cli.options import JsonOption, ProcessesOption, SceneArgument, SetOption, flag, folder_option, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -54,12 +54,8 @@ def sweep(
     record_step: Annotated[
         float | None, option("SECONDS", "Interval of the kept signals. Default: every instant.")
     ] = None,
-    processes: Annotated[
-        int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
-    ] = None,
-    out: Annotated[
-        Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>-sweep.")
-    ] = None,
+    processes: ProcessesOption = None,
+    out: Annotated[Path | None, folder_option("-sweep")] = None,
     restart: Annotated[
         bool, flag("Discard the results of another sweep in the folder. Default: refuse.", "--restart")
     ] = False,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
+from flexfmu.cosim.cli.options import JsonOption, ProcessesOption, SceneArgument, SetOption, flag, folder_option, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -67,16 +67,12 @@ def tune(
     ] = "gradient",
     trials: Annotated[int | None, option("N", "Number of trials. Default: some 50 for each key.", min=2)] = None,
     seed: Annotated[int, option("N", "Seed of the first trials.", min=0)] = 0,
-    processes: Annotated[
-        int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
-    ] = None,
+    processes: ProcessesOption = None,
     output: Annotated[
         Path | None,
         option("FILE.toml", "Write the tuned scene here. Default: into the folder of the results.", "-o", "--output"),
     ] = None,
-    out: Annotated[
-        Path | None, option("DIR", "Folder of the results. Default: results/<name of the scene>-tune.")
-    ] = None,
+    out: Annotated[Path | None, folder_option("-tune")] = None,
     restart: Annotated[
         bool, flag("Discard the trials of another tuning in the folder. Default: refuse.", "--restart")
     ] = False,

@@ -307,8 +307,7 @@ def _delay(delay: SignalDelay) -> dict[str, Any]:
 
 
 def _timing(run: Run) -> dict[str, float]:
-    timing = run.timing
-    parts = {"plan": timing.plan, "build": timing.build, "load": timing.load, "simulate": timing.simulate}
+    parts = asdict(run.timing)
     return {**parts, "total": sum(parts.values())}
 
 
