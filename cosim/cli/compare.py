@@ -13,10 +13,8 @@ from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.table import Table
 
-    from flexfmu.cosim.reports.comparison import ComparedRun
-    from flexfmu.cosim.studies.compare.comparison import Comparison, Measured
+    from flexfmu.cosim.studies.compare.comparison import Comparison
 
 
 def compare(
@@ -111,20 +109,15 @@ def compare(
 
 
 def _print(found: Comparison, out: Path | None) -> None:
-    """The metrics, the differences of a measurement, and where the page is."""
+    """The tables of the page, and where it is."""
     from rich.text import Text
 
-    from flexfmu.cosim.reports.comparison import loop_tables
     from flexfmu.cosim.reports.terminal import as_terminal_table
     from flexfmu.cosim.studies.compare.comparison import POORLY, delay_text
 
-    parts: list[RenderableType] = [table for table in [_metrics_table(found)] if table is not None]
-    parts += [
-        as_terminal_table(table) for table in loop_tables([run for run in found.runs if run.metrics or not run.failure])
-    ]
+    parts: list[RenderableType] = [as_terminal_table(table) for table in found.tables()]
     measured = found.measured
     if measured is not None:
-        parts += [_difference_table(name, measured) for name in measured.differences]
         parts.append(Text(f"{measured.name} is {delay_text(measured.delay)}"))
         if measured.delay.correlation < POORLY:
             warning = "warning: measurement and simulation hardly look alike; check --map, signs and --delay"
@@ -132,49 +125,3 @@ def _print(found: Comparison, out: Path | None) -> None:
     if out is not None:
         parts.append(Text(f"comparison.html and comparison.json are in {out}"))
     print_rich(*parts)
-
-
-def _metrics_table(found: Comparison) -> Table | None:
-    """The metrics of all runs that have some beside each other, the first one always among them."""
-    from rich.text import Text
-
-    from flexfmu.cosim.metrics.metric_table import ALL_METRICS
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    runs = [run for run in found.runs if run.metrics]
-    if not runs:
-        return None
-    table = titled_table("Metrics", "Metric", numbers=[run.name for run in runs], keys=2)
-    for name in found.metric_names:
-        info = ALL_METRICS[name]
-        table.add_row(Text(f"{info.label} [{info.display_unit}]"), *(_cell(name, run, runs[0]) for run in runs))
-    return table
-
-
-def _cell(name: str, run: ComparedRun, first: ComparedRun) -> str:
-    """A metric's value, with its difference from the first run's in percent."""
-    from flexfmu.cosim.metrics.metric_table import Measurement, display
-
-    none = Measurement(None)
-    measured, base = run.metrics.get(name, none), first.metrics.get(name, none).value
-    if (value := measured.value) is None:
-        return "–"
-    text = display(name, value, None if measured.error is not None else 5, measured.error).partition(" ")[0]
-    return text if run is first or not base else f"{text} ({100.0 * (value - base) / abs(base):+.3g} %)"
-
-
-def _difference_table(name: str, measured: Measured) -> Table:
-    """RMS, mean and largest difference of each signal from a run; "of range" is RMS to the measured range."""
-    from rich.text import Text
-
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    heads = ("RMS", "Mean", "Largest", "of range")
-    table = titled_table(f"{measured.name} minus {name}", "Signal", numbers=heads)
-    for signal, each in measured.differences[name].items():
-        figures = (each.root_mean_square, each.mean, each.largest)
-        share = "–" if each.relative is None else f"{100.0 * each.relative:.3g} %"
-        unit = measured.recording[signal].unit
-        label = Text(f"{signal} [{unit}]" if unit else signal)
-        table.add_row(label, *(f"{value:.4g}" for value in figures), share)
-    return table

@@ -170,13 +170,13 @@ class Comparison(Rows):
         items = [f"{name}: {each.root_mean_square:.4g} RMS" for name, each in first.items()]
         return few_lines(f"{head}; {self.measured.name} is {delay_text(self.measured.delay)}:", items)
 
+    def tables(self) -> list[Table]:
+        """Return the tables of the page: metrics, loops, and the differences of a measurement; those that have rows."""
+        measured = [] if self.measured is None else [difference_table(self.measured)]
+        return [table for table in (metrics_table(self.runs), *loop_tables(self.runs), *measured) if table.rows]
+
     def _repr_html_(self) -> str:
-        tables = [
-            metrics_table(self.runs),
-            *loop_tables(self.runs),
-            *([] if self.measured is None else [difference_table(self.measured)]),
-        ]
-        return "".join(html_table(table.header, table.rows) for table in tables)
+        return "".join(html_table(table.header, table.rows) for table in self.tables())
 
 
 def compare_runs(

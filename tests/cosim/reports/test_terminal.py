@@ -12,7 +12,6 @@ import pytest
 from rich.console import Console
 from rich.table import Column, Table
 
-from flexfmu.cosim.cli.compare import _metrics_table as compare_table
 from flexfmu.cosim.cli.export import _table as fmus_table
 from flexfmu.cosim.cli.run_ssp import _ranges as ranges_table
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
@@ -20,10 +19,13 @@ from flexfmu.cosim.cli.run_summary import _motors_table as motors_table
 from flexfmu.cosim.cli.scenes import _table as scenes_table
 from flexfmu.cosim.design.effects.study import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.design.shapers.table import terminal_table as shaper_table
+from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES
+from flexfmu.cosim.reports.comparison import ComparedRun
+from flexfmu.cosim.reports.comparison import metrics_table as compare_table
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_table
-from flexfmu.cosim.reports.terminal import FittingTable, titled_table
+from flexfmu.cosim.reports.terminal import FittingTable, as_terminal_table, titled_table
 from flexfmu.cosim.studies.hard.suite import terminal_table as hard_table
 from flexfmu.cosim.studies.workprec.study import terminal_table as workprec_table
 
@@ -107,14 +109,14 @@ def motors() -> Table:
 def compared() -> Table:
     """Metrics of four runs."""
     runs = [
-        SimpleNamespace(
-            name=f"results/variant-{i}", metrics={name: Measurement(1.2345e3 / (i + 1.0)) for name in METRICS}
+        ComparedRun(
+            f"results/variant-{i}",
+            Recording(np.zeros(0), {}),
+            {name: Measurement(1.2345e3 / (i + 1.0)) for name in METRICS},
         )
         for i in range(4)
     ]
-    table = compare_table(SimpleNamespace(runs=runs, metric_names=[*METRICS]))  # type: ignore[arg-type]
-    assert table is not None
-    return table
+    return as_terminal_table(compare_table(runs))
 
 
 def shaper_results() -> Table:

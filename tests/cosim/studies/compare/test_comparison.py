@@ -15,7 +15,6 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import flexfmu
-from flexfmu.cosim.cli.compare import _metrics_table
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
@@ -24,6 +23,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import display
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
+from flexfmu.cosim.reports.terminal import as_terminal_table
 
 MakeRun = Callable[..., Run]
 DELAY = 3.0123456
@@ -130,14 +130,13 @@ def test_no_figure_is_cut_off(run: Run, width: int) -> None:
     ]
     found = flexfmu.compare(*runs)
     text = StringIO()
-    Console(file=text, width=width).print(_metrics_table(found))
+    Console(file=text, width=width).print(as_terminal_table(found.tables()[0]))
     lines = text.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     assert "…" not in text.getvalue()
     for each in found.runs:
         torque = each.metrics["peak_torque_1"]
-        digits = 5 if torque.error is None else None
-        assert display("peak_torque_1", torque.value, digits, torque.error).partition(" ")[0] in text.getvalue()
+        assert display("peak_torque_1", torque.value, error=torque.error).partition(" ")[0] in text.getvalue()
 
 
 def scaled(run: Run, factor: float) -> Column:
