@@ -18,8 +18,8 @@ from speed_figure import SpeedFigure
 
 from flexfmu.cosim.many.variants import Variant, VariantTask
 from flexfmu.cosim.studies.sweep.cases import Grid
-from flexfmu.cosim.studies.sweep.groups import MOST_PEAKS
 from flexfmu.cosim.studies.sweep.sweep import sweep_scene
+from flexfmu.cosim.studies.sweep.work import MOST_PEAKS
 
 SCENE = SCENES[12]
 PEAKS = ("peak_torque_1", "peak_torque_2")

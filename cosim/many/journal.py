@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
@@ -71,20 +71,19 @@ class Journal:
             raise ResultsError(f"can't write {self.path}: {error.strerror or error}") from error
 
 
-def locked(folder: Path) -> Any:
-    """The folder's lock file, held until it is closed; None where files can't be locked.
+def locked(path: Path, *, wait: bool = False) -> IO[str]:
+    """A file that no other process gets until it is closed; where files can't be locked others get it as well.
 
     Raises:
-        BlockingIOError, PermissionError: another process holds it.
+        BlockingIOError, PermissionError: another process has it, and this one doesn't ``wait``.
     """
-    if fcntl is None:
-        return None
-    file = open(folder / ".lock", "a")  # noqa: SIM115 - held until the end
+    file = path.open("a")
     try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not inherited by processes
-    except OSError as error:
+        if fcntl is not None:
+            fcntl.lockf(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))  # not inherited by processes
+    except (BlockingIOError, PermissionError):
         file.close()
-        if isinstance(error, BlockingIOError | PermissionError):
-            raise
-        return None
+        raise
+    except OSError:
+        pass
     return file

@@ -197,16 +197,11 @@ class VariantTask(Generic[T]):
         rigid = not self.scene.shaper and self.scene.trajectory.references is None
         scales = isinstance(measure, PeakMeasure) and rigid and self._is_single(variants)
         for members in _groups(dict(enumerate(variants)), _shape if scales else lambda variant: variant.scene):
-            lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)] if scales else members
-            lasting.sort(key=lambda i: -self._duration(variants[i]) if scales else i)
-            first = 0
-            for k in range(1, len(lasting) + 1):
-                longest = self._duration(variants[lasting[first]])
-                if k < len(lasting) and (not scales or longest <= BAND * self._duration(variants[lasting[k]])):
-                    continue
-                if k - first >= FEW:
-                    yield lasting[first:k]
-                first = k
+            parts: Iterable[list[int]] = [members]
+            if scales:
+                lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)]
+                parts = duration_bands(lasting, lambda i: self._duration(variants[i]))
+            yield from (part for part in parts if len(part) >= FEW)
 
     def _is_single(self, variants: Sequence[Variant]) -> bool:
         """Whether all variants are one motion without a way back."""
@@ -259,6 +254,15 @@ class VariantTask(Generic[T]):
         outcome = _attempt(self.measure, run)
         done(1)
         return outcome
+
+
+def duration_bands(members: Iterable[int], duration: Callable[[int], float]) -> Iterator[list[int]]:
+    """Yield members of similar durations, which can be simulated side by side, the longest first."""
+    ordered, first = sorted(members, key=lambda i: -duration(i)), 0
+    for k in range(1, len(ordered) + 1):
+        if k == len(ordered) or duration(ordered[first]) > BAND * duration(ordered[k]):
+            yield ordered[first:k]
+            first = k
 
 
 def _groups(variants: Mapping[int, Variant], key: Callable[[Variant], Changes]) -> Iterable[list[int]]:

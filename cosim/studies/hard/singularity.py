@@ -10,8 +10,6 @@ from functools import lru_cache, partial
 from math import sqrt
 
 import numpy as np
-from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
 
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray
@@ -35,46 +33,20 @@ from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.plant_functions import MINIMUM_SINE
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
+from flexfmu.trajectories.piecewise import PiecewisePolynomial
 
-PROFILE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-"""Fraction of the way over the fraction of the duration: rates, accelerations and jerks vanish at both ends."""
+PROFILE = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+"""Fraction of the way as a polynomial of that of the duration: rates, accelerations and jerks vanish at both ends."""
 
 
-@dataclass(frozen=True)
-class RestToRestLine:
-    """A straight rest-to-rest motion; implements `flexfmu.trajectories.Trajectory`.
-
-    Attributes:
-        start, end: x and y [m].
-        duration: [s].
-    """
-
-    start: tuple[float, float]
-    end: tuple[float, float]
-    duration: float
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Beginning and end [s]."""
-        return (0.0, self.duration)
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """(order + 1, N, 2) position [m] and its time derivatives."""
-        instants = np.atleast_1d(np.asarray(time, dtype=np.float64))
-        right = side == "right"
-        moves = (
-            (instants >= 0.0) & (instants < self.duration) if right else (instants > 0.0) & (instants <= self.duration)
-        )
-        fraction = np.clip(instants / self.duration, 0.0, 1.0)
-        ways = [PROFILE.deriv(k)(fraction) / self.duration**k for k in range(order + 1)]
-        travelled = np.stack([ways[0], *(np.where(moves, way, 0.0) for way in ways[1:])])
-        motion = travelled[:, :, np.newaxis] * np.subtract(self.end, self.start)
-        motion[0] += self.start
-        return np.asarray(motion)
+def rest_to_rest(start: tuple[float, float], end: tuple[float, float], duration: float) -> PiecewisePolynomial:
+    """A straight motion from x and y [m] to others in a time [s]."""
+    coefficients = np.multiply.outer(PROFILE / duration ** np.arange(PROFILE.size), [np.subtract(end, start)])
+    coefficients[0] += start
+    return PiecewisePolynomial(np.array([0.0, duration]), coefficients)
 
 
 @dataclass(frozen=True)
@@ -95,7 +67,7 @@ class Unguarded:
 def straight_motion(
     base: MotionPlan,
     scene: Scene,
-    line: RestToRestLine,
+    line: PiecewisePolynomial,
     guard: Callable[[RigidKinematics], InverseKinematics] = lambda kinematics: kinematics,
 ) -> MotionPlan:
     """A plan with the line in place of the scene's path.
@@ -164,7 +136,7 @@ def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
         TrajectoryError: the planner keeps away from it.
     """
     robot = hanging_robot()
-    line = RestToRestLine(START, pose(robot.mechanism, half_distance), DURATION)
+    line = rest_to_rest(START, pose(robot.mechanism, half_distance), DURATION)
     keep = (lambda kinematics: kinematics) if guarded else Unguarded
     return straight_motion(plan(paper_robot()), robot, line, keep)
 

@@ -12,6 +12,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from flexfmu.cosim.engine.errors import ResultsError
 
 TABLES = (
@@ -99,7 +101,7 @@ class PrintedQuantity:
     rows: tuple[str, ...]
     columns: tuple[str, ...]
     values: tuple[tuple[str, ...], ...]
-    remarks: tuple[Remark, ...]
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,17 +111,17 @@ class PrintedTable:
     Attributes:
         key: name of the data file without its suffix.
         label, title: for example ``Table 7`` and its caption.
-        scene: name of the shipped scene simulated for it; empty for tables of trajectories alone.
         quantities: the blocks of the table.
+        scene: name of the shipped scene simulated for it; empty for tables of trajectories alone.
         remarks: what holds for the whole table.
     """
 
     key: str
     label: str
     title: str
-    scene: str
     quantities: tuple[PrintedQuantity, ...]
-    remarks: tuple[str, ...]
+    scene: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 def read_data(name: str) -> dict[str, Any]:
@@ -132,51 +134,18 @@ def read_data(name: str) -> dict[str, Any]:
 @cache
 def source() -> PaperSource:
     """The paper itself."""
-    data = read_data("source")
-    return PaperSource(
-        authors=tuple(data["authors"]),
-        title=data["title"],
-        event=data["event"],
-        number=data["number"],
-        doi=data["doi"],
-        url=data["url"],
-        remarks=tuple(data["remarks"]),
-    )
+    return TypeAdapter(PaperSource).validate_python(read_data("source"))
 
 
 @cache
 def printed_table(key: str) -> PrintedTable:
     """Read one table of `TABLES`."""
     data = read_data(key)
-    quantities = []
-    for block in data["quantities"]:
-        # labels of rows and columns are those of the table unless the block has its own
-        rows, columns = block.get("rows", data["rows"]), block.get("columns", data["columns"])
-        remarks = tuple(
-            Remark(each["text"], Verdict(each["verdict"]), tuple(each.get("rows", ())), tuple(each.get("columns", ())))
-            for each in block.get("remarks", ())
-        )
-        quantities.append(
-            PrintedQuantity(
-                name=block["name"],
-                unit=block["unit"],
-                meaning=block["meaning"],
-                metric=block["metric"],
-                scale=block["scale"],
-                rows=tuple(rows),
-                columns=tuple(columns),
-                values=tuple(tuple(row) for row in block["values"]),
-                remarks=remarks,
-            )
-        )
-    return PrintedTable(
-        key=key,
-        label=data["table"],
-        title=data["title"],
-        scene=data.get("scene", ""),
-        quantities=tuple(quantities),
-        remarks=tuple(data.get("remarks", ())),
-    )
+    # labels of rows and columns are those of the table unless the block has its own
+    shared = {"rows": data["rows"], "columns": data["columns"]}
+    quantities = [shared | block for block in data["quantities"]]
+    table = {**data, "key": key, "label": data["table"], "quantities": quantities}
+    return TypeAdapter(PrintedTable).validate_python(table)
 
 
 def printed_tables() -> tuple[PrintedTable, ...]:

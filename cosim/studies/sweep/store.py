@@ -181,8 +181,8 @@ class FolderStore:
         self.folder, self._cases, self._head = folder, cases, _line(head)
         self._journal = Journal(folder / JOURNAL)
         try:
-            self._lock = locked(folder)
-        except OSError:
+            self._lock = locked(folder / ".lock")
+        except (BlockingIOError, PermissionError):
             raise ResultsError(f"another sweep works in {folder}: wait for its end, or choose another --out") from None
         try:
             self._begin(json.loads(json.dumps(manifest)), restart)
@@ -278,8 +278,7 @@ class FolderStore:
 
     def close(self) -> None:
         """Let other processes into the folder."""
-        if self._lock is not None:
-            self._lock.close()
+        self._lock.close()
 
     def __enter__(self) -> FolderStore:
         return self

@@ -14,10 +14,9 @@ from flexfmu.cosim.many.executor import DaskWorkers, Executor, Processes, finish
 from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
-from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
 from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, make_manifest, read_results
-from flexfmu.cosim.studies.sweep.work import Job, Row
+from flexfmu.cosim.studies.sweep.work import Job, Row, Share, groups_of, shares_of
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.keys import full_key, location, value_at
 from flexfmu.model.scene.messages import unit_of

@@ -27,7 +27,15 @@ from flexfmu.cosim.studies.workprec.equations import (
     joint_motion,
     motion_polynomials,
 )
-from flexfmu.cosim.studies.workprec.trial import Announce, Curve, RunError, SceneUnderTest, WorkPrecisionTrial, sweep
+from flexfmu.cosim.studies.workprec.trial import (
+    Announce,
+    Curve,
+    RunError,
+    SceneUnderTest,
+    WorkPrecisionTrial,
+    sweep,
+    trial_of,
+)
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
 
 ScipyMethod = Literal["Radau", "BDF", "LSODA", "DOP853"]
@@ -77,11 +85,7 @@ def system_of(subject: SceneUnderTest) -> tuple[InitialValueProblem, tuple[Motio
 
 def solver_trial(subject: SceneUnderTest, line: str, label: str, run: Callable[[], RealArray]) -> WorkPrecisionTrial:
     """One run of a solver: (N, 2) positions at the instants of comparison."""
-    try:
-        error = subject.error(run())
-    except (RunError, RuntimeError, ValueError) as failure:
-        return WorkPrecisionTrial("tools", line, label, None, None, " ".join(str(failure).split()))
-    return WorkPrecisionTrial("tools", line, label, error, fastest(run))
+    return trial_of("tools", line, label, lambda: (subject.error(run()), fastest(run), ""), RuntimeError, ValueError)
 
 
 def independent_reference(subject: SceneUnderTest, tolerance: float = 1e-11) -> RealArray:
@@ -214,10 +218,8 @@ def formulation_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[
     for tolerance in FORMULATION_TOLERANCES:
         announce(f"minimal coordinates, {SOLVER}, tolerance {tolerance:.0e}")
         run = scipy_run(subject, system, parts, SOLVER, tolerance, exact_jacobian=False)  # nor have the others one
-        label = f"{tolerance:.0e}"
-        yield WorkPrecisionTrial(
-            "formulations", "minimal coordinates", label, subject.error(run()), fastest(run), "no constraints"
-        )
+        found = subject.error(run()), fastest(run), "no constraints"
+        yield WorkPrecisionTrial("formulations", "minimal coordinates", f"{tolerance:.0e}", *found)
     model = constrained_model(subject.scene)
     for line, rate in RATES.items():
         function = compile_function(index_one(model, rate))
@@ -269,14 +271,10 @@ def _index_one_trial(
             found.append(states)
         return np.concatenate(found)
 
-    label = f"{tolerance:.0e}"
-    try:
-        states = run()
-    except (RunError, ValueError) as failure:
-        return WorkPrecisionTrial("formulations", line, label, None, None, " ".join(str(failure).split()))
-    size = 10 + model.n
-    violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
-    note = f"constraints violated by up to {violation:.1e} m"
-    return WorkPrecisionTrial(
-        "formulations", line, label, subject.error(states[:, size - 2 : size]), fastest(run), note
-    )
+    def measure() -> tuple[float, float, str]:
+        states, size = run(), 10 + model.n
+        violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
+        note = f"constraints violated by up to {violation:.1e} m"
+        return subject.error(states[:, size - 2 : size]), fastest(run), note
+
+    return trial_of("formulations", line, f"{tolerance:.0e}", measure, ValueError)

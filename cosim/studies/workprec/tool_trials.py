@@ -10,7 +10,6 @@ from typing import Any
 import fmpy
 import numpy as np
 
-from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.experiment.parameters import parameters_for
@@ -26,6 +25,7 @@ from flexfmu.cosim.studies.workprec.trial import (
     WorkPrecisionTrial,
     completed,
     sweep,
+    trial_of,
 )
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.scene.effects import ModalDampingSection
@@ -74,7 +74,17 @@ def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announ
         label = f"{1e3 * interval:g} ms, {tolerance:.0e}"
         announce(f"fmpy, CVODE, {label}")
         chosen = {"output_interval": interval, "relative_tolerance": tolerance, "input": input_table(subject, interval)}
-        return _fmpy_trial(subject, arguments | chosen, label)
+
+        def run() -> Any:
+            return fmpy.simulate_fmu(**arguments, **chosen)
+
+        def measure() -> tuple[float, float, str]:
+            result = run()
+            columns = (result[f"end_effector.position.{axis}"] for axis in "xy")
+            positions = np.stack([np.interp(subject.instants, result["time"], each) for each in columns], axis=1)
+            return subject.error(positions), fastest(run), "inputs held over the output interval"
+
+        return trial_of("tools", "fmpy, CVODE", label, measure, Exception)
 
     yield from sweep(CVODE_SETTINGS, trial, ours)
 
@@ -98,30 +108,15 @@ def paper_trial(subject: SceneUnderTest, announce: Announce) -> WorkPrecisionTri
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": PAPER_STEP}
     # the beginning alone, a whole number of sample instants
     share = SAMPLING * max(1, round(subject.stop / SAMPLING / PAPER_SHARE))
-    try:
+
+    def measure() -> tuple[float, float, str]:
         prepared = PreparedScene(subject.scene.replace(changes), communication_step=SAMPLING, motion=subject.motion)
         prepared.stop_time = share
-        run = completed(prepared.run())
-    except CosimError as failure:
-        return WorkPrecisionTrial("tools", PAPER_LINE, "", None, None, " ".join(str(failure).split()))
-    note = f"simulated to {1e3 * share:.0f} ms, the time multiplied by {subject.stop / share:.0f}"
-    time = fastest(prepared.run) * subject.stop / share
-    return WorkPrecisionTrial("tools", PAPER_LINE, "0.1 µs", subject.error(subject.positions(run)), time, note)
+        error = subject.error(subject.positions(completed(prepared.run())))
+        note = f"simulated to {1e3 * share:.0f} ms, the time multiplied by {subject.stop / share:.0f}"
+        return error, fastest(prepared.run) * subject.stop / share, note
 
-
-def _fmpy_trial(subject: SceneUnderTest, arguments: dict[str, Any], label: str) -> WorkPrecisionTrial:
-    def run() -> Any:
-        return fmpy.simulate_fmu(**arguments)
-
-    try:
-        result = run()
-    except Exception as failure:
-        return WorkPrecisionTrial("tools", "fmpy, CVODE", label, None, None, " ".join(str(failure).split()))
-    positions = np.stack(
-        [np.interp(subject.instants, result["time"], result[f"end_effector.position.{axis}"]) for axis in "xy"], axis=1
-    )
-    note = "inputs held over the output interval"
-    return WorkPrecisionTrial("tools", "fmpy, CVODE", label, subject.error(positions), fastest(run), note)
+    return trial_of("tools", PAPER_LINE, "0.1 µs", measure)
 
 
 DAMPING_TIME = 2e-4
@@ -159,20 +154,18 @@ def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> I
     try:
         converged = run(CONVERGED_STEP, CONVERGED_ELEMENTS)
     except (SceneError, RunError) as failure:
-        yield failed("", failure)
+        yield WorkPrecisionTrial("tools", EXUDYN_LINE, "", None, None, " ".join(str(failure).split()))
         return
     rigid = subject.motion.task.evaluate(subject.instants, 0)[0]
     deviation = float(np.linalg.norm(converged.position - rigid, axis=1).max())
 
     def trial(step: float) -> WorkPrecisionTrial:
-        label = f"{1e3 * step:g} ms"
-        try:
+        def measure() -> tuple[float, float, str]:
             motion = run(step, ELEMENTS)
-        except RunError as failure:
-            return failed(label, failure)
-        error = float(np.linalg.norm(motion.position - converged.position, axis=1).max()) / deviation
-        note = f"{ELEMENTS} elements a link, from its own converged run"
-        return WorkPrecisionTrial("tools", EXUDYN_LINE, label, error, motion.time, note)
+            error = float(np.linalg.norm(motion.position - converged.position, axis=1).max()) / deviation
+            return error, motion.time, f"{ELEMENTS} elements a link, from its own converged run"
+
+        return trial_of("tools", EXUDYN_LINE, f"{1e3 * step:g} ms", measure)
 
     yield from sweep(EXUDYN_STEPS, trial, ours)
 
@@ -182,8 +175,3 @@ def comparable(scene: Scene) -> Scene:
     if not isinstance(scene.effects.damping, ModalDampingSection):
         return scene
     return scene.replace({"effects.damping": {"kind": "stiffness", "time": DAMPING_TIME}})
-
-
-def failed(label: str, failure: Exception) -> WorkPrecisionTrial:
-    """Return a failed trial with its reason."""
-    return WorkPrecisionTrial("tools", EXUDYN_LINE, label, None, None, " ".join(str(failure).split()))

@@ -136,6 +136,24 @@ class WorkPrecisionTrial:
         return self.error is None
 
 
+def trial_of(
+    family: str,
+    line: str,
+    label: str,
+    measure: Callable[[], tuple[float, float | None, str]],
+    *failures: type[Exception],
+) -> WorkPrecisionTrial:
+    """One setting: error, processor time [s] and note as ``measure`` returns them, or why it failed.
+
+    ``failures`` are errors of other tools beside ours.
+    """
+    known: tuple[type[Exception], ...] = (CosimError, BuildError, *failures)
+    try:
+        return WorkPrecisionTrial(family, line, label, *measure())
+    except known as failure:
+        return WorkPrecisionTrial(family, line, label, None, None, " ".join(str(failure).split()))
+
+
 @dataclass(frozen=True)
 class Curve:
     """Processor time over error for one tool: its Pareto front.
@@ -210,8 +228,6 @@ ORDERS = (0, 1, 2, 3, 5, 9)
 TIGHT = 1e-10
 """Relative tolerance of the integrator in coupling trials."""
 
-FAILURES = (CosimError, BuildError)
-
 
 def integrator_trials(
     subject: SceneUnderTest,
@@ -265,16 +281,16 @@ def fmu_trial(
     options: Mapping[str, Any],
 ) -> WorkPrecisionTrial:
     """One co-simulation: its error, and the time of master, FMU and recording once all is loaded."""
-    try:
+
+    def measure() -> tuple[float, float, str]:
         scene = subject.scene.replace(dict(changes))
         prepared = PreparedScene(scene, motion=None if scene.shaper else subject.motion, **options)
         run = completed(prepared.run())
-        error = subject.error(subject.positions(run))
-    except FAILURES as failure:
-        return WorkPrecisionTrial(family, line, label, None, None, " ".join(str(failure).split()))
-    statistics = run.health.statistics
-    note = ", ".join(f"{statistics[key]} {key}" for key in ("steps", "evaluations") if key in statistics)
-    return WorkPrecisionTrial(family, line, label, error, fastest(prepared.run), note)
+        statistics = run.health.statistics
+        note = ", ".join(f"{statistics[key]} {key}" for key in ("steps", "evaluations") if key in statistics)
+        return subject.error(subject.positions(run)), fastest(prepared.run), note
+
+    return trial_of(family, line, label, measure)
 
 
 RIGID: Mapping[str, object] = {
@@ -346,29 +362,24 @@ def effect_trials(
     truth.__dict__["reference"] = subject.positions(completed(rich.run()))
     # errors first
     runs: list[tuple[WorkPrecisionTrial, PreparedScene]] = []
+    ready: list[PreparedScene] = []
     for rung in ladder():
         announce(f"effects: {rung.line}, {rung.label}")
-        trial, prepared = _rung_trial(truth, rung, options)
-        if prepared is None:
+
+        def measure(rung: Rung = rung) -> tuple[float, None, str]:
+            scene = truth.scene.replace({**RIGID, **rung.changes})
+            ready.append(PreparedScene(scene, motion=truth.motion, **options))  # type: ignore[arg-type]
+            positions = truth.positions(completed(ready[-1].run()))
+            if np.isnan(positions).all():
+                raise RunError("no positions")
+            return truth.error(positions), None, ""
+
+        trial = trial_of("effects", rung.line, rung.label, measure)
+        if trial.failed:
             yield trial
         else:
-            runs.append((trial, prepared))
+            runs.append((trial, ready[-1]))
     # then times, in turns, so that load on the machine hits all rungs alike
     announce("effects: times")
     times = fastest_in_turns([prepared.run for _, prepared in runs])
     yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))
-
-
-def _rung_trial(
-    truth: SceneUnderTest, rung: Rung, options: Mapping[str, float]
-) -> tuple[WorkPrecisionTrial, PreparedScene | None]:
-    """A rung's error, and its run where there is one to be timed."""
-    try:
-        scene = truth.scene.replace({**RIGID, **rung.changes})
-        prepared = PreparedScene(scene, motion=truth.motion, **options)  # type: ignore[arg-type]
-        positions = truth.positions(completed(prepared.run()))
-    except FAILURES as failure:
-        return WorkPrecisionTrial("effects", rung.line, rung.label, None, None, " ".join(str(failure).split())), None
-    if np.isnan(positions).all():
-        return WorkPrecisionTrial("effects", rung.line, rung.label, None, None, "no positions"), None
-    return WorkPrecisionTrial("effects", rung.line, rung.label, truth.error(positions), None), prepared

@@ -19,10 +19,9 @@ from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.studies.sweep import work
 from flexfmu.cosim.studies.sweep.cases import Grid
-from flexfmu.cosim.studies.sweep.groups import groups_of, shares_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
 from flexfmu.cosim.studies.sweep.store import FolderStore
-from flexfmu.cosim.studies.sweep.work import Job, Row
+from flexfmu.cosim.studies.sweep.work import Job, Row, groups_of, shares_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
 
