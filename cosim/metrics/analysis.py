@@ -11,7 +11,7 @@ from __future__ import annotations
 from ctypes import POINTER, Structure, byref, c_double, c_int, c_size_t, c_void_p
 from functools import cache
 from itertools import accumulate
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,7 @@ def library() -> Any:
 class CompiledAnalysis:
     """Analysis of Hermite segments in C, without the orders of derivatives that diverge.
 
-    See `flexfmu.cosim.metrics.analysis.Analysis`.
+    See `NumpyAnalysis`.
 
     Args:
         start, duration: (n,) starts and lengths of the segments [s].
@@ -113,13 +113,13 @@ class CompiledAnalysis:
         self.diverging = int(self._library.metrics_prepare(byref(self._signal)))
 
     def peak(self) -> tuple[float, float]:
-        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
+        """See `NumpyAnalysis`."""
         result = (c_double * 2)()
         self._library.metrics_peak(byref(self._signal), result)
         return result[0], result[1]
 
     def mean_products(self, order: int = 0) -> tuple[float, ...]:
-        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
+        """See `NumpyAnalysis`."""
         quadrature, integrals = _quadrature(self._signal.orders, order), (c_double * 3)()
         points = CQuadrature(len(quadrature[0]), order, *map(_address, quadrature))
         self._library.metrics_products(byref(self._signal), byref(points), integrals)
@@ -127,13 +127,13 @@ class CompiledAnalysis:
         return tuple(each / total for each in integrals)
 
     def parts(self) -> tuple[float, ...]:
-        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
+        """See `NumpyAnalysis`."""
         result = (c_double * 7)()
         self._library.metrics_parts(byref(self._signal), result)
         return tuple(result)
 
     def last_time_above(self, level: float) -> float | None:
-        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
+        """See `NumpyAnalysis`."""
         segment, theta = c_size_t(), c_double()
         if not self._library.metrics_last_above(byref(self._signal), level, byref(segment), byref(theta)):
             return None
@@ -162,43 +162,7 @@ def _quadrature(m: int, order: int) -> tuple[RealArray, ...]:
     return weights, np.ascontiguousarray(values.T), node_polynomial(m, theta, order), np.ascontiguousarray(last)
 
 
-class Analysis(Protocol):
-    """What metrics are computed from.
-
-    Attributes:
-        errors: (n,) estimated largest interpolation error of the norm within each segment.
-    """
-
-    errors: RealArray
-
-    def peak(self) -> tuple[float, float]:
-        """Return the largest norm, both sides of every jump included, and how far it may be exceeded.
-
-        That is how far another segment may exceed it with its interpolation error, at least the peak segment's error.
-        """
-        ...
-
-    def mean_products(self, order: int = 0) -> tuple[float, ...]:
-        """Return the means over time of |v|², v . e and |e|² of the time derivative v of this order.
-
-        e is the estimated deviation of the signal's derivative from v, see `HermiteSegments.deviation_estimate`.
-        """
-        ...
-
-    def parts(self) -> tuple[float, ...]:
-        """Return what the positive and the negative part of a signal with one channel are.
-
-        These are: largest value, negated least value (both at least 0), integrals over time of the positive part and of
-        the negated negative part, and the estimated errors of the extremes and of each integral.
-        """
-        ...
-
-    def last_time_above(self, level: float) -> float | None:
-        """Return the last time at which the norm is at least ``level`` (zero or positive); None if it never is."""
-        ...
-
-
-def analyse(signal: HermiteSegments) -> Analysis:
+def analyse(signal: HermiteSegments) -> CompiledAnalysis | NumpyAnalysis:
     """Return the analysis of a signal: in C, unless it has more derivatives or channels than the C code has memory for."""
     m, _, channels = signal.left.shape
     if m > LARGEST[0] or channels > LARGEST[1] or library() is None:
@@ -207,14 +171,24 @@ def analyse(signal: HermiteSegments) -> Analysis:
 
 
 class NumpyAnalysis:
-    """See `Analysis`; vectorised over the segments."""
+    """What metrics are computed from, vectorised over the segments, without the orders of derivatives that diverge.
+
+    Args:
+        signal: the signal.
+
+    Attributes:
+        errors: (n,) estimated largest interpolation error of the norm within each segment.
+    """
 
     def __init__(self, signal: HermiteSegments) -> None:
         self._signal = signal.consistent
         self.errors = self._signal.error_estimate()
 
     def peak(self) -> tuple[float, float]:
-        """See `Analysis`."""
+        """Return the largest norm, both sides of every jump included, and how far it may be exceeded.
+
+        That is how far another segment may exceed it with its interpolation error, at least the peak segment's error.
+        """
         (ends, bounds), errors = self._signal.bounds, self.errors
         # only segments that may reach the peak, with or without their error; NaN compares as false and isn't left out
         at_ends = float(ends.max(initial=0.0))
@@ -226,14 +200,21 @@ class NumpyAnalysis:
         return largest, max(exceeded, float(errors[np.argmax(reached)]) if reached.size else 0.0)
 
     def mean_products(self, order: int = 0) -> tuple[float, ...]:
-        """See `Analysis`."""
+        """Return the means over time of |v|², v . e and |e|² of the time derivative v of this order.
+
+        e is the estimated deviation of the signal's derivative from v, see `HermiteSegments.deviation_estimate`.
+        """
         points, _ = self._signal.quadrature
         values, deviation = self._signal.evaluate(points, order), self._signal.deviation_estimate(points, order)
         pairs = (values, values), (values, deviation), (deviation, deviation)
         return tuple(self._signal.mean_product(*each) for each in pairs)
 
     def parts(self) -> tuple[float, ...]:
-        """See `Analysis`."""
+        """Return what the positive and the negative part of a signal with one channel are.
+
+        These are: largest value, negated least value (both at least 0), integrals over time of the positive part and of
+        the negated negative part, and the estimated errors of the extremes and of each integral.
+        """
         control, (ends, bounds), errors = self._signal.control, self._signal.bounds, self.errors
         # values above the least are norms
         size = float(np.abs(control).max(initial=0.0))
@@ -248,5 +229,5 @@ class NumpyAnalysis:
         return *extremes, *integrals, float(errors[reaching].max(initial=0.0)), *parts
 
     def last_time_above(self, level: float) -> float | None:
-        """See `Analysis`."""
+        """Return the last time at which the norm is at least ``level`` (zero or positive); None if it never is."""
         return last_time_above(self._signal.control, self._signal.start, self._signal.duration, level)

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.analysis import Analysis, analyse
+from flexfmu.cosim.metrics.analysis import CompiledAnalysis, NumpyAnalysis, analyse
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
@@ -152,7 +152,7 @@ class RecordedSignal:
     rounding: float = 0.0
 
     @cached_property
-    def _analysis(self) -> Analysis:
+    def _analysis(self) -> CompiledAnalysis | NumpyAnalysis:
         return analyse(self.segments)
 
     def peak(self) -> Measurement:
