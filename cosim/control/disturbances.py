@@ -22,6 +22,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Equations, Vector, block, rows_in_turn
+from flexfmu.cosim.control.controllers.named_signals import unit_of
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray, check_sampling
@@ -76,7 +77,7 @@ def steps(signal: str, instants: Sequence[float], values: Sequence[float], name:
     parameters = [
         Variable(
             f"amplitude[{k}]" if several else "amplitude",
-            disturbance_unit(signal),
+            unit_of(signal),
             f"Value from {at!r} s on",
             "parameter",
             value,
@@ -100,7 +101,7 @@ def sine(
     """
     _check_finite(timing.get("name", "sine"), "amplitude, frequency and phase", (amplitude, frequency, phase))
     parameters = [
-        Variable("amplitude", disturbance_unit(signal), "Amplitude", "parameter", amplitude),
+        Variable("amplitude", unit_of(signal), "Amplitude", "parameter", amplitude),
         Variable("frequency", "Hz", "Frequency", "parameter", frequency),
         Variable("phase", "rad", "Phase at the start", "parameter", phase),
     ]
@@ -149,9 +150,7 @@ def band_noise(
     digests = [sha256(f"{seed}/{name}/{signal}/{k}".encode()).digest() for k in range(components)]
     phases = [2.0 * pi * int.from_bytes(each[:6], "big") / 2**48 for each in digests]
     parameters = [
-        Variable(
-            "standard_deviation", disturbance_unit(signal), "Standard deviation", "parameter", standard_deviation, 0.0
-        )
+        Variable("standard_deviation", unit_of(signal), "Standard deviation", "parameter", standard_deviation, 0.0)
     ]
 
     def law(t: Vector, p: Vector) -> Vector:
@@ -203,7 +202,7 @@ def _source(
         offset=offset,
         instants=instants,
         inputs=(),
-        outputs=[Variable(signal, disturbance_unit(signal), description, "output")],
+        outputs=[Variable(signal, unit_of(signal), description, "output")],
         parameters=parameters,
         states=(0.0,),
         symbol=symbol,
@@ -252,11 +251,6 @@ def _samples(duration: float, sample_time: float) -> int:
     return ceil(duration / sample_time * (1.0 - 1e-12))
 
 
-def disturbance_unit(signal: str) -> str:
-    """Unit of an input of the robot."""
-    return "N" if signal.startswith("force.") else "kg" if signal == PAYLOAD else "N.m"
-
-
 def _check_finite(name: str, what: str, values: Sequence[float]) -> None:
     """Raise `InputError` if a value is NaN or infinite."""
     for value in values:
@@ -301,7 +295,7 @@ builds(BandNoiseSection)(
 @builds(CsvSection)
 def _from_csv(section: CsvSection, context: LoopContext) -> SymbolicBlock:
     # scaled values may be in any unit
-    unit = disturbance_unit(section.signal) if section.scale == 1.0 else ""
+    unit = unit_of(section.signal) if section.scale == 1.0 else ""
     try:
         times, values = read_signal(section.file, section.column or section.signal, unit)
     except TrajectoryError as error:

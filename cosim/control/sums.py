@@ -11,7 +11,7 @@ import casadi
 
 from flexfmu.cosim.control.blocks.equations import BlockOptions, block, split
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.disturbances import disturbance_unit
+from flexfmu.cosim.control.controllers.named_signals import unit_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.fmu_build.errors import ModelError
@@ -51,7 +51,7 @@ def disturbance_sum(
     Raises:
         InputError: the sample time isn't positive.
     """
-    unit = disturbance_unit(signal)
+    unit = unit_of(signal)
     return block(
         "disturbance_sum",
         "Sum of disturbances",

@@ -14,12 +14,13 @@ from ctypes import CDLL, c_void_p
 from functools import lru_cache
 from pathlib import Path
 from time import monotonic
+from typing import Unpack
 
 import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import library
-from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block
 from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters, named_signals
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
@@ -103,12 +104,10 @@ def c_function(
     *,
     inputs: Sequence[str],
     outputs: Sequence[str],
-    sample_time: float,
-    offset: float = 0.0,
     parameters: Mapping[str, float] | None = None,
     states: Sequence[float] = (),
     units: Mapping[str, str] | None = None,
-    name: str = "c_function",
+    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """Build the block of a function in C.
 
@@ -121,18 +120,18 @@ def c_function(
         source: the C file, or a list of C files and headers; on Linux a shared library (``.so``) too, which the FMU contains.
         function: name of the function; by default that of the first file, without ``lib``.
         inputs, outputs: names of the signals.
-        sample_time, offset: [s].
         parameters: name → value; tunable.
         states: start values.
         units: name → unit of signals and parameters; by default those of the robot's signals of these names.
-        name: name of the block.
+        options: ``sample_time`` [s], ``offset`` [s], ``name``.
 
     Raises:
         InputError: a file can't be read or compiled, has no such function, or keeps values between calls; a name is repeated, a
             number isn't finite, or the sample time isn't positive.
         MissingCompilerError: there is no C compiler.
     """
-    check_sampling(sample_time, offset, name)
+    name, h, offset = options.get("name", "c_function"), options["sample_time"], options.get("offset", 0.0)
+    check_sampling(h, offset, name)
     if not outputs:
         raise InputError(f'{name}: a controller needs `outputs`, such as ["joint1.torque", "joint2.torque"]')
     # variables by their names
@@ -154,7 +153,7 @@ def c_function(
         "parameters": len(values),
         "outputs": len(given),
         "states": len(states),
-        "sample_time": float(sample_time),
+        "sample_time": float(h),
         "offset": float(offset),
     }
     libraries = _shared_libraries([path for path in paths if path.suffix in LIBRARIES], function)
@@ -167,11 +166,9 @@ def c_function(
         return y, following
 
     built = block(
-        name,
+        "c_function",
         f"The function {function} in C",
         equations,
-        sample_time=sample_time,
-        offset=offset,
         inputs=taken,
         outputs=given,
         parameters=values,
@@ -179,6 +176,7 @@ def c_function(
         symbol=casadi.MX,
         c_files={**files, f"{CALL}.c": caller},
         libraries=libraries,
+        **options,
     )
     sizes = len(taken), len(given), len(states)
     if (unlike := _unlike(compiled, sizes, tuple((parameters or {}).values()), tuple(states))) is not None:
@@ -355,16 +353,15 @@ def _caller(
 
 
 @builds(CFunctionSection)
-def _from_section(section: CFunctionSection, context: LoopContext) -> SymbolicBlock:
+def _from_section(s: CFunctionSection, context: LoopContext) -> SymbolicBlock:
     return c_function(
-        section.source,
-        section.function,
-        inputs=section.inputs,
-        outputs=section.outputs,
-        sample_time=section.sample_time,
-        offset=section.offset,
-        parameters=section.parameters,
-        states=section.states,
-        units=section.units,
+        s.source,
+        s.function,
+        inputs=s.inputs,
+        outputs=s.outputs,
+        parameters=s.parameters,
+        states=s.states,
+        units=s.units,
         name=context.name,
+        **s.sampling,
     )

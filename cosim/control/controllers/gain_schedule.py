@@ -7,7 +7,6 @@ gains of the past.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.controllers.joints import PerJoint, per_joint, saturate
+from flexfmu.cosim.control.controllers.named_signals import unit_of
 from flexfmu.cosim.control.sections import LoopContext
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.controllers import ScheduleSection
@@ -23,14 +23,6 @@ from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 PAYLOAD = "payload.mass"
 """Signal of the payload; where no slave outputs it, it is that of the scene."""
-
-UNITS = {
-    r"joint\d\.(reference\.)?position": "rad",
-    r"joint\d\.(reference\.)?velocity": "rad/s",
-    r"end_effector\.position\.[xy]": "m",
-    r"payload\.mass": "kg",
-}
-"""Signals that schedules follow → unit; others connect to any unit."""
 
 
 def scheduled(
@@ -81,8 +73,7 @@ def scheduled(
         arguments = [x, u[: len(names)], casadi.vertcat(*parts)]
         return controller.output.call(arguments)[0], controller.update.call(arguments)[0]
 
-    unit = next((unit for pattern, unit in UNITS.items() if re.fullmatch(pattern, over)), "1")
-    signal = [Variable(over, unit, "Signal that gains follow", "input", start)] if is_new else []
+    signal = [Variable(over, unit_of(over), "Signal that gains follow", "input", start)] if is_new else []
     return block(
         controller.name,
         f"{controller.description}, gains over {over}",

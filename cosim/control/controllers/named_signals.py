@@ -11,21 +11,19 @@ from flexfmu.cosim.control.controllers.joints import UNITS
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.symbolic import Causality, Variable
 
-METRES = {"position": "m", "velocity": "m/s", "acceleration": "m/s2"}
-_JOINT = re.compile(r"joint\d+(?:\.reference)?\.(position|velocity|acceleration)$")
-_END_EFFECTOR = re.compile(r"end_effector(?:\.reference)?\.(position|velocity|acceleration)\.[xy]$")
-_EFFORT = re.compile(r"joint\d+\.(torque|feedforward)$|(force)\.[xy]$")
+SIGNAL_UNITS = {
+    **{rf"joint\d+\.(reference\.)?{kind}": unit for kind, unit in UNITS.items()},
+    **{rf"end_effector\.(reference\.)?{kind}\.[xy]": unit.replace("rad", "m") for kind, unit in UNITS.items()},
+    r"joint\d+\.(torque|feedforward|disturbance)": "N.m",
+    r"force\.[xy]": "N",
+    r"payload\.(mass|change)": "kg",
+}
+"""Signals of the robot → unit."""
 
 
 def unit_of(name: str) -> str:
     """Return the unit of a signal of the robot by its name; ``1``, which connects to any unit, for other names."""
-    if found := _JOINT.match(name):
-        return UNITS[found[1]]  # type: ignore[index]
-    if found := _END_EFFECTOR.match(name):
-        return METRES[found[1]]
-    if found := _EFFORT.match(name):
-        return "N" if found[2] else "N.m"
-    return "1"
+    return next((unit for pattern, unit in SIGNAL_UNITS.items() if re.fullmatch(pattern, name)), "1")
 
 
 def named_signals(names: Sequence[str], causality: Causality, units: Mapping[str, str]) -> list[Variable]:

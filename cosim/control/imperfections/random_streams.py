@@ -13,14 +13,13 @@ use disjoint parts of a stream, and differently named streams start at unrelated
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Vector
+from flexfmu.cosim.control.blocks.equations import Vector, split
 from flexfmu.cosim.control.imperfections.channels import whole_number
 from flexfmu.model.symbolic import Variable
 
@@ -36,24 +35,6 @@ LARGEST_SEED = 2**SEED_BITS - 1
 _HALF = 2**16
 
 
-@dataclass(frozen=True)
-class Streams:
-    """States of n generators: whole numbers (n,) of their first and of their second congruential generator."""
-
-    first: Vector
-    second: Vector
-
-    @classmethod
-    def of(cls, states: Vector) -> Streams:
-        """Split one vector (2 n,) into streams."""
-        return cls(*casadi.vertsplit(states, states.numel() // 2))
-
-    @property
-    def states(self) -> Vector:
-        """Both states as one vector (2 n,)."""
-        return casadi.vertcat(self.first, self.second)
-
-
 def start_states(name: str) -> tuple[int, int]:
     """Return the start states of a named stream with seed 0."""
     digest = sha256(name.encode()).digest()
@@ -63,10 +44,13 @@ def start_states(name: str) -> tuple[int, int]:
     return first, second
 
 
-def seeded(names: Sequence[str], seed: Vector) -> Streams:
-    """Return the streams of n names for a seed (scalar), a whole number from 0 to `LARGEST_SEED`."""
+def seeded(names: Sequence[str], seed: Vector) -> Vector:
+    """Return the states of n named streams for a seed (scalar), a whole number from 0 to `LARGEST_SEED`.
+
+    They are whole numbers (2 n,): first those of all first congruential generators, then those of all second ones.
+    """
     starts = np.array([start_states(name) for name in names], dtype=float).T
-    return Streams(
+    return casadi.vertcat(
         *(
             _long_product(_jump(seed, multiplier, modulus), casadi.DM(start), modulus)
             for start, multiplier, modulus in zip(starts, MULTIPLIERS, MODULI, strict=True)
@@ -74,15 +58,15 @@ def seeded(names: Sequence[str], seed: Vector) -> Streams:
     )
 
 
-def draw(streams: Streams) -> tuple[Vector, Streams]:
-    """Draw one number of each stream, uniform in (0, 1); return the numbers (n,) and the advanced streams."""
+def draw(states: Vector) -> tuple[Vector, Vector]:
+    """Draw one number of each stream, uniform in (0, 1); return the numbers (n,) and the next states (2 n,)."""
     first, second = (
         _remainder(multiplier * state, modulus)
-        for state, multiplier, modulus in zip((streams.first, streams.second), MULTIPLIERS, MODULI, strict=True)
+        for state, multiplier, modulus in zip(split(states, states.numel() // 2), MULTIPLIERS, MODULI, strict=True)
     )
     difference = first - second
     whole = casadi.if_else(difference < 1.0, difference + (MODULI[0] - 1), difference)
-    return whole / MODULI[0], Streams(first, second)
+    return whole / MODULI[0], casadi.vertcat(first, second)
 
 
 def seed_parameter(seed: int, block: str) -> Variable:

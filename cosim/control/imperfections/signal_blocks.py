@@ -40,7 +40,7 @@ from flexfmu.cosim.control.imperfections.channels import (
     start_values,
     whole_number,
 )
-from flexfmu.cosim.control.imperfections.random_streams import Streams, draw, seed_parameter, seeded
+from flexfmu.cosim.control.imperfections.random_streams import draw, seed_parameter, seeded
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
@@ -257,10 +257,10 @@ def gaussian_noise(
     The standard deviation, zero or positive, is the parameter ``<channel>.standard_deviation``.
     """
 
-    def normal(streams: Streams) -> tuple[Vector, Streams]:
-        radius, streams = draw(streams)
-        angle, streams = draw(streams)
-        return casadi.sqrt(-2.0 * casadi.log(radius)) * casadi.cos(2.0 * pi * angle), streams
+    def normal(states: Vector) -> tuple[Vector, Vector]:
+        radius, states = draw(states)
+        angle, states = draw(states)
+        return casadi.sqrt(-2.0 * casadi.log(radius)) * casadi.cos(2.0 * pi * angle), states
 
     scales = parameters(channels, "standard_deviation", standard_deviation, "the standard deviation", minimum=0.0)
     return _noise("Gaussian noise", normal, channels, scales, seed, **options)
@@ -277,9 +277,9 @@ def uniform_noise(
     The half width, zero or positive, is the parameter ``<channel>.half_width``.
     """
 
-    def symmetric(streams: Streams) -> tuple[Vector, Streams]:
-        value, streams = draw(streams)
-        return 2.0 * value - 1.0, streams
+    def symmetric(states: Vector) -> tuple[Vector, Vector]:
+        value, states = draw(states)
+        return 2.0 * value - 1.0, states
 
     scales = parameters(channels, "half_width", half_width, "the half width", minimum=0.0)
     return _noise("Uniform noise", symmetric, channels, scales, seed, **options)
@@ -287,7 +287,7 @@ def uniform_noise(
 
 def _noise(
     description: str,
-    draws: Callable[[Streams], tuple[Vector, Streams]],
+    draws: Callable[[Vector], tuple[Vector, Vector]],
     channels: Sequence[Channel],
     scales: Sequence[Variable],
     seed: int,
@@ -300,8 +300,8 @@ def _noise(
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         scale, chosen = split(p, n, 1)
         # next random number of each channel's stream
-        values, following = draws(Streams.of(recall(x, seeded(names, chosen).states)))
-        return u + scale * values, remember(following.states)
+        values, following = draws(recall(x, seeded(names, chosen)))
+        return u + scale * values, remember(following)
 
     numbers = [*scales, seed_parameter(seed, name)]
     return channel_block("noise", description, law, channels, numbers, memory=2 * n, **options)
@@ -341,11 +341,11 @@ def jitter(
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # memory: the last sample (n,) and the random stream
         late, chosen, initial = p[0] / h, p[1], p[2:]
-        start = casadi.vertcat(start_values(channels, initial, u), seeded([name], chosen).states)
+        start = casadi.vertcat(start_values(channels, initial, u), seeded([name], chosen))
         last, states = split(recall(x, start), n, 2)
-        value, streams = draw(Streams.of(states))
+        value, states = draw(states)
         # linear interpolation at a random time before the sample instant
-        return u - late * value * (u - last), remember(u, streams.states)
+        return u - late * value * (u - last), remember(u, states)
 
     numbers = [largest, seed_parameter(seed, name), *initial_parameters(channels)]
     delays = {each.name: time / 2.0 for each in channels} if time else {}

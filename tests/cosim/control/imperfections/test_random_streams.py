@@ -16,7 +16,6 @@ from flexfmu.cosim.control.imperfections.random_streams import (
     LARGEST_SEED,
     MODULI,
     MULTIPLIERS,
-    Streams,
     draw,
     seeded,
     start_states,
@@ -45,16 +44,16 @@ def published(s1: int, s2: int, count: int) -> list[float]:
 def states(name: str, seed: int) -> tuple[int, int]:
     """The stream of a name and a seed, as CasADi calculates it."""
     symbol = casadi.SX.sym("seed")
-    values = np.array(casadi.Function("seeded", [symbol], [seeded([name], symbol).states])(seed)).ravel()
+    values = np.array(casadi.Function("seeded", [symbol], [seeded([name], symbol)])(seed)).ravel()
     return int(values[0]), int(values[1])
 
 
 def numbers(names: list[str], seed: int, count: int) -> np.ndarray:
     """Random numbers (count, names)."""
     x, n = casadi.SX.sym("x", 2 * len(names)), len(names)
-    values, following = draw(Streams.of(x))
-    step = casadi.Function("draw", [x, casadi.SX.sym("none", 0)], [following.states, values])
-    start = casadi.Function("seeded", [], [seeded(names, casadi.SX(seed)).states])()["o0"]
+    values, following = draw(x)
+    step = casadi.Function("draw", [x, casadi.SX.sym("none", 0)], [following, values])
+    start = casadi.Function("seeded", [], [seeded(names, casadi.SX(seed))])()["o0"]
     return np.array(step.mapaccum(count)(start, casadi.DM(0, count))[1]).T.reshape(count, n)
 
 
@@ -86,7 +85,7 @@ def test_states_are_those_that_others_have_published() -> None:
     """The second generator from its largest state on, as the On-Line Encyclopedia of Integer Sequences lists it, A096561."""
     listed = (2147483398, 2147442707, 491644535, 44073136, 275411947, 1494571342, 367188984, 1612130085, 1622029567)
     x = casadi.SX.sym("x", 2)
-    step = casadi.Function("draw", [x], [draw(Streams.of(x))[1].states])
+    step = casadi.Function("draw", [x], [draw(x)[1]])
     state = casadi.DM([1, listed[0]])
     for expected in listed[1:]:
         state = step(state)
@@ -96,8 +95,8 @@ def test_states_are_those_that_others_have_published() -> None:
 def test_extreme_states() -> None:
     """The largest and smallest states keep products exact and numbers inside (0, 1)."""
     x = casadi.SX.sym("x", 2)
-    value, following = draw(Streams.of(x))
-    step = casadi.Function("draw", [x], [value, following.states])
+    value, following = draw(x)
+    step = casadi.Function("draw", [x], [value, following])
     for s1 in (1, 2, MODULI[0] - 1):
         for s2 in (1, 2, MODULI[1] - 1):
             u, after = step([s1, s2])
@@ -111,7 +110,7 @@ def test_equal_states_give_the_largest_number() -> None:
     """Where both generators meet, their difference is zero: it becomes the largest number, not zero, whose logarithm is infinite."""
     before = [pow(a, -1, m) * 1234567 % m for a, m in zip(MULTIPLIERS, MODULI, strict=True)]
     x = casadi.SX.sym("x", 2)
-    u = casadi.Function("draw", [x], [draw(Streams.of(x))[0]])(before)
+    u = casadi.Function("draw", [x], [draw(x)[0]])(before)
     assert float(u) == (MODULI[0] - 1) / MODULI[0]
 
 
