@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -21,7 +20,7 @@ from rich.text import Text
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.page import render
 from flexfmu.cosim.reports.terminal import titled_table
-from flexfmu.cosim.reports.text import markdown_table
+from flexfmu.cosim.reports.text import markdown_table, to_json
 from flexfmu.cosim.studies.paper.comparison import (
     Agreement,
     Cell,
@@ -313,7 +312,7 @@ class PaperReport:
 
     def to_json(self) -> str:
         """The whole report as JSON; figures in the unit of their quantity."""
-        return json.dumps(self.to_dict(), ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+        return to_json(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """The whole report as plain data."""

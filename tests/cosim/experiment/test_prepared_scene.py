@@ -97,6 +97,12 @@ def test_what_depends_on_the_motion_is_not_used_again() -> None:
     assert not PreparedScene(scene).replan(scene.replace({"trajectory.duration": 0.3}))
 
 
+def test_an_unknown_option_is_told_the_nearest() -> None:
+    """Before anything is planned or built."""
+    with pytest.raises(TypeError, match="no option 'tolerence'; did you mean 'tolerance'"):
+        flexfmu.run(SCENE, tolerence=1e-6)  # type: ignore[call-arg]
+
+
 def test_the_memory_of_a_result_serves_the_next_run() -> None:
     """Where a result is dropped, nothing else holds its memory, from the first run on."""
     prepared = PreparedScene(SCENE, communication_step=1e-3)
