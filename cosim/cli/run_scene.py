@@ -139,7 +139,6 @@ def _about_the_loop(run: Run) -> dict[str, str | None]:
     """What there is to say of the stability of a scene's loop, and of its encoders."""
     if not run.scene.controller:
         return {"stability": None, "coarse_counts": None}
-    from flexfmu.cosim.design.margins.resolution import coarse_counts_of
-    from flexfmu.cosim.design.margins.warning import stability_warning
+    from flexfmu.cosim.design.margins.loop_warnings import coarse_counts_of, stability_warning
 
     return {"stability": stability_warning(run), "coarse_counts": coarse_counts_of(run)}

@@ -93,7 +93,7 @@ def run(
     found = run_scene(resolved(robot) if loop is None else loop.motion.scene, loop=loop, **options)
     if not found.scene.imperfection:
         return found
-    from flexfmu.cosim.design.margins.resolution import coarse_counts_of  # which few runs need
+    from flexfmu.cosim.design.margins.loop_warnings import coarse_counts_of  # which few runs need
 
     coarse = coarse_counts_of(found)
     health = found.health if coarse is None else replace(found.health, messages=(*found.health.messages, coarse))

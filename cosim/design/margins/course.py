@@ -51,8 +51,8 @@ class Place:
     payload: float
 
 
-class Course:
-    """The places that a loop passes.
+class PathLoop:
+    """A loop along the path of its motion.
 
     Args:
         wired: the loop.

@@ -12,17 +12,18 @@ from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.design.margins.linear_loop import Perturbation
 from flexfmu.cosim.design.margins.margins import ALL, LoopMargins, PoseMargins
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.errors import ResultsError, extra
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 
-HEADS = ("gain", "less", "phase °", "delay ms", "disk", "peak S", "bandwidth Hz", "crossover Hz")
+HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
+"""Of the columns, short enough for 80 characters with all others."""
 
 SHOWN_POLES = 4
 """Poles that the table's last line names: the slowest."""
@@ -30,14 +31,18 @@ SHOWN_POLES = 4
 
 def margins_table(result: MarginsResult) -> list[RenderableType]:
     """The margins of each pose and each cut, the worst ones, and what they say."""
-    table = titled_table(f"Margins of {result.scene.name}", "s", "cut", numbers=HEADS, keys=2)
-    for pose in result.poses:
-        for row in pose.loops:
-            unstable = "" if pose.is_stable else ", unstable"
-            table.add_row(_where(result, pose), row.channel.removesuffix(".torque") + unstable, *_texts(row))
-    table.add_row("", "worst", *_texts(result.worst))
+    tables, payloads = list[Table](), list(dict.fromkeys(each.payload for each in result.poses))
+    for payload in payloads:
+        several = f", {payload:.4g} kg" if len(payloads) > 1 else ""
+        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "s", "cut", numbers=HEADS, keys=2))
+        for pose in (each for each in result.poses if each.payload == payload):
+            for row in pose.loops:
+                # of an unstable loop the crossover alone means something
+                texts = _texts(row) if pose.is_stable else [*"-" * 7, _texts(row)[-1]]
+                tables[-1].add_row(f"{pose.s:.2f}", row.channel.removesuffix(".torque"), *texts)
+    tables[-1].add_row("", "worst", *_texts(result.worst))
     warning = [Text(f"warning: {result.coarse_counts}", style="yellow")] if result.coarse_counts else []
-    return [table, Text(_verdict(result)), Text(_slowest(result)), *warning]
+    return [*tables, Text(_verdict(result)), Text(_slowest(result)), *warning]
 
 
 def _where(result: MarginsResult, pose: PoseMargins) -> str:
@@ -179,12 +184,9 @@ def _root_locus(result: MarginsResult) -> None:
     draw_grid: Any = _control().grid.zgrid
     draw_grid()
     for pose, loop in zip(result.poses, result.linear, strict=True):
-        count = len(loop.channels)
-        values = [
-            np.linalg.eigvals(loop.closed(Perturbation((factor,) * count, (0.0,) * count))) for factor in GAINS.tolist()
-        ]
+        factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
+        now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
         points = np.concatenate(values)
-        now = np.linalg.eigvals(loop.closed(Perturbation((1.0,) * count, (0.0,) * count)))
         (line,) = plt.plot(points.real, points.imag, ".", markersize=1.5, label=f"s = {pose.s:.2f}")
         plt.plot(now.real, now.imag, "x", color=line.get_color())
     plt.gca().set_aspect("equal", adjustable="box")
@@ -195,8 +197,6 @@ def _root_locus(result: MarginsResult) -> None:
 
 
 def _control() -> Any:
-    try:
+    with extra("control"):
         import control
-    except ImportError:
-        raise InputError('pictures of margins need python-control: pip install "flexfmu[control]"') from None
     return control

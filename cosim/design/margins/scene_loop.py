@@ -36,7 +36,7 @@ MODEL_BASED = ("computed-torque", "disturbance-observer")
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class RobotVariables:
     """Stands for the robot's FMU where only its variables matter."""
 
     name: str
@@ -64,8 +64,12 @@ class WiredLoop:
         loop: its planned motion, controllers, shapers and imperfections.
         robot: the robot's FMU, if there is one; otherwise its variables are those of its model.
 
+    Attributes:
+        system: the system.
+        sampled: indices of the sampled slaves.
+
     Raises:
-        InputError: no controller feeds the robot, or slaves can't be connected.
+        InputError: no controller feeds the robot, or slaves can't be connected or linearised.
     """
 
     def __init__(self, scene: Scene, loop: Loop, robot: Slave | None = None) -> None:
@@ -86,23 +90,27 @@ class WiredLoop:
         self._models = tuple(each.name or each.kind.replace("-", "_") for each in sections)
         if any(isinstance(each, AlgebraicLoop) for each in self.system.exchange_order):
             raise InputError(f"scene {scene.name} has an algebraic loop, which can't be linearised")
+        self.sampled = [i for i, slave in enumerate(self.system.slaves) if isinstance(slave, Sampled)]
+        self._lags = [(i, slave) for i, slave in enumerate(self.system.slaves) if isinstance(slave, Lag)]
+        for i, slave in enumerate(self.system.slaves):
+            if i > 1 and i not in self.sampled and not isinstance(slave, Lag):
+                raise InputError(f"{slave.name} can't be linearised: it is neither sampled nor a lag")
+        self._feeding: dict[tuple[int, str], Connection] = {
+            (each.target, self.system.slaves[each.target].variables[each.input].name): each
+            for each in self.system.connections
+        }
+        # signals: outputs of the robot that something takes, then of lags; outputs of sampled slaves
+        taken = {each.output for each in self.system.connections if self.system.slaves[each.source].name == PLANT}
+        self._measured = [robot.variables[i].name for i in sorted(taken)]
+        lagged = [(i, name) for i, lag in self._lags for name in _names(lag, "output")]
+        self._signals = {source: k for k, source in enumerate([*((1, name) for name in self._measured), *lagged])}
+        held = [(i, name) for i in self.sampled for name in _names(self.system.slaves[i], "output")]
+        self._outputs = {source: k for k, source in enumerate(held)}
 
     @property
     def payload(self) -> float:
         """The robot's own payload [kg]."""
         return self._scene.payload.mass
-
-    @property
-    def sampled(self) -> list[int]:
-        """Indices of the sampled slaves."""
-        return [i for i, slave in enumerate(self.system.slaves) if isinstance(slave, Sampled)]
-
-    @property
-    def measured(self) -> list[str]:
-        """Outputs of the robot that something takes."""
-        slaves = self.system.slaves
-        taken = {each.output for each in self.system.connections if slaves[each.source].name == PLANT}
-        return [slaves[1].variables[i].name for i in sorted(taken)]
 
     def at(
         self,
@@ -124,9 +132,16 @@ class WiredLoop:
             ValueError, EquilibriumError: see `linear_plant`.
         """
         scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
-        plant = kept_plant(scene, position, self.measured)
-        moving = self._moving(plant, velocity)
-        return _Linearised(self.system, plant, self.sampled, identify, moving, self._models).loop()
+        plant = kept_plant(scene, position, self._measured)
+        channels = self._channels(plant)
+        if not channels:
+            raise InputError("no torque of the robot comes from a sampled controller: there is no loop with margins")
+        blocks = self._blocks(plant, identify, self._moving(plant, velocity))
+        order = [i for i in self.system.exchange_steps if i in self.sampled]
+        calls = tuple(self.sampled.index(i) for i in order)
+        continuous = self._continuous(plant, list(channels.values()))
+        loop = LinearLoop(continuous, tuple(blocks), calls, self._inputs(), tuple(channels.values()))
+        return loop, tuple(channels)
 
     def _moving(self, plant: LinearPlant, velocity: RealArray | None) -> dict[str, float]:
         """Signals that a velocity of the joints changes, and their values; empty for standstill."""
@@ -139,89 +154,9 @@ class WiredLoop:
             found |= {f"{joint}.{kind}velocity": value for kind in ("", "reference.", "command.")}
         return found
 
-
-def _robot(scene: Scene) -> Robot:
-    """The robot's variables."""
-    plant = torque_driven_plant(scene)
-    variables = [SlaveVariable(each.name, each.causality, each.unit) for each in (*plant.inputs, *plant.outputs)]
-    return Robot(PLANT, tuple(variables), plant.feedthrough)
-
-
-def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
-    """The linear robot, which the cache keeps: gains change more often than robots; see `linear_plant`."""
-    robot = scene.model_dump_json(include={"mechanism", "payload", "effects"})
-    key = content_hash(text.encode() for text in (package_fingerprint(), robot, repr(position), *outputs))
-    file = f"plants/{key}.json"
-    if (known := cached(file)) is not None:
-        data = json.loads(known.read_text(encoding="utf-8"))
-        rest = (np.array(data["rest"][0]), np.array(data["rest"][1]))
-        a, b, c, d = (np.array(each) for each in data["matrices"])
-        return LinearPlant(a, b, c, d, tuple(data["inputs"]), tuple(outputs), rest)
-    # the robot alone, so that loops around it share its equations
-    alone = {"controller": (), "imperfection": (), "filter": (), "shaper": (), "disturbance": ()}
-    plant = linear_plant(scene.model_copy(update=alone), position, outputs)
-    matrices = [each.tolist() for each in (plant.a, plant.b, plant.c, plant.d)]
-    at_rest = [each.tolist() for each in plant.rest]
-    store(file, json.dumps({"matrices": matrices, "inputs": plant.inputs, "rest": at_rest}).encode())
-    return plant
-
-
-class _Linearised:
-    """Puts the linear loop together.
-
-    Args:
-        system: the system.
-        plant: the robot's matrices.
-        sampled: indices of the sampled slaves.
-        identify: as for `at`.
-        moving: signals with the values that they have in motion, instead of those at rest.
-        models: beginnings of the names of slaves that contain a model of the robot.
-    """
-
-    def __init__(
-        self,
-        system: System,
-        plant: LinearPlant,
-        sampled: list[int],
-        identify: bool,
-        moving: Mapping[str, float],
-        models: tuple[str, ...],
-    ) -> None:
-        self._system, self._plant, self._sampled, self._identify = system, plant, sampled, identify
-        self._moving, self._models = moving, models
-        self._feeding: dict[tuple[int, str], Connection] = {
-            (each.target, system.slaves[each.target].variables[each.input].name): each for each in system.connections
-        }
-        self._lags = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Lag)]
-        for i, slave in enumerate(system.slaves):
-            if i > 1 and i not in sampled and not isinstance(slave, Lag):
-                raise InputError(f"{slave.name} can't be linearised: it is neither sampled nor a lag")
-        # signals: outputs of the robot, then of lags; outputs of sampled slaves
-        self._signals = {(1, name): k for k, name in enumerate(plant.outputs)}
-        for i, lag in self._lags:
-            for name in _names(lag, "output"):
-                self._signals[i, name] = len(self._signals)
-        self._outputs: dict[tuple[int, str], int] = {}
-        for i in sampled:
-            for name in _names(system.slaves[i], "output"):
-                self._outputs[i, name] = len(self._outputs)
-
-    def loop(self) -> tuple[LinearLoop, tuple[str, ...]]:
-        """The loop, and the names of the robot's inputs that its channels feed."""
-        channels = self._channels()
-        if not channels:
-            raise InputError("no torque of the robot comes from a sampled controller: there is no loop with margins")
-        blocks = self._blocks()
-        order = [i for i in self._system.exchange_steps if i in self._sampled]
-        calls = tuple(self._sampled.index(i) for i in order)
-        loop = LinearLoop(
-            self._continuous(list(channels.values())), tuple(blocks), calls, self._inputs(), tuple(channels.values())
-        )
-        return loop, tuple(channels)
-
-    def _blocks(self) -> list[LinearBlock]:
+    def _blocks(self, plant: LinearPlant, identify: bool, moving: Mapping[str, float]) -> list[LinearBlock]:
         """The sampled slaves, linearised at the values that their inputs have at rest."""
-        values = dict(zip(((1, name) for name in self._plant.outputs), self._plant.rest[1].tolist(), strict=True))
+        values = dict(zip(((1, name) for name in plant.outputs), plant.rest[1].tolist(), strict=True))
         positions = {f"{joint}.reference.position": f"{joint}.position" for joint in ("joint1", "joint2")}
         for reference, measured in positions.items():
             if (1, measured) in values:
@@ -229,38 +164,40 @@ class _Linearised:
         found: dict[int, LinearBlock] = {}
         seen: dict[int, RealArray] = {}
         # twice, as torques may come from slaves further on
-        for i in (*self._system.exchange_steps, *self._system.exchange_steps):
-            slave = self._system.slaves[i]
+        for i in (*self.system.exchange_steps, *self.system.exchange_steps):
+            slave = self.system.slaves[i]
             names = _names(slave, "input")
             at_rest = np.array([self._value(values, i, name) for name in names])
-            if i in self._sampled:
+            if i in self.sampled:
                 if i not in found or not np.array_equal(at_rest, seen[i]):
-                    found[i], outputs = _linearised(slave, at_rest, self._identify)
+                    found[i], outputs = _linearised(slave, at_rest, identify)
                     values |= dict(zip(((i, name) for name in _names(slave, "output")), outputs.tolist(), strict=True))
                 seen[i] = at_rest
             elif isinstance(slave, Lag):
                 values |= dict(zip(((i, name) for name in _names(slave, "output")), at_rest.tolist(), strict=True))
-        if self._moving:
-            found |= {i: self._in_motion(i, found[i], seen[i]) for i in self._sampled}
-        return [found[i].within(*self._in_the_loop(i)) for i in self._sampled]
+        if moving:
+            found |= {i: self._in_motion(i, found[i], seen[i], moving, identify) for i in self.sampled}
+        return [found[i].within(*self._in_the_loop(i)) for i in self.sampled]
 
-    def _in_motion(self, i: int, block: LinearBlock, at_rest: RealArray) -> LinearBlock:
+    def _in_motion(
+        self, i: int, block: LinearBlock, at_rest: RealArray, moving: Mapping[str, float], identify: bool
+    ) -> LinearBlock:
         """A block with the gains that it has in motion.
 
         Models of the robot keep their terms at rest, since their derivatives by velocities belong to terms that the robot has in
         motion. So do blocks of which an output no longer answers: a limit that is reached, as references and measurements alone
         don't make a state of the motion.
         """
-        slave = self._system.slaves[i]
+        slave = self.system.slaves[i]
         inputs = at_rest.copy()
         for k, name in enumerate(_names(slave, "input")):
             feeding = self._feeding.get((i, name))
             source = name if feeding is None else self._source(feeding)[1]
-            inputs[k] = self._moving.get(name, self._moving.get(source, at_rest[k]))
+            inputs[k] = moving.get(name, moving.get(source, at_rest[k]))
         if np.array_equal(inputs, at_rest) or slave.name.startswith(self._models):
             return block
         try:
-            found, _ = _linearised(slave, inputs, self._identify)
+            found, _ = _linearised(slave, inputs, identify)
         except InputError:
             return block
         answers = [np.hstack([each.c, each.d]).any(axis=1) for each in (block, found)]
@@ -268,7 +205,7 @@ class _Linearised:
 
     def _in_the_loop(self, i: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which inputs of a slave come from the loop, and which outputs lead on in it: references and monitors aren't in it."""
-        slave, connections = self._system.slaves[i], self._system.connections
+        slave, connections = self.system.slaves[i], self.system.connections
         incoming = [
             (feeding := self._feeding.get((i, name))) is not None and feeding.source in self._looped
             for name in _names(slave, "input")
@@ -284,24 +221,24 @@ class _Linearised:
     @cached_property
     def _looped(self) -> set[int]:
         """Slaves that the robot reaches and that reach it."""
-        pairs = {(each.source, each.target) for each in self._system.connections}
+        pairs = {(each.source, each.target) for each in self.system.connections}
         return _reachable(pairs) & _reachable({(target, source) for source, target in pairs})
 
     def _value(self, values: Mapping[tuple[int, str], float], slave: int, name: str) -> float:
         """The value of an input at rest."""
         feeding = self._feeding.get((slave, name))
         if feeding is None:
-            return next(each.start or 0.0 for each in self._system.slaves[slave].variables if each.name == name)
+            return next(each.start or 0.0 for each in self.system.slaves[slave].variables if each.name == name)
         return values.get(self._source(feeding), 0.0)
 
     def _source(self, connection: Connection) -> tuple[int, str]:
-        return connection.source, self._system.slaves[connection.source].variables[connection.output].name
+        return connection.source, self.system.slaves[connection.source].variables[connection.output].name
 
     def _inputs(self) -> tuple[RealArray, ...]:
         """For each sampled slave its inputs from [signals, outputs]; references don't move."""
         found = []
-        for i in self._sampled:
-            names = _names(self._system.slaves[i], "input")
+        for i in self.sampled:
+            names = _names(self.system.slaves[i], "input")
             matrix = np.zeros((len(names), len(self._signals) + len(self._outputs)))
             for row, name in enumerate(names):
                 feeding = self._feeding.get((i, name))
@@ -313,22 +250,22 @@ class _Linearised:
             found.append(matrix)
         return tuple(found)
 
-    def _channels(self) -> dict[str, int]:
+    def _channels(self, plant: LinearPlant) -> dict[str, int]:
         """Input of the robot → index of the sampled output that feeds it, through lags if there are some."""
         found = {}
-        for name in self._plant.inputs:
+        for name in plant.inputs:
             feeding = self._feeding.get((1, name))
-            while feeding is not None and isinstance(self._system.slaves[feeding.source], Lag):
+            while feeding is not None and isinstance(self.system.slaves[feeding.source], Lag):
                 slave, output = self._source(feeding)
-                lag = self._system.slaves[slave]
+                lag = self.system.slaves[slave]
                 feeding = self._feeding.get((slave, _names(lag, "input")[_names(lag, "output").index(output)]))
             if feeding is not None and (source := self._source(feeding)) in self._outputs:
                 found[name] = self._outputs[source]
         return found
 
-    def _continuous(self, channels: list[int]) -> Continuous:
+    def _continuous(self, plant: LinearPlant, channels: list[int]) -> Continuous:
         """Robot and lags: states [x, outputs of lags]."""
-        plant, n = self._plant, len(self._plant.a)
+        n = len(plant.a)
         lags = [(i, lag, k) for i, lag in self._lags for k in range(len(_names(lag, "output")))]
         size, outputs, signals = n + len(lags), len(self._outputs), len(self._signals)
         a, held, by_channel = np.zeros((size, size)), np.zeros((size, outputs)), np.zeros((size, len(channels)))
@@ -366,6 +303,32 @@ class _Linearised:
             if (feeding := self._feeding.get((i, _names(lag, "input")[k]))) is not None:
                 feed(self._source(feeding), np.array([rate]), np.zeros(0), slice(row, row + 1), slice(0, 0))
         return Continuous(a, c, (held, c_held), (by_channel, c_channel))
+
+
+def _robot(scene: Scene) -> RobotVariables:
+    """The robot's variables."""
+    plant = torque_driven_plant(scene)
+    variables = [SlaveVariable(each.name, each.causality, each.unit) for each in (*plant.inputs, *plant.outputs)]
+    return RobotVariables(PLANT, tuple(variables), plant.feedthrough)
+
+
+def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
+    """The linear robot, which the cache keeps: gains change more often than robots; see `linear_plant`."""
+    robot = scene.model_dump_json(include={"mechanism", "payload", "effects"})
+    key = content_hash(text.encode() for text in (package_fingerprint(), robot, repr(position), *outputs))
+    file = f"plants/{key}.json"
+    if (known := cached(file)) is not None:
+        data = json.loads(known.read_text(encoding="utf-8"))
+        rest = (np.array(data["rest"][0]), np.array(data["rest"][1]))
+        a, b, c, d = (np.array(each) for each in data["matrices"])
+        return LinearPlant(a, b, c, d, tuple(data["inputs"]), tuple(outputs), rest)
+    # the robot alone, so that loops around it share its equations
+    alone = {"controller": (), "imperfection": (), "filter": (), "shaper": (), "disturbance": ()}
+    plant = linear_plant(scene.model_copy(update=alone), position, outputs)
+    matrices = [each.tolist() for each in (plant.a, plant.b, plant.c, plant.d)]
+    at_rest = [each.tolist() for each in plant.rest]
+    store(file, json.dumps({"matrices": matrices, "inputs": plant.inputs, "rest": at_rest}).encode())
+    return plant
 
 
 def _linearised(slave: Slave, inputs: RealArray, identify: bool) -> tuple[LinearBlock, RealArray]:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.effects.choice import resolved
-from flexfmu.cosim.design.margins.course import Course, Place, least_places, worst_places
+from flexfmu.cosim.design.margins.course import PathLoop, Place, least_places, worst_places
 from flexfmu.cosim.design.margins.linear_loop import LinearLoop
+from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
 from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_margins
-from flexfmu.cosim.design.margins.resolution import coarse_counts
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -112,13 +112,13 @@ def scene_margins(
     scene = resolved(scene)
     loop = loop_of(scene, about_rest=True)
     wired = WiredLoop(scene, loop)
-    course = Course(wired, loop.motion)
+    path = PathLoop(wired, loop.motion)
 
     def margins_at(place: Place) -> tuple[PoseMargins, LinearLoop]:
         s, payload = place.s, place.payload
         found = [
-            (pose_margins(linear, names, s, course.position(s), course.joints(s), payload), linear)
-            for linear, names in course.loops(place)
+            (pose_margins(linear, names, s, path.position(s), path.joints(s), payload), linear)
+            for linear, names in path.loops(place)
         ]
         # where the motion passes twice, the worse of both
         return min(found, key=lambda each: min(each[0].measures))
@@ -127,13 +127,13 @@ def scene_margins(
         return each[0].measures
 
     given = np.linspace(0.0, 1.0, poses).tolist() if poses > 1 else [1.0]
-    searched = [*given, *course.breakpoints(scene)] if poses > 1 else given
-    found = worst_places(margins_at, measures, searched, (course.payload, *payloads), progress)
+    searched = [*given, *path.breakpoints(scene)] if poses > 1 else given
+    found = worst_places(margins_at, measures, searched, (path.payload, *payloads), progress)
     # the poses that were asked for, and the worst ones: with the robot's own payload, and with any
-    own = {place: each for place, each in found.items() if place.payload == course.payload}
+    own = {place: each for place, each in found.items() if place.payload == path.payload}
     worst = [*least_places(own, measures), *least_places(found, measures)]
-    chosen = [place for place in found if place in worst or (place.s in given and place.payload == course.payload)]
-    chosen.sort(key=lambda place: (place.payload != course.payload, place.payload, place.s))
+    chosen = [place for place in found if place in worst or (place.s in given and place.payload == path.payload)]
+    chosen.sort(key=lambda place: (place.payload != path.payload, place.payload, place.s))
     results = [found[each] for each in chosen]
     counts = coarse_counts(scene, loop, wired)
     return MarginsResult(scene, tuple(pose for pose, _ in results), tuple(linear for _, linear in results), counts)

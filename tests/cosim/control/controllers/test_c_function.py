@@ -16,7 +16,7 @@ from fmpy import simulate_fmu
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
-from flexfmu.cosim.design.margins.warning import stability_warning
+from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.engine.binding import Evaluation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.isolation import isolation

@@ -19,8 +19,8 @@ from flexfmu.cosim.control.imperfections.delay import whole_delay
 from flexfmu.cosim.control.imperfections.signal_blocks import quantisation
 from flexfmu.cosim.design.margins.identified import identified_block
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
+from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
-from flexfmu.cosim.design.margins.warning import stability_warning
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene.file import load_scene

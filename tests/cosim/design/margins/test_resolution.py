@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import flexfmu
-from flexfmu.cosim.design.margins.resolution import _steps, coarse_counts, torque_of_step
+from flexfmu.cosim.design.margins.loop_warnings import _steps, coarse_counts, torque_of_step
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of

@@ -17,12 +17,12 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.blocks.equations import block
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
-from flexfmu.cosim.design.margins.course import Course, Place
+from flexfmu.cosim.design.margins.course import PathLoop, Place
 from flexfmu.cosim.design.margins.linear_blocks import linear_block
+from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.design.margins.margins import growth
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
-from flexfmu.cosim.design.margins.warning import stability_warning
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
@@ -249,7 +249,7 @@ def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
     assert not found.is_stable
     assert found.worst.gain_margin == 1.0
     loop = loop_of(scene, about_rest=True)
-    course = Course(WiredLoop(scene, loop), loop.motion)
+    course = PathLoop(WiredLoop(scene, loop), loop.motion)
     swept = [growth(next(course.loops(Place(s, course.payload)))[0]).real for s in np.linspace(0.0, 1.0, 41)]
     worst = max(found.poses, key=lambda pose: pose.radius)
     assert worst.poles[0].real == pytest.approx(max(swept), rel=0.02, abs=0.01)

@@ -1,4 +1,4 @@
-"""The torque of one count: what an encoder's or converter's smallest step does to a robot at rest.
+"""What a run's loop warns of: instability along its path, and encoders that are too coarse for the gains.
 
 At rest a coarse encoder switches between two counts. Each switch is a step of the measured position, and for one difference a step
 of the velocity, by the resolution over the window. The open loop's answer to it is a torque: of PD control kp q + kd q / (w h).
@@ -11,14 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import ceil, inf, pi
+from math import ceil, inf, log, pi
 from operator import mul
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.design.margins.course import PathLoop, Place, worst_places
 from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
+from flexfmu.cosim.design.margins.margins import critical_gain, gain_limits, gain_measures, growth, is_stable
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
@@ -28,10 +30,20 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.system import PLANT
 from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
+
+NEAR = 1.1
+"""Factor of the torques, up or down, within which a loop must be stable to be far enough from instability."""
+
+NOTICEABLE = 0.03
+"""Relative difference from which a measure is noticeably worse."""
+
+FARTHEST, STEPS = 20.0, 25
+"""Largest change of an unstable loop's torques that is tried, and number of changes."""
 
 SHARE = 0.05
 """Share of the torque limit from which the torque of one count is worth a warning."""
@@ -50,6 +62,78 @@ TORQUES = ("joint1.torque", "joint2.torque")
 Step = tuple[int, int, float, str]
 """Index of a sampled block, of its input, the smallest step of that, and what it is."""
 
+NOT_LINEAR = (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueError)
+"""Errors of loops that can't be linearised."""
+
+
+@one_blas_thread()
+def stability_warning(run: Run) -> str | None:
+    """What there is to say of a run's loop about standstill along its path; None for a loop that is far from instability everywhere,
+    for none, and for one that can't be linearised."""
+    scene = run.scene
+    if scene.cosimulation.drive != "torque" or not scene.controller:
+        return None
+    try:
+        _, wired = _wired(run)
+        path = PathLoop(wired, run.plan, identify=False)
+        found = worst_places(
+            lambda place: _worse(path, place), lambda each: each[1], path.breakpoints(scene), (path.payload,)
+        )
+    except NOT_LINEAR:
+        return None
+    # the end, where the robot stays, unless another place is noticeably worse
+    end, worst = Place(1.0, path.payload), min(found, key=lambda place: min(found[place][1]))
+    least, there = (min(found[place][1]) for place in (worst, end))
+    if there - least <= NOTICEABLE * abs(least) and (there < 0.0) == (least < 0.0):
+        worst = end
+    where = f"about the pose at {100.0 * worst.s:.3g} % of the path" if worst.s < 1.0 else "about the end of the motion"
+    return _sentence(found[worst][0], where)
+
+
+def _wired(run: Run) -> tuple[Loop, WiredLoop]:
+    """The loop of a run about rest, around its FMU."""
+    loop = loop_of(run.scene, run.plan, about_rest=True)
+    return loop, WiredLoop(run.scene, loop, FmuSlave(run.fmu_path, PLANT, {}, None))
+
+
+def _worse(path: PathLoop, place: Place) -> tuple[LinearLoop, tuple[float, ...]]:
+    """The loop at a place, the worse one of the ways there and back, and its measures."""
+
+    def measures(loop: LinearLoop) -> tuple[float, ...]:
+        if (rate := growth(loop).real) >= 0.0:
+            return (-rate * float(loop.period),) * 2
+        return gain_measures(*gain_limits(loop, FARTHEST))
+
+    found = [(loop, measures(loop)) for loop, _ in path.loops(place)]
+    return min(found, key=lambda each: min(each[1]))
+
+
+def _sentence(loop: LinearLoop, where: str) -> str | None:
+    if not is_stable(loop):
+        return f"the loop is unstable {where}: {_grows(loop)}{_stable_with(loop)}; see `flexfmu margins`"
+    for factor, way in ((NEAR, "larger"), (1.0 / NEAR, "smaller")):
+        if not is_stable(loop, factor):
+            percent = 100.0 * abs(critical_gain(loop, factor) - 1.0)
+            return f"the loop is close to instability {where}: with torques {percent:.2g} % {way} it is unstable; see `flexfmu margins`"
+    return None
+
+
+def _grows(loop: LinearLoop) -> str:
+    """How fast small motions grow."""
+    pole = growth(loop)
+    at = f" at {abs(pole.imag) / (2.0 * pi):.3g} Hz" if abs(pole.imag) > 1e-9 * abs(pole) else ""
+    return f"small motions grow tenfold in {1e3 * log(10.0) / pole.real:.3g} ms{at}"
+
+
+def _stable_with(loop: LinearLoop) -> str:
+    """Torques with which it is stable, the nearest ones up to a factor of 20."""
+    for factor in np.geomspace(1.0, FARTHEST, STEPS)[1:].tolist():
+        for tried, way in ((1.0 / factor, "smaller"), (factor, "larger")):
+            if is_stable(loop, tried):
+                percent = 100.0 * abs(critical_gain(loop, tried) - 1.0)
+                return f", with torques {percent:.3g} % {way} it is stable"
+    return ""
+
 
 def coarse_counts_of(run: Run) -> str | None:
     """What there is to say of the resolution of a run's loop, see `coarse_counts`; None also for a loop that can't be linearised."""
@@ -57,9 +141,8 @@ def coarse_counts_of(run: Run) -> str | None:
     if scene.cosimulation.drive != "torque" or not any(each.kind in KINDS for each in scene.imperfection):
         return None
     try:
-        loop = loop_of(scene, run.plan, about_rest=True)
-        return coarse_counts(scene, loop, WiredLoop(scene, loop, FmuSlave(run.fmu_path, PLANT, {}, None)))
-    except (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueError):
+        return coarse_counts(scene, *_wired(run))
+    except NOT_LINEAR:
         return None
 
 
@@ -167,6 +250,6 @@ def _limits(wired: WiredLoop, scene: Scene) -> dict[str, float]:
 def _needed(motion: MotionPlan) -> dict[str, float]:
     """Largest torque of each joint that the rigid robot needs for a motion [N.m]."""
     joints = motion.once.joints
-    course = joints.evaluate(np.linspace(0.0, joints.duration, INSTANTS), 2)
-    torques = np.asarray(inverse_dynamics(motion.scene).map(INSTANTS)(*(each.T for each in course)).full())
+    states = joints.evaluate(np.linspace(0.0, joints.duration, INSTANTS), 2)
+    torques = np.asarray(inverse_dynamics(motion.scene).map(INSTANTS)(*(each.T for each in states)).full())
     return dict(zip(TORQUES, abs(torques).max(axis=1).tolist(), strict=True))
