@@ -23,8 +23,8 @@ from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidat
 from flexfmu.cosim.design.plans.checks import INSTANTS as CHECKED
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
 from flexfmu.cosim.design.plans.quick_runs import JointMotion
-from flexfmu.cosim.design.plans.race import Study
 from flexfmu.cosim.design.plans.scoring import Score
+from flexfmu.cosim.design.plans.sequential_programme import Study
 from flexfmu.cosim.design.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.own_motion import plan_own
@@ -43,7 +43,7 @@ BASELINES = ("ruckig", "toppra")
 """Planners to compare with, names of extras too."""
 
 ORDERS = {"speed": 1, "acceleration": 2, "torque": 2, "jerk": 3}
-"""Limits that a slower motion keeps → power of the pace with which they grow; torques, with gravity, grow more slowly."""
+"""Limits that a slower motion keeps → power of the time_scale with which they grow; torques, with gravity, grow more slowly."""
 
 UNLIMITED = 1e6
 """In place of a limit that isn't wished [rad, s]."""
@@ -147,7 +147,7 @@ def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str], 
         most: limits of speed, acceleration and jerk [rad, s].
     """
 
-    def pace(duration: float) -> float:
+    def time_scale(duration: float) -> float:
         timed, times = motion.with_duration(duration), np.linspace(0.0, duration, study.robot.steps(duration) + 1)
         run = study.robot.run(JointMotion(times, timed.evaluate(times, 2, "left")))
         # rates as plans are judged
@@ -157,11 +157,11 @@ def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str], 
 
     # a duration that is long enough, and one that isn't
     short = long = motion.duration
-    while (slower := pace(long)) > 1.0:
+    while (slower := time_scale(long)) > 1.0:
         short, long = long, long * slower * (1.0 + SPARE)
     while long - short > PRECISION * long:
         middle = 0.5 * (short + long)
-        short, long = (middle, long) if pace(middle) > 1.0 else (short, middle)
+        short, long = (middle, long) if time_scale(middle) > 1.0 else (short, middle)
     return motion.with_duration(long)
 
 

@@ -1,4 +1,4 @@
-"""What a plan leaves behind: the planned scene, the table of the front, all figures, and the page."""
+"""Files of a plan: the planned scene, the table of the front, all figures, and the page."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ from flexfmu.cosim.design.effects.choice import ShowProgress, quiet
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.baselines import BASELINES, installed
-from flexfmu.cosim.design.plans.called_effects import sturdier
 from flexfmu.cosim.design.plans.checks import check_holding_torque, checked_goals
 from flexfmu.cosim.design.plans.goals import Goals, judged_scene
+from flexfmu.cosim.design.plans.required_effects import most_robust
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.timing import processor_time
@@ -169,7 +169,7 @@ def plan_scene(
         methods: which of `METHODS` and `BASELINES`, the planners to compare with.
         candidates: further motions that are assessed beside those found.
         processes: number of processes of the search.
-        budget: time [s] after which nothing new is begun; None for no limit.
+        budget: time [s] after which nothing new is first_iterate; None for no limit.
         robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
         show: is called with what is being done.
 
@@ -207,7 +207,7 @@ def plan_scene(
     final = Judge(goals, JUDGED)
     chosen = _chosen(found, goals, final)
     if robust and not interrupted:
-        chosen, note = sturdier(chosen, _ranked(found, goals), final)
+        chosen, note = most_robust(chosen, _ranked(found, goals), final)
         failures += [note] if note else []
     lines = list[RobustnessLine]()
     try:

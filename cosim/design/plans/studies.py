@@ -8,10 +8,10 @@ import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import INSTANTS
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
+from flexfmu.cosim.design.plans.motion_families import Space
 from flexfmu.cosim.design.plans.quick_runs import JointMotion, QuickRobot
-from flexfmu.cosim.design.plans.race import Study
-from flexfmu.cosim.design.plans.recipes import Space
 from flexfmu.cosim.design.plans.scoring import Bounds, Score
+from flexfmu.cosim.design.plans.sequential_programme import Study
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_build import build_scene

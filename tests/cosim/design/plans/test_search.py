@@ -17,13 +17,19 @@ import pytest
 
 from flexfmu.cosim.design.plans import search as module
 from flexfmu.cosim.design.plans.assessment import Candidate, Judge
-from flexfmu.cosim.design.plans.descent import best_change
 from flexfmu.cosim.design.plans.designs import Design, ShaperChoice, changed, polynomial, references
 from flexfmu.cosim.design.plans.goals import goals_of
-from flexfmu.cosim.design.plans.race import Member, Study, begun, improved, undominated
-from flexfmu.cosim.design.plans.recipes import LAWS, Recipe
+from flexfmu.cosim.design.plans.motion_families import LAWS, MotionFamily
 from flexfmu.cosim.design.plans.scoring import Figures
 from flexfmu.cosim.design.plans.search import Search, search
+from flexfmu.cosim.design.plans.sequential_programme import (
+    FrontMember,
+    Study,
+    best_change,
+    first_iterate,
+    improved,
+    undominated,
+)
 from flexfmu.cosim.design.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.experiment.prepared_scene import run_scene
@@ -38,7 +44,7 @@ SCENE = load_scene("barnard2012-0.1kg")
 
 TIGHT = {"torque": 1.0, "speed": 1.0}
 
-RECIPE = Recipe("lame", "modified-trapezoid", (("zvd", 0, "joints"),))
+FAMILY = MotionFamily("lame", "modified-trapezoid", (("zvd", 0, "joints"),))
 
 
 @pytest.fixture(scope="module")
@@ -121,27 +127,27 @@ def test_linear_programmes_go_to_the_vertex() -> None:
 
 @pytest.mark.slow
 def test_no_grid_finds_a_better_motion(study: Study) -> None:
-    race = begun(study, RECIPE, study.space.start(RECIPE), {})
-    first = race.cost
-    race = improved(study, race, 8)
-    assert race.best is not None
-    assert race.best.score.feasible
-    assert race.cost < first - 0.1
+    iterate = first_iterate(study, FAMILY, study.space.start(FAMILY), {})
+    first = iterate.cost
+    iterate = improved(study, iterate, 8)
+    assert iterate.best is not None
+    assert iterate.best.score.feasible
+    assert iterate.cost < first - 0.1
     # time and width of the corners, with all other numbers those of the motion found
     costs = []
-    for time in np.linspace(race.point[0] - 0.08, race.point[0] + 0.02, 6):
+    for time in np.linspace(iterate.point[0] - 0.08, iterate.point[0] + 0.02, 6):
         for width in np.linspace(0.05, 0.95, 6):
-            point = np.array([time, *race.point[1:3], width, *race.point[4:]])
-            trial = study.at(RECIPE, point)
+            point = np.array([time, *iterate.point[1:3], width, *iterate.point[4:]])
+            trial = study.at(FAMILY, point)
             costs.append(np.inf if trial is None or not trial.score.feasible else trial.score.objective)
-    assert race.best.score.objective <= min(costs) + 5e-3
+    assert iterate.best.score.objective <= min(costs) + 5e-3
 
 
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search of a few recipes and steps."""
+    """A search of a few families and steps."""
     uses = [(("zvd", 0, "joints"),), (("ei", 0, "joints"),)]
     monkeypatch.setattr(module, "shaper_uses", lambda modes: uses)
-    monkeypatch.setattr(module, "recipes", lambda best, laws=LAWS: [RECIPE])
+    monkeypatch.setattr(module, "motion_families", lambda best, laws=LAWS: [FAMILY])
     monkeypatch.setattr(module, "KEPT", 1)
     monkeypatch.setattr(module, "ROUNDS", ((2, 2),))
     monkeypatch.setattr(module, "RELAXED", ((1, 2),))
@@ -183,7 +189,7 @@ def test_a_search_that_is_left_ends(study: Study, monkeypatch: pytest.MonkeyPatc
 def test_least_residual_at_a_given_time() -> None:
     wishes = {"plan": {"minimise": "residual", "duration": 0.25, "payload_band": 0.1}}
     study = study_of(goals_of(SCENE.replace(wishes)), 3, 1e-3)
-    first = begun(study, RECIPE, study.space.start(RECIPE), {})
+    first = first_iterate(study, FAMILY, study.space.start(FAMILY), {})
     last = improved(study, first, 4)
     assert first.best is not None
     assert last.best is not None
@@ -193,11 +199,11 @@ def test_least_residual_at_a_given_time() -> None:
 
 
 def test_fronts_keep_what_no_other_motion_beats() -> None:
-    def member(*values: float) -> Member:
+    def member(*values: float) -> FrontMember:
         names = ("time", "residual", "torque", "energy")
-        return Member(design(), Figures(dict(zip(names, values, strict=True)), {}))
+        return FrontMember(design(), Figures(dict(zip(names, values, strict=True)), {}))
 
-    front: tuple[Member, ...] = ()
+    front: tuple[FrontMember, ...] = ()
     for each in (member(1, 1, 1, 1), member(2, 2, 2, 2), member(0.5, 2, 1, 1), member(0.5, 1, 1, 1)):
         front = undominated((*front, each))
     assert [each.figures.values["residual"] for each in front] == [1]

@@ -1,4 +1,4 @@
-"""Recipes of motions: kinds of corners, time laws and shapers, whose numbers are points of a unit cube."""
+"""Motion families: kinds of corners, time laws and shapers, whose numbers are points of a unit cube."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Use = tuple[str, int, str]
 
 
 @dataclass(frozen=True)
-class Recipe:
+class MotionFamily:
     """Kinds of what a motion consists of.
 
     Attributes:
@@ -100,18 +100,18 @@ class Space:
     usual: float
     total: float | None = None
 
-    def size(self, recipe: Recipe) -> int:
-        """Number of numbers of a recipe: time, lift, height and width of the corners, time law, frequencies."""
-        return 4 + LAWS[recipe.law] + sum(3 if kind == "si" else 1 for kind, _, _ in recipe.shapers)
+    def size(self, family: MotionFamily) -> int:
+        """Number of numbers of a family: time, lift, height and width of the corners, time law, frequencies."""
+        return 4 + LAWS[family.law] + sum(3 if kind == "si" else 1 for kind, _, _ in family.shapers)
 
-    def start(self, recipe: Recipe) -> RealArray:
+    def start(self, family: MotionFamily) -> RealArray:
         """A point (n,) of the unit cube to begin with: high corners, a smooth time law and the modes' own frequencies."""
         low, high = FREQUENCIES
         law = {"polynomial": [0.5 + 0.5 * each / SHAPE for each in USUAL_SHAPE], "double-s": [0.8, 0.6]}.get(
-            recipe.law, []
+            family.law, []
         )
         own = [(1.05 - low) / (high - low)]
-        shapers = [number for kind, _, _ in recipe.shapers for number in ([0.4, 0.6, 0.4] if kind == "si" else own)]
+        shapers = [number for kind, _, _ in family.shapers for number in ([0.4, 0.6, 0.4] if kind == "si" else own)]
         return np.array([0.5, 0.7, 0.8, 0.5, *law, *shapers])
 
     def with_total(self, point: RealArray, total: float) -> RealArray:
@@ -119,7 +119,7 @@ class Space:
         fraction = (log(total / self.usual) - log(SHORTEST)) / (log(LONGEST) - log(SHORTEST))
         return np.array([min(max(fraction, 0.0), 1.0), *point[1:]])
 
-    def design(self, recipe: Recipe, point: RealArray) -> Design:
+    def design(self, family: MotionFamily, point: RealArray) -> Design:
         """The motion of a point of the unit cube.
 
         Raises:
@@ -131,18 +131,18 @@ class Space:
         # corners
         height = self.lift[0] + (self.lift[1] - self.lift[0]) * lift
         tall = height * (0.3 + 0.7 * tall)
-        width = self._corner_width(recipe.blend, tall, wide)
+        width = self._corner_width(family.blend, tall, wide)
         # time law and shapers
-        values = _law(recipe.law, [next(numbers) for _ in range(LAWS[recipe.law])])
-        shapers = tuple(self._shaper(*use, numbers) for use in recipe.shapers)
+        values = _law(family.law, [next(numbers) for _ in range(LAWS[family.law])])
+        shapers = tuple(self._shaper(*use, numbers) for use in family.shapers)
         duration = total - sum(each.sequence.duration for each in shapers)
         if duration < LEAST_TIME * total:
             raise TrajectoryError("shapers take longer than the motion")
-        return Design(recipe.blend, (tall, width), height, recipe.law, values, shapers, duration)
+        return Design(family.blend, (tall, width), height, family.law, values, shapers, duration)
 
-    def forward(self, recipe: Recipe, point: RealArray) -> tuple[RealArray, RealArray]:
+    def forward(self, family: MotionFamily, point: RealArray) -> tuple[RealArray, RealArray]:
         """By how much a polynomial's shape is above the smallest allowed (M,), and the slopes by the numbers (M, n)."""
-        count = LAWS[recipe.law] if recipe.law == "polynomial" else 0
+        count = LAWS[family.law] if family.law == "polynomial" else 0
         waves = np.polynomial.legendre.legvander(PLACES, count)[:, 1:]
         slopes = np.zeros((len(PLACES), len(point)))
         slopes[:, 4 : 4 + count] = 2.0 * SHAPE * waves
@@ -184,6 +184,6 @@ def _law(kind: str, numbers: Sequence[float]) -> Values:
     return ()
 
 
-def recipes(shapers: Iterable[tuple[Use, ...]], laws: Iterable[str] = tuple(LAWS)) -> list[Recipe]:
+def motion_families(shapers: Iterable[tuple[Use, ...]], laws: Iterable[str] = tuple(LAWS)) -> list[MotionFamily]:
     """Each of these time laws on every kind of corner with each of these combinations of shapers."""
-    return [Recipe(blend, law, uses) for uses, blend, law in product(shapers, BLENDS, laws)]
+    return [MotionFamily(blend, law, uses) for uses, blend, law in product(shapers, BLENDS, laws)]

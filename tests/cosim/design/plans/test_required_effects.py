@@ -1,4 +1,4 @@
-"""Effects are called for by the frequencies that they move; a motion that they make ring is told."""
+"""Effects are required by the frequencies that they move; a motion that they make ring is told."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import ClassVar
 import pytest
 
 import flexfmu
-from flexfmu.cosim.design.plans import called_effects as called_effects_module
+from flexfmu.cosim.design.plans import required_effects as module
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, Peaks
-from flexfmu.cosim.design.plans.called_effects import FullerModel, called_effects, planning_scene
 from flexfmu.cosim.design.plans.goals import Variation, goals_of
+from flexfmu.cosim.design.plans.required_effects import FullerModel, required_effects
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 
 
 @pytest.mark.parametrize(
-    ("source", "called"),
+    ("source", "required"),
     [
         # shear moves its frequencies by 0.58 %, distal bending by 0.06 %
         ("barnard2012-6kg", {"effects.beam"}),
@@ -30,20 +30,20 @@ EXAMPLES = Path(__file__).parents[4] / "examples"
     ],
     ids=["6kg", "0.1kg", "tubes", "steel"],
 )
-def test_called_effects(source: str | Path, called: set[str]) -> None:
+def test_required_effects(source: str | Path, required: set[str]) -> None:
     """Tubes are soft in shear, light payloads let distal links vibrate, foreshortening matters nowhere here."""
     goals = goals_of(flexfmu.load_scene(source))
-    assert called_effects(goals).keys() == called
+    assert required_effects(goals).keys() == required
 
 
 def test_nothing_is_called_for_twice() -> None:
     """A scene with these effects has all that its plan needs: nothing is run."""
     goals = goals_of(flexfmu.load_scene("barnard2012-6kg"))
-    fuller = goals_of(planning_scene(goals.scene, goals))
-    assert not called_effects(fuller)
+    fuller = goals_of(goals.scene.replace({**required_effects(goals)}))
+    assert not required_effects(fuller)
     assert FullerModel(fuller).residual(Candidate("given", "given", fuller.scene)) == 0.0
     rigid = goals.scene.replace({"effects.proximal_bending": 0, "effects.distal_axial": 0})
-    assert "effects.distal_bending" not in called_effects(goals_of(rigid))
+    assert "effects.distal_bending" not in required_effects(goals_of(rigid))
 
 
 class Figures:
@@ -62,7 +62,7 @@ class Figures:
 )
 def test_a_hardly_slower_motion_is_taken(slower: float, taken: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A motion that rings with shear gives way to one that is up to 3 % slower, and is told otherwise."""
-    monkeypatch.setattr(called_effects_module, "FullerModel", Figures)
+    monkeypatch.setattr(module, "FullerModel", Figures)
     goals = goals_of(flexfmu.load_scene("barnard2012-6kg"))
 
     def motion(label: str, time: float) -> Assessment:
@@ -74,7 +74,7 @@ def test_a_hardly_slower_motion_is_taken(slower: float, taken: str, said: str, m
     ranked = [motion("fast", 0.2), motion("calm", 0.2 * slower), motion("slow", 0.3)]
     judge = Judge(goals)
     monkeypatch.setattr(judge, "assess", lambda candidate: next(each for each in ranked if each.candidate is candidate))
-    chosen, note = called_effects_module.sturdier(ranked[0], ranked, judge)
+    chosen, note = module.most_robust(ranked[0], ranked, judge)
     assert chosen.candidate.label == taken
     assert said in note
     assert bool(said) == bool(note)

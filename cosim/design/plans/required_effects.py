@@ -1,7 +1,7 @@
-"""Which effects a plan calls for beyond those of the scene's model, and whether a motion leaves no vibration with them too.
+"""Which effects a plan requires beyond those of the scene's model, and whether a motion leaves no vibration with them too.
 
 A motion at the edge of its bands leaves up to 3 µm more for each percent by which a frequency is lower: an effect that moves one of
-the lowest frequencies is called for, whatever it changes else is small against what vibrates.
+the lowest frequencies is required, whatever it changes else is small against what vibrates.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from flexfmu.cosim.design.plans.robustness import RICHER, frozen, in_robot, judg
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
-from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 
 SHIFT = 1e-3
-"""Relative change of a frequency from which on an effect is called for: about 0.3 µm."""
+"""Relative change of a frequency from which on an effect is required: about 0.3 µm."""
 
 LOWEST = 2
 """Number of the lowest frequencies: others carry too little."""
@@ -32,8 +31,8 @@ WORTH, NEAR = 0.03, 6
 largest number of motions that are tried."""
 
 
-def called_effects(goals: Goals) -> Mapping[str, Any]:
-    """Keys of the effects that a plan calls for beyond the scene's, by frequencies at the end of the motion with the lightest payload.
+def required_effects(goals: Goals) -> Mapping[str, Any]:
+    """Keys of the effects that a plan requires beyond the scene's, by frequencies at the end of the motion with the lightest payload.
 
     Raises:
         EquilibriumError: the robot has no static equilibrium there.
@@ -49,13 +48,8 @@ def called_effects(goals: Goals) -> Mapping[str, Any]:
     return found
 
 
-def planning_scene(scene: Scene, goals: Goals) -> Scene:
-    """The scene with the effects that its plan calls for."""
-    return scene.replace({**called_effects(goals)})
-
-
 class FullerModel:
-    """The robot with the effects that a plan calls for.
+    """The robot with the effects that a plan requires.
 
     Args:
         goals: what is planned.
@@ -67,7 +61,7 @@ class FullerModel:
     @cached_property
     def effects(self) -> Mapping[str, Any]:
         """Keys of these effects; none if the scene's model has all that matter."""
-        return called_effects(self._goals)
+        return required_effects(self._goals)
 
     @cached_property
     def _judge(self) -> Judge:
@@ -85,8 +79,8 @@ class FullerModel:
         return judge.assess(in_robot(frozen(candidate), judge.goals.scene)).residual
 
 
-def sturdier(chosen: Assessment, ranked: Sequence[Assessment], judge: Judge) -> tuple[Assessment, str]:
-    """The chosen motion, or one that is hardly worse but leaves no vibration with the effects that the plan calls for.
+def most_robust(chosen: Assessment, ranked: Sequence[Assessment], judge: Judge) -> tuple[Assessment, str]:
+    """The chosen motion, or one that is hardly worse but leaves no vibration with the effects that the plan requires.
 
     Args:
         chosen: the best motion.
