@@ -25,7 +25,7 @@ from pathlib import Path
 
 from flexfmu import load_scene
 from flexfmu.cosim.design.shapers.alternatives import alternatives, design_modes
-from flexfmu.cosim.design.shapers.study import Candidate, candidates, payload_errors, simulate
+from flexfmu.cosim.design.shapers.study import ShapedMotion, candidates, payload_errors, simulate
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.scene.schema import Scene
@@ -84,7 +84,7 @@ def trials(apply: str, errors: int, only: Sequence[str] | None = None) -> Iterat
                 yield trial(drive, scene, fmu, candidate, added, error)
 
 
-def trial(drive: str, scene: Scene, fmu: Path, candidate: Candidate, added: float, error: float) -> Trial:
+def trial(drive: str, scene: Scene, fmu: Path, candidate: ShapedMotion, added: float, error: float) -> Trial:
     """Run and measure one combination."""
     found = simulate(replace(candidate, motion=replace(candidate.motion, scene=scene)), error, fmu)
     return Trial(

@@ -122,9 +122,9 @@ def study_effects(
     found = _changes(estimator, chosen, joints)
     # their costs and natural frequencies
     show("timing the equations", None)
-    own, *theirs = costs((chosen, *(other for _, other, _ in found)))
+    own, *others = costs((chosen, *(other for _, other, _ in found)))
     rows: list[EffectRow] = []
-    for (place, other, estimate), cost in zip(found, theirs, strict=True):
+    for (place, other, estimate), cost in zip(found, others, strict=True):
         show(f"frequencies: {estimate.effect}", len(rows) / len(found))
         rows.append(EffectRow(place, estimate, cost, _frequencies(motion, other)))
     return EffectStudy(chosen, estimator, own, _frequencies(motion, chosen), tuple(rows))
@@ -149,7 +149,7 @@ def _frequencies(motion: MotionPlan, scene: Scene) -> list[ModalPose]:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class EffectComparison:
     """The chosen set compared with a richer one; changes of the metrics are relative to their scales.
 
     Attributes:
@@ -180,12 +180,12 @@ EVERYTHING = "everything"
 """Effect in the comparison with the richest set; its estimated change includes the safety factor."""
 
 
-def check_choice(study: EffectStudy, show: ShowProgress = quiet) -> tuple[Comparison, ...]:
+def check_choice(study: EffectStudy, show: ShowProgress = quiet) -> tuple[EffectComparison, ...]:
     """Return all `comparisons` at once."""
     return tuple(comparisons(study, show))
 
 
-def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[Comparison]:
+def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[EffectComparison]:
     """Compare runs of the chosen set with the richest one, then with each next richer one; runs are made on demand.
 
     Args:
@@ -205,10 +205,10 @@ def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[Comp
     full = observe(estimator.richest, (*names, "peak_position_error"), EXACT, is_alone=is_alone)
     units = scales(full.metrics, estimator.named)
 
-    def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
+    def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> EffectComparison:
         observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
         own, longer = fastest_in_turns([base.run, other.run])
-        return Comparison(effect, change, estimated, observed, longer / own)
+        return EffectComparison(effect, change, estimated, observed, longer / own)
 
     yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
     # one more of each effect within the estimator's richest set
@@ -259,7 +259,7 @@ def frequency_table(study: EffectStudy) -> Table:
     return table
 
 
-def comparison_table(comparisons: Iterable[Comparison]) -> Table:
+def comparison_table(comparisons: Iterable[EffectComparison]) -> Table:
     """Tabulate estimated and observed changes of the metrics."""
     table = _table(
         "the chosen set beside richer ones: largest change over the metrics",
@@ -288,7 +288,7 @@ def _table(title: str, texts: Sequence[str], numbers: Iterable[str]) -> Table:
     return titled_table(title, *texts, numbers=numbers, keys=len(texts))
 
 
-def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:
+def study_data(study: EffectStudy, comparisons: Iterable[EffectComparison]) -> dict[str, Any]:
     """Return study and comparisons as plain data in SI units; errors and contributions are relative to `scales`."""
     choice = study.choice
     data: dict[str, Any] = {

@@ -24,7 +24,7 @@ from flexfmu.cosim.design.plans.checks import INSTANTS as CHECKED
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
 from flexfmu.cosim.design.plans.quick_runs import JointMotion
 from flexfmu.cosim.design.plans.scoring import Score
-from flexfmu.cosim.design.plans.sequential_programme import Study
+from flexfmu.cosim.design.plans.sequential_programme import MotionStudy
 from flexfmu.cosim.design.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.own_motion import plan_own
@@ -121,7 +121,7 @@ def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Ca
 
 
 def _baseline(
-    name: Method, way: str, goals: Goals, design: Callable[[Goals, Study], PiecewisePolynomial], show: Any
+    name: Method, way: str, goals: Goals, design: Callable[[Goals, MotionStudy], PiecewisePolynomial], show: Any
 ) -> Iterator[Candidate]:
     """What a planner finds, slowed down until the flexible robot keeps to the limits that the planner knows of, then to all."""
     if name not in installed():
@@ -137,7 +137,9 @@ def _baseline(
         yield Candidate(f"{name}, {way}, slower", name, scene, slow)
 
 
-def _slowed(motion: PiecewisePolynomial, study: Study, limits: Collection[str], most: RealArray) -> PiecewisePolynomial:
+def _slowed(
+    motion: PiecewisePolynomial, study: MotionStudy, limits: Collection[str], most: RealArray
+) -> PiecewisePolynomial:
     """The motion as fast as the limits allow, by bisection of its duration on quick runs of the FMU.
 
     Args:
@@ -176,7 +178,7 @@ def _limits(goals: Goals) -> RealArray:
     return np.array([goals.limit(name, usual, UNLIMITED) for name, usual in zip(RATES, peaks, strict=True)])
 
 
-def _ruckig(goals: Goals, study: Study) -> PiecewisePolynomial:
+def _ruckig(goals: Goals, study: MotionStudy) -> PiecewisePolynomial:
     """From start to end with stops at the corners above, past the middle between these as fast as pays."""
     limits, (start, end) = _limits(goals), goals.trace[[0, -1]]
     along = (end - start) / np.hypot(*(end - start))
@@ -225,7 +227,7 @@ def _joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
     return PiecewisePolynomial(np.append(np.concatenate(knots), starts[-1]), taylor, "joints")
 
 
-def _toppra(goals: Goals, study: Study) -> PiecewisePolynomial:
+def _toppra(goals: Goals, study: MotionStudy) -> PiecewisePolynomial:
     """Along the given path, within the torques of the rigid robot at the robots of the bands."""
     import toppra as library
     from toppra.algorithm import TOPPRA

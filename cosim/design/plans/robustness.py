@@ -98,7 +98,7 @@ class RobustnessLine:
 
 
 @dataclass(frozen=True, eq=False)
-class JointReferences:
+class FrozenReferences:
     """A planned motion of the joints, frozen: other models don't change shapers that belong to it.
 
     Attributes:
@@ -131,7 +131,7 @@ def frozen(candidate: Candidate) -> Candidate:
     """
     planned = candidate.prepared().run().plan
     return Candidate(
-        candidate.label, candidate.method, planned.scene.replace({"shaper": []}), JointReferences(planned.joints)
+        candidate.label, candidate.method, planned.scene.replace({"shaper": []}), FrozenReferences(planned.joints)
     )
 
 

@@ -25,8 +25,8 @@ from flexfmu.cosim.design.plans.sequential_programme import (
     RADIUS,
     FrontMember,
     Iterate,
-    Study,
-    Trial,
+    MotionStudy,
+    MotionTrial,
     first_iterate,
     improved,
     merged,
@@ -88,7 +88,7 @@ def search(goals: Goals, found: Sequence[Assessment], processes: int, show: Show
     show("search: modes and limits", 0.0)
     study, judge = (study_of(goals, *each) for each in (QUICK, CONFIRMED))
     relaxable = (CLEARANCE,) if study.bounds.distance is not None else ()
-    searching = Search(study, judge, goals.wishes.seed, processes, relaxable)
+    searching = MotionSearch(study, judge, goals.wishes.seed, processes, relaxable)
     for each in searching.found(lambda fraction, text: show(f"search: {text}", fraction)):
         without = "".join(f", without the {name}" for name in each.without)
         yield Candidate(f"{each.trial.design.label}{without}", "search", changed(goals.scene, each.trial.design))
@@ -103,11 +103,11 @@ class Found:
         without: names of the limits that it was allowed to exceed.
     """
 
-    trial: Trial
+    trial: MotionTrial
     without: tuple[str, ...] = ()
 
 
-class Search:
+class MotionSearch:
     """A search, step by step.
 
     Args:
@@ -119,7 +119,7 @@ class Search:
     """
 
     def __init__(
-        self, study: Study, judge: Study, seed: int = 0, processes: int = 1, relaxable: Sequence[str] = ()
+        self, study: MotionStudy, judge: MotionStudy, seed: int = 0, processes: int = 1, relaxable: Sequence[str] = ()
     ) -> None:
         self._study, self._judge, self._processes = study, judge, processes
         self._random, self._relaxable = np.random.default_rng(seed), relaxable
@@ -242,7 +242,7 @@ def _cost_without_clearance(iterate: Iterate) -> float:
     return inf if iterate.best is None else iterate.best.score.cost({**iterate.tighter, CLEARANCE: 0.0})
 
 
-def _iterate_of(study: Study, task: tuple[Any, ...]) -> Iterate:
+def _iterate_of(study: MotionStudy, task: tuple[Any, ...]) -> Iterate:
     """The iterate that a function makes of a study and further arguments."""
     function, *arguments = task
     found: Iterate = function(study, *arguments)

@@ -56,7 +56,7 @@ FRONT = ("time", "residual", "torque", "energy")
 
 
 @dataclass(frozen=True)
-class Trial:
+class MotionTrial:
     """A motion and its figures."""
 
     design: Design
@@ -72,7 +72,7 @@ class FrontMember:
 
 
 @dataclass(frozen=True)
-class Study:
+class MotionStudy:
     """What trials need.
 
     Attributes:
@@ -87,15 +87,15 @@ class Study:
     robot: QuickRobot
     bounds: Bounds
 
-    def tried(self, design: Design, steps: int | None = None) -> Trial | None:
+    def tried(self, design: Design, steps: int | None = None) -> MotionTrial | None:
         """Run a motion, in so many communication steps; None if it can't be planned or run."""
         try:
             motion = references(self.scene, design, self.robot.steps(design.total) if steps is None else steps)
-            return Trial(design, Score(self.robot.run(motion), self.bounds))
+            return MotionTrial(design, Score(self.robot.run(motion), self.bounds))
         except (TrajectoryError, CosimError):
             return None
 
-    def at(self, family: MotionFamily, point: RealArray, steps: int | None = None) -> Trial | None:
+    def at(self, family: MotionFamily, point: RealArray, steps: int | None = None) -> MotionTrial | None:
         """Run the motion of a point of the unit cube."""
         try:
             return self.tried(self.space.design(family, point), steps)
@@ -118,7 +118,7 @@ class Iterate:
 
     family: MotionFamily
     point: RealArray
-    best: Trial | None = None
+    best: MotionTrial | None = None
     radius: float = RADIUS
     front: tuple[FrontMember, ...] = ()
     tighter: Mapping[str, float] = field(default_factory=dict)
@@ -134,7 +134,7 @@ class Iterate:
         return self.best is None or self.radius < SMALLEST
 
 
-def first_iterate(study: Study, family: MotionFamily, start: RealArray, tighter: Mapping[str, float]) -> Iterate:
+def first_iterate(study: MotionStudy, family: MotionFamily, start: RealArray, tighter: Mapping[str, float]) -> Iterate:
     """A family at some numbers, with a time at which the limits hold if that is possible."""
     iterate, total = Iterate(family, start, tighter=tighter), study.space.usual
     for _ in range(CORRECTIONS if study.space.total is None else 1):
@@ -160,7 +160,7 @@ def _stretch(found: Score, tighter: Mapping[str, float]) -> float:
     return float(np.clip(ratio, 1.0 / MOST, MOST))
 
 
-def improved(study: Study, iterate: Iterate, steps: int) -> Iterate:
+def improved(study: MotionStudy, iterate: Iterate, steps: int) -> Iterate:
     """The iterate after so many further linear programmes."""
     for _ in range(steps):
         if iterate.over:
@@ -169,7 +169,7 @@ def improved(study: Study, iterate: Iterate, steps: int) -> Iterate:
     return iterate
 
 
-def _step(study: Study, iterate: Iterate) -> Iterate:
+def _step(study: MotionStudy, iterate: Iterate) -> Iterate:
     assert iterate.best is not None
     # differences in each number, towards the middle of the cube, with as many instants
     count = len(iterate.best.score.run.motion.time) - 1
@@ -253,7 +253,7 @@ def _part(rows: RealArray, further: Sequence[RealArray], reach: float, limit: fl
     return np.stack([each[index] - rows[index] for each in further], axis=1), limit - rows[index]
 
 
-def _kept(iterate: Iterate, trial: Trial) -> tuple[FrontMember, ...]:
+def _kept(iterate: Iterate, trial: MotionTrial) -> tuple[FrontMember, ...]:
     """The front of an iterate with a further motion, if it is within limits and no other is better in all figures."""
     # of the run only the figures are needed later, or all again
     member = FrontMember(trial.design, trial.score.figures)

@@ -11,7 +11,7 @@ from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
 from flexfmu.cosim.design.plans.motion_families import Space
 from flexfmu.cosim.design.plans.quick_runs import JointMotion, QuickRobot
 from flexfmu.cosim.design.plans.scoring import Bounds, Score
-from flexfmu.cosim.design.plans.sequential_programme import Study
+from flexfmu.cosim.design.plans.sequential_programme import MotionStudy
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -37,7 +37,7 @@ LOWEST, HIGHEST = 0.6, 2.0
 """Range of the path's height, as multiples of the given one, where the given motion's way doesn't bound it."""
 
 
-def study_of(goals: Goals, payloads: int, step: float) -> Study:
+def study_of(goals: Goals, payloads: int, step: float) -> MotionStudy:
     """The study of goals.
 
     Args:
@@ -70,7 +70,7 @@ def study_of(goals: Goals, payloads: int, step: float) -> Study:
     if goals.wishes.keep_out is None:
         low, high = section.height, section.height + goals.wishes.corridor
     space = Space(tuple(modes), (low, high), section.width, given.duration, goals.wishes.duration)
-    return Study(scene, space, robot, _bounds(goals, robot, given))
+    return MotionStudy(scene, space, robot, _bounds(goals, robot, given))
 
 
 def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:

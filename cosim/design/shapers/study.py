@@ -48,7 +48,7 @@ Vibrations = Mapping[str, tuple[RealArray, RealArray]]
 
 
 @dataclass(frozen=True)
-class Trial:
+class PayloadTrial:
     """Results of one co-simulation.
 
     Attributes:
@@ -69,7 +69,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ShapedMotion:
     """A motion shaped on the joints or along the path, or the unshaped motion.
 
     Attributes:
@@ -104,14 +104,14 @@ class CandidateResult:
         peak_jerk: largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps.
     """
 
-    candidate: Candidate
+    candidate: ShapedMotion
     added_time: float
     path_deviation: float
-    trials: tuple[Trial, ...]
+    trials: tuple[PayloadTrial, ...]
     peak_jerk: float = np.inf
 
     @cached_property
-    def nominal(self) -> Trial:
+    def nominal(self) -> PayloadTrial:
         """The trial with the scene's own payload."""
         return min(self.trials, key=lambda trial: abs(trial.payload_error))
 
@@ -166,10 +166,10 @@ def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -
     return scene.replace(changes) if changes else scene
 
 
-def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list[Candidate], Mapping[str, str]]:
+def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list[ShapedMotion], Mapping[str, str]]:
     """Return the unshaped motion and every shaper on joints and path, and the reasons why some can't be applied."""
     # every shaper in every application
-    found, refused = [Candidate(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], dict[str, str]()
+    found, refused = [ShapedMotion(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], dict[str, str]()
     applications = dict(APPLICATIONS)
     if not isinstance(motion.along_path, TaskTrajectory):
         del applications["path"]
@@ -179,20 +179,20 @@ def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list
             try:
                 section = {**shaper.section, "apply": application}
                 shaped = shape(motion, shaper.sequence)
-                found.append(Candidate(shaper.name, application, shaper.sequence, shaped, section))
+                found.append(ShapedMotion(shaper.name, application, shaper.sequence, shaped, section))
             except TrajectoryError as error:
                 refused[f"{shaper.name} on {application}"] = str(error)
     return found, refused
 
 
-def slower(motion: MotionPlan, extra_time: float) -> Candidate:
+def slower(motion: MotionPlan, extra_time: float) -> ShapedMotion:
     """Return the unshaped motion, slower by a time [s], for comparison with a shaper that adds the same time."""
     scene = motion.scene.replace({"trajectory.duration": motion.duration + extra_time})
-    return Candidate("slower", NOTHING, UNSHAPED, plan(scene))
+    return ShapedMotion("slower", NOTHING, UNSHAPED, plan(scene))
 
 
 def study(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[ShapedMotion],
     payload_errors: Sequence[float],
     nominal_duration: float,
     fmu_path: Path,
@@ -219,7 +219,7 @@ def study(
         yield CandidateResult(candidate, added, deviation(candidate.motion), tuple(trials), peak_jerk(candidate.motion))
 
 
-def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Trial:
+def simulate(candidate: ShapedMotion, payload_error: float, fmu_path: Path) -> PayloadTrial:
     """Co-simulate a candidate with a payload error and return its results.
 
     Raises:
@@ -227,7 +227,7 @@ def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Tria
     """
     run, settings, offset = _simulated(candidate, payload_error, fmu_path)
     values = {name: measurement.value for name, measurement in measure(run.recording, settings, MEASURED).items()}
-    return Trial(
+    return PayloadTrial(
         payload_error,
         values["residual_vibration_amplitude"] or 0.0,
         values["settling_time"],
@@ -236,7 +236,7 @@ def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Tria
     )
 
 
-def vibration(candidate: Candidate, fmu_path: Path) -> tuple[RealArray, RealArray]:
+def vibration(candidate: ShapedMotion, fmu_path: Path) -> tuple[RealArray, RealArray]:
     """Return times after the motion's end [s] and the end effector's distances from rest [m], with the scene's payload.
 
     Raises:
@@ -248,7 +248,7 @@ def vibration(candidate: Candidate, fmu_path: Path) -> tuple[RealArray, RealArra
     return run.recording.time[after] - run.plan.duration, distance
 
 
-def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
+def _simulated(candidate: ShapedMotion, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
     """Return a run, the settings of its metrics, and the distance of its rest position from the equilibrium [m].
 
     Controllers assume the scene's payload, without the error.

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from flexfmu.cosim.design.shapers.alternatives import DesignModes
 from flexfmu.cosim.design.shapers.recommendation import Recommendation, shaper_toml
-from flexfmu.cosim.design.shapers.study import CandidateResult, Trial
+from flexfmu.cosim.design.shapers.study import CandidateResult, PayloadTrial
 from flexfmu.cosim.reports.rows import csv_text
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
@@ -18,7 +18,7 @@ from flexfmu.cosim.reports.text import markdown_table
 COLUMNS = ("shaper", "shapes", "added ms", "nominal µm", "worst µm", "at rest ms", "deviation mm", "torque N·m")
 """Columns of the table on the terminal."""
 
-QUANTITIES: tuple[tuple[str, Callable[[Trial], str]], ...] = (
+QUANTITIES: tuple[tuple[str, Callable[[PayloadTrial], str]], ...] = (
     ("Residual vibration [µm]", lambda trial: f"{1e6 * trial.residual:.2f}"),
     ("Settling time [ms]", lambda trial: milliseconds(trial.settling_time)),
     ("Peak torque [N·m]", lambda trial: f"{trial.peak_torque:.1f}"),
@@ -89,7 +89,7 @@ def to_csv(results: Sequence[CandidateResult]) -> str:
     )
 
 
-def trial_data(trial: Trial) -> dict[str, float | None]:
+def trial_data(trial: PayloadTrial) -> dict[str, float | None]:
     """Return a simulation as plain data in SI units."""
     return {
         "payload_error": trial.payload_error,

@@ -18,9 +18,9 @@ from flexfmu.cosim.design.shapers import alternatives as shaping_design
 from flexfmu.cosim.design.shapers.alternatives import Alternative, alternatives, design_modes
 from flexfmu.cosim.design.shapers.recommendation import compare_slower, recommend, write_shaped
 from flexfmu.cosim.design.shapers.study import (
-    Candidate,
     CandidateResult,
-    Trial,
+    PayloadTrial,
+    ShapedMotion,
     candidates,
     payload_errors,
     peak_jerk,
@@ -79,8 +79,10 @@ def test_modes_near_the_lowest_are_shaped_for(
 
 def result(motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0) -> CandidateResult:
     """A result with one trial."""
-    candidate = Candidate(name, "joints" if added else "-", UNSHAPED, motion)
-    return CandidateResult(candidate, added, stray, (Trial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),))
+    candidate = ShapedMotion(name, "joints" if added else "-", UNSHAPED, motion)
+    return CandidateResult(
+        candidate, added, stray, (PayloadTrial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),)
+    )
 
 
 @pytest.mark.slow
@@ -111,9 +113,9 @@ def test_shaped_joints_silence_the_robot(motion: MotionPlan) -> None:
     """Through the FMU, against bang-bang's residual vibration: ZV for one mode leaves a fifth, for both modes a tenth."""
     fmu = build_scene(motion.scene).path
     one, two = Oscillator(58.84, 0.018), [Oscillator(58.84, 0.018), Oscillator(73.54, 0.0225)]
-    unshaped = simulate(Candidate("unshaped", "-", UNSHAPED, motion), 0.0, fmu)
-    single = simulate(Candidate("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", [one]))), 0.0, fmu)
-    double = simulate(Candidate("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", two))), 0.0, fmu)
+    unshaped = simulate(ShapedMotion("unshaped", "-", UNSHAPED, motion), 0.0, fmu)
+    single = simulate(ShapedMotion("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", [one]))), 0.0, fmu)
+    double = simulate(ShapedMotion("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", two))), 0.0, fmu)
     assert unshaped.residual == pytest.approx(45.5e-6, rel=0.02)
     assert single.residual < 0.2 * unshaped.residual
     assert double.residual < 0.05 * unshaped.residual
@@ -125,7 +127,7 @@ def test_the_fmu_takes_a_shaped_motion_with_another_payload(motion: MotionPlan) 
     """One FMU with the payload as its parameter gives what an FMU built from the changed scene gives."""
     heavier = with_payload_error(motion.scene, 0.3)
     shaped = shape_path(motion, design("ei", [Oscillator(58.84, 0.018)]))
-    one = simulate(Candidate("ei", "path", UNSHAPED, shaped), 0.3, build_scene(motion.scene).path)
+    one = simulate(ShapedMotion("ei", "path", UNSHAPED, shaped), 0.3, build_scene(motion.scene).path)
     own = measure_run(run_scene(heavier, motion=replace(shaped, scene=heavier)))
     assert one.residual == pytest.approx(own["residual_vibration_amplitude"].own, rel=1e-9)
     assert one.settling_time == pytest.approx(own["settling_time"].own, abs=1e-8)
@@ -271,7 +273,7 @@ def test_the_written_scene_applies_the_advice(motion: MotionPlan, tmp_path: Path
     )
 
 
-def reference(scene: Scene, wanted: Candidate) -> ShapedTrajectory:
+def reference(scene: Scene, wanted: ShapedMotion) -> ShapedTrajectory:
     """The candidate's sequence on the written scene's own joints."""
     return ShapedTrajectory(plan(scene).joints, wanted.sequence)
 
@@ -299,9 +301,13 @@ def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
 
 def test_tables_have_every_trial(motion: MotionPlan) -> None:
     """CSV has one line a simulation in SI units, Markdown one table a quantity with payload errors in columns."""
-    trials = (Trial(-0.3, 2e-6, 0.0, 41.0), Trial(0.0, 1e-5, None, 50.0), Trial(0.3, 3e-6, 0.0123, 61.0))
+    trials = (
+        PayloadTrial(-0.3, 2e-6, 0.0, 41.0),
+        PayloadTrial(0.0, 1e-5, None, 50.0),
+        PayloadTrial(0.3, 3e-6, 0.0123, 61.0),
+    )
     found = CandidateResult(
-        Candidate("zv", "joints", ImpulseSequence((0.0, 0.008), (0.5, 0.5)), motion), 0.008, 3e-4, trials
+        ShapedMotion("zv", "joints", ImpulseSequence((0.0, 0.008), (0.5, 0.5)), motion), 0.008, 3e-4, trials
     )
     rows = list(csv.DictReader(to_csv([found]).splitlines()))
     assert [float(row["payload_error"]) for row in rows] == [-0.3, 0.0, 0.3]
@@ -399,10 +405,10 @@ def test_study_says_how_far_it_is(motion: MotionPlan, monkeypatch: pytest.Monkey
     """Progress runs from the first simulation to 1, in equal steps, without going back."""
     import flexfmu.cosim.design.shapers.study as module
 
-    monkeypatch.setattr(module, "simulate", lambda candidate, error, fmu: Trial(error, 0.0, 0.0, 1.0))
+    monkeypatch.setattr(module, "simulate", lambda candidate, error, fmu: PayloadTrial(error, 0.0, 0.0, 1.0))
     heard: list[float] = []
     report: Callable[[float], None] = heard.append
-    pair = [Candidate(name, "-", UNSHAPED, motion) for name in ("a", "b")]
+    pair = [ShapedMotion(name, "-", UNSHAPED, motion) for name in ("a", "b")]
     found = list(study(pair, [-0.1, 0.0, 0.1], motion.duration, Path("x.fmu"), report))
     assert len(found) == 2
     np.testing.assert_allclose(heard, np.arange(1, 7) / 6)

@@ -21,10 +21,10 @@ from flexfmu.cosim.design.plans.designs import Design, ShaperChoice, changed, po
 from flexfmu.cosim.design.plans.goals import goals_of
 from flexfmu.cosim.design.plans.motion_families import LAWS, MotionFamily
 from flexfmu.cosim.design.plans.scoring import Figures
-from flexfmu.cosim.design.plans.search import Search, search
+from flexfmu.cosim.design.plans.search import MotionSearch, search
 from flexfmu.cosim.design.plans.sequential_programme import (
     FrontMember,
-    Study,
+    MotionStudy,
     best_change,
     first_iterate,
     improved,
@@ -48,7 +48,7 @@ FAMILY = MotionFamily("lame", "modified-trapezoid", (("zvd", 0, "joints"),))
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
+def study() -> MotionStudy:
     return study_of(goals_of(SCENE), 3, 1e-3)
 
 
@@ -76,7 +76,7 @@ def test_references_are_those_of_the_scene_that_is_written(place: str) -> None:
 
 
 @pytest.mark.slow
-def test_quick_runs_agree_with_the_scene(study: Study) -> None:
+def test_quick_runs_agree_with_the_scene(study: MotionStudy) -> None:
     chosen = design(*SHAPED["joints"])
     trial = study.tried(chosen)
     assert trial is not None
@@ -126,7 +126,7 @@ def test_linear_programmes_go_to_the_vertex() -> None:
 
 
 @pytest.mark.slow
-def test_no_grid_finds_a_better_motion(study: Study) -> None:
+def test_no_grid_finds_a_better_motion(study: MotionStudy) -> None:
     iterate = first_iterate(study, FAMILY, study.space.start(FAMILY), {})
     first = iterate.cost
     iterate = improved(study, iterate, 8)
@@ -153,12 +153,14 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RELAXED", ((1, 2),))
 
 
-def found(study: Study, processes: int, seed: int = 3) -> list[module.Found]:
-    return list(Search(study, study, seed, processes, ("clearance",)).found())
+def found(study: MotionStudy, processes: int, seed: int = 3) -> list[module.Found]:
+    return list(MotionSearch(study, study, seed, processes, ("clearance",)).found())
 
 
 @pytest.mark.slow
-def test_the_motions_do_not_depend_on_the_number_of_processes(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_motions_do_not_depend_on_the_number_of_processes(
+    study: MotionStudy, monkeypatch: pytest.MonkeyPatch
+) -> None:
     small(monkeypatch)
     one, two = found(study, 1), found(study, 2)
     assert len(one) > 2
@@ -166,7 +168,7 @@ def test_the_motions_do_not_depend_on_the_number_of_processes(study: Study, monk
 
 
 @pytest.mark.slow
-def test_motions_are_within_limits_and_get_better(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motions_are_within_limits_and_get_better(study: MotionStudy, monkeypatch: pytest.MonkeyPatch) -> None:
     small(monkeypatch)
     motions = [each.trial for each in found(study, 1) if not each.without]
     assert all(each.score.feasible for each in motions)
@@ -177,9 +179,9 @@ def test_motions_are_within_limits_and_get_better(study: Study, monkeypatch: pyt
     assert judged.time < 0.8 * SCENE.trajectory.duration
 
 
-def test_a_search_that_is_left_ends(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_that_is_left_ends(study: MotionStudy, monkeypatch: pytest.MonkeyPatch) -> None:
     small(monkeypatch)
-    motions = Search(study, study, processes=2).found()
+    motions = MotionSearch(study, study, processes=2).found()
     assert next(motions).trial.score.values["time"] > 0.0
     motions.close()  # type: ignore[attr-defined]
     assert list(motions) == []
