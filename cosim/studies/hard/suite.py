@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import chain
 from math import isfinite
 from typing import Any
@@ -155,13 +155,7 @@ def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:
                 "happened": result.report.happened,
                 "passed": result.report.passed,
                 "checks": [
-                    {
-                        "name": check.name,
-                        "value": check.value if isfinite(check.value) else None,
-                        "limit": check.limit,
-                        "unit": check.unit,
-                        "passed": check.passed,
-                    }
+                    asdict(check) | {"value": check.value if isfinite(check.value) else None, "passed": check.passed}
                     for check in result.report.checks
                 ],
             }

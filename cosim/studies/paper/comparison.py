@@ -226,10 +226,7 @@ class QuantityComparison:
         Raises:
             KeyError: no such cell.
         """
-        for cell in self.cells:
-            if (cell.row, cell.column) == (row, column):
-                return cell
-        raise KeyError((row, column))
+        return {(cell.row, cell.column): cell for cell in self.cells}[row, column]
 
     def to_dict(self) -> dict[str, Any]:
         """The quantity and its cells for JSON."""
@@ -260,10 +257,7 @@ class ComparisonTable:
         Raises:
             KeyError: the table doesn't have it.
         """
-        for comparison in self.comparisons:
-            if comparison.quantity.metric == metric:
-                return comparison
-        raise KeyError(metric)
+        return {comparison.quantity.metric: comparison for comparison in self.comparisons}[metric]
 
     def to_dict(self) -> dict[str, Any]:
         """The table for JSON."""

@@ -5,8 +5,6 @@ A comparison as a page of texts, marks and footnotes; and that page as Markdown,
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -19,6 +17,7 @@ from rich.text import Text
 
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.page import render
+from flexfmu.cosim.reports.rows import csv_text
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table, to_json
 from flexfmu.cosim.studies.paper.comparison import (
@@ -198,48 +197,28 @@ def _rich_cell(cell: CellText) -> Text:
     )
 
 
-CSV_COLUMNS = (
-    "table",
-    "quantity",
-    "metric",
-    "unit",
-    "row",
-    "column",
-    "paper",
-    "computed",
-    "relative_error",
-    "agrees_to_the_digits",
-    "believable",
-    "remarks",
-)
-
-
 def table_to_csv(table: ComparisonTable) -> str:
-    """All cells of a table with `CSV_COLUMNS` as the first line; figures in the quantity's unit."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    # a line for each cell
-    writer.writerow(CSV_COLUMNS)
-    for comparison in table.comparisons:
-        quantity = comparison.quantity
-        for cell in comparison.cells:
-            writer.writerow(
-                [
-                    table.printed.label,
-                    quantity.name,
-                    quantity.metric,
-                    quantity.unit,
-                    cell.row,
-                    cell.column,
-                    cell.printed,
-                    f"{cell.computed:.9g}",
-                    f"{cell.relative_error:.3e}",
-                    str(cell.agrees_to_the_digits).lower(),
-                    str(cell.believable).lower(),
-                    " ".join(f"{remark.verdict.value}: {remark.text}" for remark in cell.remarks),
-                ]
-            )
-    return text.getvalue()
+    """All cells of a table, with a line of names; figures in the quantity's unit."""
+    return csv_text(
+        [
+            {
+                "table": table.printed.label,
+                "quantity": comparison.quantity.name,
+                "metric": comparison.quantity.metric,
+                "unit": comparison.quantity.unit,
+                "row": cell.row,
+                "column": cell.column,
+                "paper": cell.printed,
+                "computed": f"{cell.computed:.9g}",
+                "relative_error": f"{cell.relative_error:.3e}",
+                "agrees_to_the_digits": str(cell.agrees_to_the_digits).lower(),
+                "believable": str(cell.believable).lower(),
+                "remarks": " ".join(f"{remark.verdict.value}: {remark.text}" for remark in cell.remarks),
+            }
+            for comparison in table.comparisons
+            for cell in comparison.cells
+        ]
+    )
 
 
 @dataclass(frozen=True)
@@ -288,10 +267,7 @@ class PaperReport:
         Raises:
             KeyError: it has not been computed.
         """
-        for table in self.tables:
-            if table.printed.key == key:
-                return table
-        raise KeyError(key)
+        return {table.printed.key: table for table in self.tables}[key]
 
     @property
     def agreement(self) -> Agreement:
