@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexfmu.model.scene.assembly import WORKING_MODES, bases, motor_angles
-from flexfmu.model.scene.mechanism import LinkSection, Mechanism
+from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sincos, sqrt, stack, unstack
 from flexfmu.trajectories.joint import Margin
@@ -143,7 +143,10 @@ def load_mass_matrix(scene: Scene, joints: RealArray) -> RealArray:
     """
     mechanism, count = scene.mechanism, len(joints)
     length = mechanism.proximal.length
-    masses = [_mass(link, mechanism.material.density) for link in (mechanism.proximal, mechanism.distal)]
+    masses = [
+        mechanism.material.density * math.pi / 4.0 * (link.diameter**2 - link.inner_diameter**2) * link.length
+        for link in (mechanism.proximal, mechanism.distal)
+    ]
     # elbows, the end effector beside the middle between them, and velocities for unit rates
     cosine, sine = np.cos(joints), np.sin(joints)
     elbows = np.array(bases(mechanism)) + length * np.stack([cosine, sine], axis=-1)
@@ -177,7 +180,3 @@ def load_mass_matrix(scene: Scene, joints: RealArray) -> RealArray:
 def _gram(first: RealArray, second: RealArray) -> RealArray:
     """Return the products A^T B of matrices (N, 2, 2)."""
     return np.asarray(first.swapaxes(1, 2) @ second)
-
-
-def _mass(link: LinkSection, density: float) -> float:
-    return density * math.pi / 4.0 * (link.diameter**2 - link.inner_diameter**2) * link.length

@@ -247,14 +247,12 @@ class OptimalMotion:
         grid: the grid that its equations are solved on.
         converged: whether IPOPT found an optimum.
         status: IPOPT's outcome.
-        iterations: number of IPOPT's iterations.
     """
 
     spline: JointSpline
     grid: CollocationGrid
     converged: bool
     status: str
-    iterations: int
 
 
 @one_blas_thread()
@@ -343,7 +341,6 @@ def _solved(
         programme.grid,
         bool(stats["success"]),
         str(stats["return_status"]),
-        int(stats["iter_count"]),
     )
 
 

@@ -141,7 +141,9 @@ class _Problem:
         self._motors, self._tolerances = motors, tolerances
         self._elastic = ElasticResponse(scene, variants, motors.coefficients[0], motors.intervals)
         rest = self._elastic.model.rest(motors.coefficients[-1])
-        self._basis = _correction_basis(motors, _spacing(rest))
+        # a quintic spline makes no motion that is faster than half a period a knot
+        highest = float(free_modes(rest).frequencies[:, :MODES].max(initial=1.0))
+        self._basis = _correction_basis(motors, max(PERIODS * 2.0 * np.pi / highest, LEAST_SPACING))
         self.count = 2 * self._basis.shape[1]
         fractions = self._elastic.fractions
         self._targets = motion.evaluate(fractions * motors.duration - LEAD, 0)[0]
@@ -299,13 +301,6 @@ def _in_directions(value: RealArray, by: RealArray) -> tuple[RealArray, RealArra
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return (value.reshape(-1, 2) @ ways.T).ravel(), (ways @ by.reshape(-1, *by.shape[-2:])).reshape(-1, by.shape[-1])
-
-
-def _spacing(rest: Rest) -> float:
-    """Distance of the corrections' knots [s]: a quintic spline makes no motion that is faster than half a period a knot."""
-    frequencies = free_modes(rest).frequencies[:, :MODES]
-    spacing = PERIODS * 2.0 * np.pi / float(frequencies.max(initial=1.0))
-    return max(spacing, LEAST_SPACING)
 
 
 def _correction_basis(motors: JointSpline, spacing: float) -> RealArray:

@@ -257,13 +257,6 @@ def test_specified_insensitivity_is_ei_at_its_own_width() -> None:
     np.testing.assert_allclose(found.amplitudes, ei.amplitudes, atol=1e-3)
 
 
-def test_sensitivity_curve_has_its_zero_at_the_design_frequency() -> None:
-    """The curve is over the true frequency divided by the design frequency, and symmetric for ZV."""
-    ratios_, residuals = design("zv", [Oscillator(FREQUENCY)]).sensitivity_curve(FREQUENCY, points=201)
-    assert ratios_[np.argmin(residuals)] == pytest.approx(1.0, abs=1e-12)
-    np.testing.assert_allclose(residuals, residuals[::-1], atol=1e-13)
-
-
 def test_insensitivity_without_limits() -> None:
     """No range where the design itself misses the level; one impulse has none at all."""
     assert extra_insensitive(Oscillator(10.0), 0.1).insensitivity(10.0, 0.05) == 0.0

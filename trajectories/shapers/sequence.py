@@ -147,27 +147,6 @@ class ImpulseSequence:
         exponents = np.outer(omega, pole * np.array(self.times) - ratio * self.duration)
         return np.asarray(np.abs(np.exp(exponents) @ np.array(self.amplitudes)))
 
-    def sensitivity_curve(
-        self, frequency: float, ratio: float = 0.0, lowest: float = 0.5, highest: float = 1.5, points: int = 401
-    ) -> tuple[RealArray, RealArray]:
-        """Return the residual vibration over the ratio of true to design frequency.
-
-        Args:
-            frequency: design frequency [Hz].
-            ratio: damping ratio.
-            lowest: lowest true frequency, divided by the design frequency.
-            highest: highest true frequency, divided by the design frequency.
-            points: number N of points.
-
-        Returns:
-            Frequency ratios and residuals, both (N,).
-
-        Raises:
-            TrajectoryError: a frequency or the damping ratio is out of range.
-        """
-        ratios = np.linspace(lowest, highest, points)
-        return ratios, self.residual(positive("design frequency", frequency, "Hz") * ratios, ratio)
-
     def insensitivity(self, frequency: float, level: float = 0.05, ratio: float = 0.0) -> float:
         """Return the width of the range around the design frequency in which the residual is at most ``level``.
 
