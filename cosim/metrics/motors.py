@@ -149,7 +149,7 @@ def _sampled(control: RealArray, theta: RealArray = SAMPLES) -> RealArray:
 
 
 @dataclass(frozen=True)
-class Margin:
+class MotorLimit:
     """A limit of a motor, and how near the run comes to it.
 
     Attributes:
@@ -193,7 +193,7 @@ class MotorLoad:
 
     joint: int
     motor: Motor
-    margins: tuple[Margin, ...]
+    margins: tuple[MotorLimit, ...]
     inertia_ratio: float | None
     rms_current: float | None
     peak_current: float | None
@@ -206,7 +206,7 @@ class MotorLoad:
     power: RealArray
 
     @property
-    def critical(self) -> Margin:
+    def critical(self) -> MotorLimit:
         """The margin whose limit is nearest or exceeded most."""
         return max(self.margins, key=lambda margin: margin.use)
 
@@ -283,9 +283,9 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
     (torque, torque_time), (speed, speed_time) = pieces.peak(pieces.torque), pieces.peak(pieces.speed)
     rms = math.sqrt(max(pieces.mean(pieces.square), 0.0))
     margins = (
-        Margin("peak torque", "N.m", torque, motor.peak_torque, torque_time, _position(run, torque_time)),
-        Margin("RMS torque", "N.m", rms, motor.continuous_torque),
-        Margin("speed", "rad/s", speed, motor.maximum_speed, speed_time, _position(run, speed_time)),
+        MotorLimit("peak torque", "N.m", torque, motor.peak_torque, torque_time, _position(run, torque_time)),
+        MotorLimit("RMS torque", "N.m", rms, motor.continuous_torque),
+        MotorLimit("speed", "rad/s", speed, motor.maximum_speed, speed_time, _position(run, speed_time)),
     )
     # currents, losses i² R and power of the supply
     constant, resistance = motor.torque_constant, motor.winding_resistance

@@ -102,7 +102,7 @@ class FittingTable(Table):
         return part
 
 
-class Limits(NamedTuple):
+class ColumnWidths(NamedTuple):
     """The narrowest and the widest useful width of a column [characters], and whether it may be narrower still."""
 
     narrowest: int
@@ -110,7 +110,7 @@ class Limits(NamedTuple):
     folds: bool
 
 
-def _limits(column: Column, console: Console, options: ConsoleOptions) -> Limits:
+def _limits(column: Column, console: Console, options: ConsoleOptions) -> ColumnWidths:
     """Return the limits of a column."""
     unlimited = options.update(max_width=UNLIMITED)
     head = Measurement.get(console, unlimited, column.header)
@@ -118,12 +118,12 @@ def _limits(column: Column, console: Console, options: ConsoleOptions) -> Limits
     widest = max([1, head.maximum, *(cell.maximum for cell in cells)])
     # numbers are never broken, their headings are
     if column.justify == "right":
-        return Limits(max([1, head.minimum, *(cell.maximum for cell in cells)]), widest, folds=False)
+        return ColumnWidths(max([1, head.minimum, *(cell.maximum for cell in cells)]), widest, folds=False)
     words = max([TEXT_WIDTH, head.minimum, *(cell.minimum for cell in cells)])
-    return Limits(min(widest, words), widest, folds=True)
+    return ColumnWidths(min(widest, words), widest, folds=True)
 
 
-def _parts(limits: Sequence[Limits], keys: int, width: int) -> list[list[int]]:
+def _parts(limits: Sequence[ColumnWidths], keys: int, width: int) -> list[list[int]]:
     """Return the columns of each part: the keys, and as many of the others as fit beside them."""
     others = range(keys, len(limits))
     widest = max((limits[place].narrowest for place in others), default=0)
@@ -142,7 +142,7 @@ def _parts(limits: Sequence[Limits], keys: int, width: int) -> list[list[int]]:
     return parts
 
 
-def _widths(limits: Sequence[Limits], width: int) -> list[int]:
+def _widths(limits: Sequence[ColumnWidths], width: int) -> list[int]:
     """Return the width of each column of a part."""
     widths = [each.narrowest for each in limits]
     room = width - sum(widths) - GAP * (len(widths) - 1)
