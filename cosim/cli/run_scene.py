@@ -82,7 +82,10 @@ def run_command(
         summary = summarise(run, measurements)
         if changes:
             summary["changes"] = [*changes]
-        summary["health"] |= _about_the_loop(run)
+        if scene.controller:
+            from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
+
+            summary["health"] |= loop_sentences(run)
         if "learning" in summary and scene.learners:
             from flexfmu.cosim.design.learning import contraction_of
 
@@ -133,12 +136,3 @@ def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> 
 
     rest = settings.end_equilibrium if settings is not None and settings.dwell else None
     return render_report(summary, draw_plots(run, rest))
-
-
-def _about_the_loop(run: Run) -> dict[str, str | None]:
-    """What there is to say of the stability of a scene's loop, and of its encoders."""
-    if not run.scene.controller:
-        return {"stability": None, "coarse_counts": None}
-    from flexfmu.cosim.design.margins.loop_warnings import coarse_counts_of, stability_warning
-
-    return {"stability": stability_warning(run), "coarse_counts": coarse_counts_of(run)}

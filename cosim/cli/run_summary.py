@@ -46,7 +46,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
         *health["large_deflections"],
         *health["counted_twice"],
         *health["beyond_tolerance"],
-        *filter(None, [health["unstable_loop"], health["stability"], health["coarse_counts"]]),
+        *filter(None, map(health.get, ("unstable_loop", "stability", "coarse_counts"))),
     ]
     sentences += [sentence for part in (*motors, *links) for sentence in part["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]

@@ -77,7 +77,7 @@ class CostWarning(UserWarning):
 
 
 class LoopWarning(UserWarning):
-    """The control loop of a completed run is unstable."""
+    """A control loop is unstable, or nearly."""
 
 
 class LearningWarning(UserWarning):

@@ -140,6 +140,10 @@ def _remedies(run: Run) -> str:
         yield "lower the gains, sample faster"
         if latest is not None and latest.average > _step(run)[0]:
             yield f"shorten the delays ({latest.average:.3g} s of {latest.connection})"
+        if scene.cosimulation.integrator_step:
+            yield f"make the fixed `cosimulation.integrator_step` of {scene.cosimulation.integrator_step:g} s smaller"
+        if any(each.kind != "payload" for each in scene.disturbance):
+            yield "make the disturbances smaller"
         # missing motor inertia
         if not scene.effects.motor_inertia:
             yield (

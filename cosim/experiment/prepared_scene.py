@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
 from flexfmu.cosim.engine.master.delays import SignalDelay
+from flexfmu.cosim.engine.master.grid import COINCIDENT
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
@@ -53,6 +54,9 @@ KEYS = {
     "(joint_friction.kind =": "(`effects.joint_friction.kind` =",
 }
 """What the FMU's messages advise, with its own parameters → the same with keys of the scene."""
+
+TOO_LONG = "with the fixed step"
+"""What the FMU's messages of a fixed step that is too long have in them."""
 
 
 def run_scene(
@@ -183,7 +187,6 @@ class PreparedScene:
         watch, section = Stopwatch(), scene.cosimulation
         self._loop = loop_of(scene, motion) if loop is None else loop
         self._plans = loop is None and motion is None
-        self._stop_time = self._loop.motion.stop_time
         planning = watch.lap()
         # build the FMU, or take it from the cache
         self._fmu_path = options.get("fmu_path") or build_scene(scene).path
@@ -198,6 +201,7 @@ class PreparedScene:
         step, tolerance, isolate = options.get("communication_step"), options.get("tolerance"), options.get("isolate")
         fixed = section.step if step is None else step
         self._step = section.communication_step if fixed is None else fixed
+        self._stop_time = self._end_of(self._loop.motion)
         check_step(self._step, self._loop.motion.once.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
@@ -265,10 +269,14 @@ class PreparedScene:
         unstable = divergence(run, [None if no else each for each, no in zip(velocities, held, strict=True)])
         if unstable is None:
             return run
+        if TOO_LONG in run.message:
+            # an integrator whose fixed step is too long diverges by itself
+            return replace(run, message=f"{run.message}; if that changes nothing, {unstable}")
+        run = replace(
+            run, health=replace(run.health, messages=(unstable, *run.health.messages), unstable_loop=unstable)
+        )
         if run.completed:
-            return replace(
-                run, health=replace(run.health, messages=(unstable, *run.health.messages), unstable_loop=unstable)
-            )
+            return run
         # if the loop has diverged before a slave fails, the loop is the cause
         return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
 
@@ -306,7 +314,7 @@ class PreparedScene:
             return False
         loop = loop_of(scene)
         check_step(self._step, loop.motion.once.duration)
-        self._scene, self._loop, self._stop_time = scene, loop, loop.motion.stop_time
+        self._scene, self._loop, self._stop_time = scene, loop, self._end_of(loop.motion)
         self._parts.references.follow(loop.driving)
         self._recording.follow(RigidMotion(loop.motion))
         self._instants.follow(loop.motion)
@@ -319,6 +327,10 @@ class PreparedScene:
             self._simulator = simulator
         self._times = planning, 0.0, watch.lap()
         return True
+
+    def _end_of(self, motion: MotionPlan) -> float:
+        """The end of motion and dwell [s]; a dwell in which the master has no instant of its own is none."""
+        return motion.stop_time if motion.stop_time - motion.duration > COINCIDENT * self._step else motion.duration
 
     @property
     def stop_time(self) -> float:

@@ -57,7 +57,7 @@ class Health:
         statistics: the FMU's Integer variables ``statistics.*`` at the end, without that prefix: steps, rejections,
             evaluations, iterations, factorisations; empty for an FMU without them.
         messages: what there is to say of the control loop, such as its instability, and log messages of the FMU.
-        unstable_loop: in a completed run: which signal runs away, how fast, and remedies; None for a stable loop, and for none.
+        unstable_loop: which signal runs away, how fast, and remedies; None for a stable loop, and for none.
     """
 
     statistics: Mapping[str, int]

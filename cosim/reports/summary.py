@@ -192,7 +192,7 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
         "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
         "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
         "large_deflections": exceeded(run),
-        "unstable_loop": run.health.unstable_loop,
+        "unstable_loop": run.health.unstable_loop if run.completed else None,
         "counted_twice": counted_twice(run.scene),
         "beyond_tolerance": list(_beyond_tolerance(run, measurements)),
     }

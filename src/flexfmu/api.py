@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from flexfmu.cosim.design.effects.choice import resolved
+from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
@@ -70,8 +72,8 @@ def run(
     Returns:
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
         ``run.completed`` whether it reached the stop time. If a slave fails during the run, nothing is raised: the recording
-        ends there, and the outcome gives the reason. A completed run whose control loop is unstable says so in
-        ``run.health.messages``, and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains. ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
+        ends there, and the outcome gives the reason. A control loop that is unstable, or nearly, is named in
+        ``run.health.messages`` and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains. ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
@@ -91,13 +93,14 @@ def run(
     if fmu is not None:
         options["fmu_path"] = Path(fmu)
     found = run_scene(resolved(robot) if loop is None else loop.motion.scene, loop=loop, **options)
-    if not found.scene.imperfection:
+    if not found.scene.controller:
         return found
-    from flexfmu.cosim.design.margins.loop_warnings import coarse_counts_of  # which few runs need
+    from flexfmu.cosim.design.margins.loop_warnings import loop_sentences  # which few runs need
 
-    coarse = coarse_counts_of(found)
-    health = found.health if coarse is None else replace(found.health, messages=(*found.health.messages, coarse))
-    return replace(found, health=health)
+    told = loop_sentences(found)
+    if (unstable := told["stability"]) is not None:
+        warnings.warn(unstable, LoopWarning, stacklevel=2)
+    return replace(found, health=replace(found.health, messages=(*found.health.messages, *filter(None, told.values()))))
 
 
 def compare(

@@ -66,6 +66,14 @@ NOT_LINEAR = (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueEr
 """Errors of loops that can't be linearised."""
 
 
+def loop_sentences(run: Run) -> dict[str, str | None]:
+    """What there is to say of the stability of a run's loop, unless the run itself shows that it is unstable, and of its encoders."""
+    if not run.scene.controller:
+        return {"stability": None, "coarse_counts": None}
+    stability = stability_warning(run) if run.health.unstable_loop is None else None
+    return {"stability": stability, "coarse_counts": coarse_counts_of(run)}
+
+
 @one_blas_thread()
 def stability_warning(run: Run) -> str | None:
     """What there is to say of a run's loop about standstill along its path; None for a loop that is far from instability everywhere,

@@ -10,14 +10,23 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.control.controllers.own_function import controller
+from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_loop, run_scene
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "controller_scene.toml"
 IMAGINARY_AXIS = {"rk4": 2.8284, "dopri5": 1.0}
 """Method → end of its stability interval on the imaginary axis, where undamped modes are."""
+
+PD: dict[str, Any] = {
+    "cosimulation.drive": "torque",
+    "effects.motor_inertia": 0.1,
+    "controller": [{"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}],
+}
+"""A stable loop."""
 
 
 @pytest.fixture(scope="module")
@@ -103,3 +112,44 @@ def test_stiction_at_the_tightest_tolerance() -> None:
         assert run.completed, run.message
         found.append(np.array([run.recording[f"joint{j}.position"].values for j in (1, 2)]))
     assert abs(found[0] - found[1]).max() < 1e-10
+
+
+@pytest.mark.parametrize(("integrator", "step"), [("rk4", 5e-5), ("rk4", 7e-5), ("dopri5", 5e-5), ("dopri5", 3e-4)])
+def test_a_long_fixed_step_is_not_the_loops_fault(integrator: str, step: float) -> None:
+    """A stable loop whose explicit integrator diverges: the step is the cause, the loop is named in the second place."""
+    changes = {"cosimulation.integrator": integrator, "cosimulation.integrator_step": step}
+    run = run_scene(load_scene("barnard2012-6kg").replace(PD | changes))
+    assert run.outcome is Outcome.STEP_FAILED
+    remedy, _, loop = run.message.partition("make `cosimulation.integrator_step` smaller")
+    assert "unstable" not in remedy
+    assert "if that changes nothing" in loop
+
+
+def test_a_loop_that_ends_the_run_is_told() -> None:
+    """From Python too: in the messages, and by a warning."""
+    with pytest.warns(LoopWarning, match="the control loop is unstable"):
+        run = run_scene(load_scene("barnard2012-6kg").replace(PD | {"controller.pd.derivative": 1000.0}))
+    assert run.outcome is Outcome.LOOP_UNSTABLE
+    assert run.health.unstable_loop == run.health.messages[0]
+
+
+def test_python_is_told_of_a_loop_that_margins_call_unstable() -> None:
+    """A robot that its controller lets go falls slowly: `flexfmu.run` says what `flexfmu run` does."""
+    gone = PD | {"controller.pd.proportional": 0.0, "controller.pd.derivative": 0.0, "trajectory.dwell": 0.0}
+    with pytest.warns(LoopWarning, match="the loop is unstable about"):
+        run = flexfmu.run(load_scene("barnard2012-6kg").replace(gone))
+    assert run.completed
+    assert "the loop is unstable about" in run.health.messages[-1]
+
+
+@pytest.mark.parametrize(("dwell", "step"), [(1e-12, 1e-3), (1e-10, 2e-4), (1e-9, 2e-4), (1e-8, 2e-2)])
+def test_a_dwell_without_an_instant_is_none(dwell: float, step: float) -> None:
+    """Acceleration errors are those before the last jump, however short the dwell after it is."""
+    scene = load_scene("barnard2012-0.1kg").replace(
+        {"trajectory.profile": {"kind": "bang-bang"}, "cosimulation.step": step}
+    )
+    found, expected = (
+        measure_run(run_scene(scene.replace({"trajectory.dwell": each})))["end_acceleration_error"]
+        for each in (dwell, 0.0)
+    )
+    assert found.value == pytest.approx(expected.value, rel=1e-4)
