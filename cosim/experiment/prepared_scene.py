@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
 from flexfmu.cosim.engine.master.delays import SignalDelay
-from flexfmu.cosim.engine.master.grid import COINCIDENT
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.simulator import Simulator
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.slave import COINCIDENT, RealArray
 from flexfmu.cosim.experiment.convergence import companion_share, companion_step
 from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.loop import Loop, make_loop

@@ -130,7 +130,8 @@ def _grows(loop: LinearLoop) -> str:
     """How fast small motions grow."""
     pole = growth(loop)
     at = f" at {abs(pole.imag) / (2.0 * pi):.3g} Hz" if abs(pole.imag) > 1e-9 * abs(pole) else ""
-    return f"small motions grow tenfold in {1e3 * log(10.0) / pole.real:.3g} ms{at}"
+    time = log(10.0) / pole.real
+    return f"small motions grow tenfold in {f'{1e3 * time:.3g} ms' if time < 1.0 else f'{time:.3g} s'}{at}"
 
 
 def _stable_with(loop: LinearLoop) -> str:
