@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from math import exp, pi
 from typing import Any
 
 import numpy as np
 import pytest
+from axis_slave import Axis
 from scipy import signal
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -27,7 +28,6 @@ from flexfmu.cosim.control.imperfections.signal_blocks import (
 )
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.model.symbolic import SymbolicBlock
 
 MS = Fraction(1, 1000)
@@ -41,36 +41,7 @@ Law = Callable[[float], float]
 """What a part makes of its input at a sample; it remembers what it needs."""
 
 
-class Axis:
-    """An inertia that a held torque and a held disturbance turn; exact over every step."""
-
-    name = "plant"
-    variables = (
-        SlaveVariable("axis.position", "output"),
-        SlaveVariable("axis.velocity", "output"),
-        SlaveVariable("axis.torque", "input", start=0.0),
-        SlaveVariable("axis.disturbance", "input", start=0.0),
-    )
-    feedthrough: Mapping[str, tuple[str, ...]] = {"axis.position": (), "axis.velocity": ()}
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.values = np.array([0.1, 0.5, 0.0, 0.0])
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.values[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = self.values[indices]
-
-    def step(self, time: float, step: float) -> None:
-        angle, rate, torque, disturbance = self.values
-        self.values[:2] = moved(angle, rate, torque + disturbance, step)
-
-
-def moved(angle: float, rate: float, torque: float, step: float) -> tuple[float, float]:
-    """Angle and rate of an inertia of 0.2 kg.m2 after a step."""
-    acceleration = torque / 0.2
-    return angle + step * rate + step**2 / 2.0 * acceleration, rate + step * acceleration
+AXIS = Axis((0.1, 0.5), load=0.0)
 
 
 def quotient(b: Iterable[float], a: Iterable[float]) -> Law:
@@ -262,7 +233,7 @@ def by_hand(
     before, found = Fraction(0), []
     samples, stop = {k * MS for k in range(int(STOP / MS))}, max(at, default=STOP) if disturbance is noise else STOP
     for now in sorted(each for each in samples | set(at) if each <= stop and each < STOP):
-        angle, rate = moved(angle, rate, torque + push, float(now - before))
+        angle, rate = AXIS.moved(angle, rate, torque + push, float(now - before))
         if now in at and disturbance is not None:
             push = disturbance(now)
         if now in samples:
@@ -286,7 +257,7 @@ def simulated(inline: SymbolicBlock | None, on_torque: bool, disturbance: Symbol
     wires += [(position, "pd.axis.position"), (torque, "plant.axis.torque")]
     if disturbance:
         wires.append((f"{disturbance.name}.axis.disturbance", "plant.axis.disturbance"))
-    result = simulate(connect([Axis(), *map(BlockSlave, blocks)], wires), stop=float(STOP), step=float(MS / 3))
+    result = simulate(connect([AXIS, *map(BlockSlave, blocks)], wires), stop=float(STOP), step=float(MS / 3))
     assert result.outcome is Outcome.COMPLETED, result.message
     return result.recording, torque
 

@@ -9,6 +9,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from axis_slave import Axis
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
@@ -118,37 +119,7 @@ class Motion:
         )
 
 
-class Axis:
-    """An inertia that a held torque turns, with a load that pulls; exact over every step."""
-
-    name = "plant"
-    variables = (
-        SlaveVariable("axis.position", "output"),
-        SlaveVariable("axis.velocity", "output"),
-        SlaveVariable("axis.torque", "input", start=0.0),
-    )
-    feedthrough: Mapping[str, tuple[str, ...]] = {"axis.position": (), "axis.velocity": ()}
-    inertia, load = 0.2, 3.0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.values = np.zeros(3)
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.values[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = self.values[indices]
-
-    def step(self, time: float, step: float) -> None:
-        angle, rate, torque = self.values
-        self.values[:2] = self.moved(angle, rate, torque, step)
-
-    @classmethod
-    def moved(cls, angle: float, rate: float, torque: float, step: float) -> tuple[float, float]:
-        """Angle and rate after a step."""
-        acceleration = (torque - cls.load) / cls.inertia
-        return angle + step * rate + step**2 / 2.0 * acceleration, rate + step * acceleration
-
+AXIS = Axis()
 
 GAINS = {"K_v": 45.0, "V": 0.8, "limit": 18.0, "K_p": 9.0, "K_i": 400.0, "J": 0.15, "T": 4e-4}
 
@@ -182,7 +153,7 @@ def own_simulation(clocks: Mapping[str, tuple[Fraction, Fraction]], stop: Fracti
     wanted = np.clip(g["K_p"] * (command - rate) + g["J"] * a_r, -limit, limit)
     rows, before = [], Fraction(0)
     for now in sorted(set.union(*instants.values())):
-        angle, rate = Axis.moved(angle, rate, torque, float(now - before))
+        angle, rate = AXIS.moved(angle, rate, torque, float(now - before))
         q_r, w_r, a_r = Motion.at(float(now))
         if now in instants["position"]:
             command = np.clip(g["K_v"] * (q_r - angle) + g["V"] * w_r, -g["limit"], g["limit"])
@@ -226,7 +197,7 @@ def test_several_rates_against_a_simulation_of_its_own(clocks: str, rule: str) -
     """Three clocks, both limits reached, every anti-windup: angle, rate and torque to 1e-12 at every instant."""
     times = CLOCKS[clocks]
     stop = 250 * MS
-    slaves: list[Slave] = [Motion(), Axis(), *(BlockSlave(each) for each in blocks_of(times, RULES[rule]))]
+    slaves: list[Slave] = [Motion(), AXIS, *(BlockSlave(each) for each in blocks_of(times, RULES[rule]))]
     owners = {"motion": slaves[0], "plant": slaves[1]} | {each.name: each for each in slaves[2:]}
     outputs = {v.name: f"{n}.{v.name}" for n, each in owners.items() for v in each.variables if v.causality == "output"}
     wires = [
@@ -268,7 +239,7 @@ def test_velocity_lag(share: float) -> None:
         velocity.set(np.arange(2), np.array([value[0], speed]))
         velocity.sample(k * H)
         velocity.get(np.array([len(velocity.variables) - 1]), value)
-        angle, speed = Axis.moved(angle, speed, value[0], H)
+        angle, speed = AXIS.moved(angle, speed, value[0], H)
     assert rate * 4000 * H - angle == pytest.approx((1.0 - share) * rate / k_v, rel=1e-9, abs=1e-11)
 
 
@@ -290,7 +261,7 @@ def overshoot(anti_windup: AntiWindup) -> tuple[float, float]:
                 slave.set(np.arange(len(inputs)), np.array(inputs))
                 slave.sample(k * float(MS) / 16)
                 slave.get(np.array([len(slave.variables) - 1]), result)
-        angle, rate = Axis.moved(angle, rate, torque[0], float(MS) / 16)
+        angle, rate = AXIS.moved(angle, rate, torque[0], float(MS) / 16)
         largest = max(largest, angle)
     return largest - 6.0, abs(angle - 6.0)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axis_slave import Axis
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,6 @@ from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.assembly import elbows, motor_angles
@@ -125,38 +125,14 @@ def test_observer_with_the_robot_as_its_model(respond: Respond) -> None:
         np.testing.assert_allclose(found[f"{joint}.feedforward"], expected, rtol=0.0, atol=1e-12 * abs(torque).max())
 
 
-class Axis:
-    """An inertia that a held torque turns, with a load that pulls; exact over every step."""
-
-    name = "plant"
-    variables = (
-        SlaveVariable("axis.position", "output"),
-        SlaveVariable("axis.velocity", "output"),
-        SlaveVariable("axis.torque", "input", start=0.0),
-    )
-    feedthrough: Mapping[str, tuple[str, ...]] = {"axis.position": (), "axis.velocity": ()}
-    inertia, load = 0.2, 3.0
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.values = np.array([0.1, 0.0, 0.0])
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.values[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = self.values[indices]
-
-    def step(self, time: float, step: float) -> None:
-        angle, rate, torque = self.values
-        acceleration = (torque - self.load) / self.inertia
-        self.values[:2] = angle + step * rate + step**2 / 2.0 * acceleration, rate + step * acceleration
+AXIS = Axis((0.1, 0.0))
 
 
 def test_observer_in_a_loop() -> None:
     """PD, observer and an inertia under a load that the observer assumes too small: to 1e-12 at every instant, and no error is left."""
     k_p, k_d, assumed, time_constant, count = 80.0, 6.0, 0.15, 8e-3, 1500
     slaves = [
-        Axis(),
+        AXIS,
         BlockSlave(pd(k_p, k_d, sample_time=H, joints=ONE)),
         BlockSlave(disturbance_observer(assumed, time_constant, sample_time=H, joints=ONE), "observer"),
     ]
@@ -177,7 +153,7 @@ def test_observer_in_a_loop() -> None:
         torque = -k_p * angle - k_d * rate + estimate
         rows.append((angle, rate, torque))
         before, last = torque, rate
-        acceleration = (torque - Axis.load) / Axis.inertia
+        acceleration = (torque - AXIS.load) / AXIS.inertia
         angle, rate = angle + H * rate + H**2 / 2.0 * acceleration, rate + H * acceleration
     exact, recording = np.array(rows), result.recording
     at = np.searchsorted(recording.time, H * np.arange(count) + H / 4.0) - 1
