@@ -279,13 +279,14 @@ class PreparedScene:
         # if the loop has diverged before a slave fails, the loop is the cause
         return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
 
-    def check_size(self) -> None:
-        """Refuse a run whose recording is too large with its companion's.
+    def check_size(self, *, companion: bool = True) -> None:
+        """Refuse a run whose recording is too large, by default with its companion's.
 
         Raises:
             InputError: they have more than 2 GB; see `flexfmu.cosim.experiment.run_size.check_size`.
         """
-        steps = self._step, companion_step(self._parts, self._loop.motion, self._step)
+        steps = [self._step]
+        steps += [companion_step(self._parts, self._loop.motion, self._step)] if companion else []
         sizes = [recorded_bytes(self._parts, self._recording.needed, self._stop_time, each) for each in steps]
         check_size(self._loop.motion, self._parts, sizes, self._step)
 

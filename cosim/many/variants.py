@@ -216,13 +216,15 @@ class VariantTask(Generic[T]):
         return self.scene.replace(dict(changes)) if changes else self.scene
 
     def _prepared(self, changes: Changes) -> PreparedScene:
-        return PreparedScene(
+        prepared = PreparedScene(
             self._changed(changes),
             communication_step=self.communication_step,
             tolerance=self.tolerance,
             fmu_path=self.fmu_path,
             record=self.record,
         )
+        prepared.check_size(companion=False)
+        return prepared
 
     def _in_lockstep(self, variants: Mapping[int, Variant], done: Callable[[int], None]) -> dict[int, T | Exception]:
         """The outcomes of those variants of a band that can be simulated in lockstep, by their keys."""

@@ -20,6 +20,7 @@ from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.showing import few_lines
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS
 from flexfmu.cosim.reports.rows import Rows
@@ -130,6 +131,7 @@ def tune_scene(
     if not intervals:
         raise InputError("tuning needs keys and intervals: --over pd.kp=1e3:1e5")
     check_keys(scene, intervals)
+    PreparedScene(scene).check_size(companion=False)
     study = Study(
         scene,
         intervals,

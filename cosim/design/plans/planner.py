@@ -20,6 +20,7 @@ from flexfmu.cosim.design.plans.goals import Goals, judged_scene
 from flexfmu.cosim.design.plans.required_effects import most_robust
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.reports.rows import Rows
 from flexfmu.model.one_thread import one_blas_thread
@@ -185,6 +186,7 @@ def plan_scene(
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
     show("the given motion", None)
+    PreparedScene(scene).check_size(companion=False)
     judge = Judge(goals, SCREENED)
     check_holding_torque(goals, judge.given)
     found, failures = [judge.given], list(_notes(scene, goals))

@@ -149,6 +149,7 @@ def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
 def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> ComparedRun:
     """Run a scene, measure it, and do so at both ends of a band of payloads."""
     prepared, begin = PreparedScene(scene), processor_time()
+    prepared.check_size()
     run = prepared.run(progress=lambda fraction: show(f"simulating {scene.name}", fraction))
     taken = processor_time() - begin
     if run.completed and taken < QUICK:  # the first one loads what the next ones share

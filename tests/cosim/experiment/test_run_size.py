@@ -87,3 +87,18 @@ def test_shipped_scenes_are_below_the_limit() -> None:
     for name in ("barnard2012-6kg", "barnard2012-0.1kg"):
         PreparedScene(load_scene(name), communication_step=5e-6).check_size()
     assert LARGEST_SIZE > 1e9
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["compare", "barnard2012-6kg", "--variant", "long:trajectory.duration=430"],
+        ["plan", "barnard2012-6kg", "--set", "trajectory.duration=900"],
+        ["sweep", "barnard2012-6kg", "--vary", "trajectory.duration=900", "--metrics", "peak_torque_1", "--no-plot"],
+    ],
+)
+def test_commands_of_many_runs_ask_too(command: list[str], tmp_path: Path) -> None:
+    """A value in milliseconds isn't simulated for minutes; of a sweep it is the case's own failure."""
+    found = CliRunner().invoke(app, [*command, "--out", str(tmp_path / "out")])
+    assert found.exit_code != 0
+    assert "s: 0.43 s?" in found.output or "s: 0.9 s?" in found.output
