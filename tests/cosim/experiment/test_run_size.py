@@ -77,7 +77,7 @@ def test_values_in_milliseconds_are_asked_about(setting: str, hint: str, tmp_pat
 def test_python_asks_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """The keyword accepts it."""
     monkeypatch.setattr("flexfmu.cosim.experiment.run_size.LARGEST_SIZE", 1e6)
-    with pytest.raises(InputError, match=r"record about .* GB for its companion, .*--yes, in Python accept_size=True"):
+    with pytest.raises(InputError, match=r"record about .* GB for its companion, .*--yes`, in Python accept_size=True"):
         flexfmu.run("barnard2012-6kg")
     assert flexfmu.run("barnard2012-6kg", accept_size=True).completed
 
