@@ -6,7 +6,9 @@ import ast
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -77,6 +79,63 @@ SELDOM = (
 )
 """What a run whose metrics aren't asked for, without shapers, controllers, imperfections, cycles, references for the flexible robot, own motions and tables doesn't load: functions that need it may
 import it."""
+
+
+PLUG_INS = (
+    "cosim.cli",
+    "cosim.control.controllers",
+    "cosim.engine.formats",
+    "cosim.studies.hard",
+    "fmu_build.validation",
+)
+"""Folders of which a module is one command, kind of controller, file format, hard case, or check: one place lists them all."""
+
+ALONE = {
+    "cosim.control": "the front door names what is in it",
+    "cosim.control.imperfections.random_streams": "jitter and noise",
+    "cosim.design.effects.study": "what each effect is worth, behind a command",
+    "cosim.design.gains.search": "the optimiser",
+    "cosim.design.margins.identified": "loops with code of a user",
+    "cosim.design.margins.peaks": "norms of lifted systems",
+    "cosim.design.margins.pictures": "drawing",
+    "cosim.design.plans.required_effects": "effects that a plan must have",
+    "cosim.design.plans.robust_optimal": "the optimiser over several robots",
+    "cosim.design.shapers.figure": "drawing",
+    "cosim.engine.fmu.log": "log of an FMU",
+    "cosim.engine.fmu.start_values": "start values of an FMU",
+    "cosim.engine.fmu.trajectory": "references within an FMU",
+    "cosim.engine.master.controlled_steps": "step control",
+    "cosim.exchange.ssp.export": "the way out",
+    "cosim.exchange.ssp.parameters": "parameter values in SSP files",
+    "cosim.exchange.ssp.writing": "XML",
+    "cosim.experiment.divergence": "detection of unstable loops",
+    "cosim.experiment.fitting_signals": "references for foreign FMUs",
+    "cosim.experiment.recorded_instants": "choice of steps",
+    "cosim.experiment.run_size": "sizes",
+    "cosim.experiment.table_motion": "motions from files",
+    "cosim.many.variants": "many runs, behind the front door",
+    "cosim.metrics.analysis": "the compiled analysis of segments",
+    "cosim.reports.plots": "drawing",
+    "cosim.reports.report": "the page of a run",
+    "cosim.studies.compare.alignment": "delays of measurements",
+    "cosim.studies.paper.command": "a command",
+    "cosim.studies.paper.spectra": "spectra of torques",
+    "cosim.studies.sweep.picture": "drawing",
+    "cosim.studies.workprec.exudyn_peer": "another tool",
+    "cosim.studies.workprec.figures": "drawing",
+    "cosim.studies.workprec.tool_trials": "other tools",
+    "fmu_build.block_build": "FMUs of blocks",
+    "fmu_build.trajectory_build": "FMUs of references",
+    "fmu_build.twins": "pairs of lanes in C",
+    "model.finite_elements.motion": "time integration",
+    "model.foreshortening": "an effect",
+    "model.multipliers": "the second form of the equations",
+    "model.reference_design.optimal_control": "the transcription",
+    "model.reference_design.robust_correction": "correction over a band",
+    "model.rotary_inertia": "an effect",
+    "model.selection.cost": "operations of effects",
+}
+"""Modules with one importer that are an idea of their own, and which."""
 
 
 @dataclass(frozen=True)
@@ -207,3 +266,29 @@ def test_imports_stand_at_the_top(modules: Mapping[str, Module]) -> None:
         if _room(module.name) != "cosim.cli" and not may_wait(late, module)
     ]
     assert wrong == []
+
+
+@pytest.fixture(scope="module")
+def size() -> Mapping[str, Any]:
+    """What `make lint` prints of the lines, with names."""
+    spec = spec_from_file_location("size", ROOT / "generators" / "size.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    result: Mapping[str, Any] = module.measure()
+    return result
+
+
+def test_a_class_name_means_one_thing(size: Mapping[str, Any]) -> None:
+    """No two public classes have one name: rename one, or let one replace the other."""
+    assert size["class_names_used_twice"] == {}
+
+
+def test_a_module_serves_several(size: Mapping[str, Any]) -> None:
+    """A module with one importer is a plug-in, or is listed with its reason: else it joins its importer."""
+    names = [each.removeprefix("flexfmu.") for each in size["one_importer"]]
+    single = {
+        each for each in names if each != "api" and not each.startswith(tuple(f"{folder}." for folder in PLUG_INS))
+    }
+    assert single == ALONE.keys()

@@ -127,7 +127,8 @@ def plan(
     for message in result.failures:
         show_note(message)
     if result.interrupted:
-        show_note("interrupted: this is the best motion so far")
+        cause = "interrupted" if budget is None else f"interrupted, or the budget of {budget:g} s is spent"
+        show_note(f"{cause}: this is the best motion so far")
     if json:
         print_text(to_json({**summary(result), "files": [str(path) for path in files]}))
     else:

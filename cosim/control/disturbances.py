@@ -42,7 +42,7 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.table_file import read_signal
 
 
-class Timing(TypedDict, total=False):
+class SampleTimes(TypedDict, total=False):
     """What all sampled disturbances take beside their own arguments, see above."""
 
     sample_time: Required[float]
@@ -93,7 +93,7 @@ def sine(
     frequency: float,
     *,
     phase: float = 0.0,
-    **timing: Unpack[Timing],
+    **timing: Unpack[SampleTimes],
 ) -> SymbolicBlock:
     """Build the block: amplitude sin(2 pi frequency (t - start) + phase), held between the samples.
 
@@ -119,7 +119,7 @@ def band_noise(
     seed: int = 0,
     *,
     components: int = 50,
-    **timing: Unpack[Timing],
+    **timing: Unpack[SampleTimes],
 ) -> SymbolicBlock:
     """Build the block: a sum of n sines with amplitudes sqrt(2/n) standard_deviation and random phases, held between samples.
 
@@ -160,7 +160,7 @@ def band_noise(
     return _sampled("noise", "Band-limited noise", signal, law, parameters, **timing)
 
 
-def table(signal: str, times: RealArray, values: RealArray, **timing: Unpack[Timing]) -> SymbolicBlock:
+def table(signal: str, times: RealArray, values: RealArray, **timing: Unpack[SampleTimes]) -> SymbolicBlock:
     """Build the block: values (N,) at times (N,) [s] from the start on, linear between, held between samples, zero outside.
 
     The times ascend from 0 s on.
@@ -263,10 +263,10 @@ def _pulse(signal: str, value: float, start: float, end: float | None, name: str
     return steps(signal, [start], [value], name) if end is None else steps(signal, [start, end], [value, 0.0], name)
 
 
-def _held(s: SampledDisturbanceSection, context: LoopContext) -> Timing:
+def _held(s: SampledDisturbanceSection, context: LoopContext) -> SampleTimes:
     """Times and name of a disturbance that is held from sample to sample."""
     h = s.sample_time or context.sample_time
-    return Timing(sample_time=h, start=s.start, duration=s.duration, name=context.name)
+    return SampleTimes(sample_time=h, start=s.start, duration=s.duration, name=context.name)
 
 
 def _from_step(section: PulseSection | StepSection, context: LoopContext) -> SymbolicBlock:

@@ -44,7 +44,7 @@ from flexfmu.model.symbolic import SymbolicBlock
 
 
 @dataclass(frozen=True)
-class Section:
+class SecondOrder:
     """A quotient of polynomials in s [rad/s] of order 2 at most, highest power first; exact at an angular frequency.
 
     Attributes:
@@ -106,34 +106,34 @@ def _polynomial(coefficients: tuple[float, float, float]) -> str:
     return " + ".join(terms) or "0"
 
 
-def notch(frequency: float, damping: float = 0.5, depth: float = 0.0) -> list[Section]:
+def notch(frequency: float, damping: float = 0.5, depth: float = 0.0) -> list[SecondOrder]:
     """A notch at a frequency [Hz] whose gain there is ``depth``; ``damping`` is its width, relative to twice the frequency."""
     w = 2.0 * pi * frequency
-    return [Section((1.0, 2.0 * depth * damping * w, w * w), (1.0, 2.0 * damping * w, w * w), w)]
+    return [SecondOrder((1.0, 2.0 * depth * damping * w, w * w), (1.0, 2.0 * damping * w, w * w), w)]
 
 
-def low_pass(frequency: float, order: int = 2) -> list[Section]:
+def low_pass(frequency: float, order: int = 2) -> list[SecondOrder]:
     """A Butterworth low-pass with a gain of 1/√2 at a frequency [Hz]."""
     w = 2.0 * pi * frequency
-    return [Section((0.0, 0.0, each[-1]) if each[0] else (0.0, 0.0, w), each, w) for each in _butterworth(w, order)]
+    return [SecondOrder((0.0, 0.0, each[-1]) if each[0] else (0.0, 0.0, w), each, w) for each in _butterworth(w, order)]
 
 
-def high_pass(frequency: float, order: int = 2) -> list[Section]:
+def high_pass(frequency: float, order: int = 2) -> list[SecondOrder]:
     """A Butterworth high-pass with a gain of 1/√2 at a frequency [Hz]."""
     w = 2.0 * pi * frequency
-    return [Section((1.0, 0.0, 0.0) if each[0] else (0.0, 1.0, 0.0), each, w) for each in _butterworth(w, order)]
+    return [SecondOrder((1.0, 0.0, 0.0) if each[0] else (0.0, 1.0, 0.0), each, w) for each in _butterworth(w, order)]
 
 
-def lead_lag(zero: float, pole: float) -> list[Section]:
+def lead_lag(zero: float, pole: float) -> list[SecondOrder]:
     """(s / wz + 1) / (s / wp + 1) with a zero and a pole [Hz]; exact at the geometric mean of both, where it leads or lags most."""
     wz, wp = 2.0 * pi * zero, 2.0 * pi * pole
-    return [Section((0.0, 1.0 / wz, 1.0), (0.0, 1.0 / wp, 1.0), float(np.sqrt(wz * wp)))]
+    return [SecondOrder((0.0, 1.0 / wz, 1.0), (0.0, 1.0 / wp, 1.0), float(np.sqrt(wz * wp)))]
 
 
-def biquad(numerator: Sequence[float], denominator: Sequence[float], prewarp: float | None = None) -> list[Section]:
+def biquad(numerator: Sequence[float], denominator: Sequence[float], prewarp: float | None = None) -> list[SecondOrder]:
     """A quotient of polynomials in s [rad/s], highest power first, exact at ``prewarp`` [Hz]."""
     top, bottom = ((0.0, 0.0, 0.0, *each)[-3:] for each in (numerator, denominator))
-    return [Section((top[0], top[1], top[2]), (bottom[0], bottom[1], bottom[2]), 2.0 * pi * (prewarp or 0.0))]
+    return [SecondOrder((top[0], top[1], top[2]), (bottom[0], bottom[1], bottom[2]), 2.0 * pi * (prewarp or 0.0))]
 
 
 def _butterworth(w: float, order: int) -> list[tuple[float, float, float]]:
@@ -146,7 +146,7 @@ def _butterworth(w: float, order: int) -> list[tuple[float, float, float]]:
 
 
 def filter_block(
-    channels: Sequence[Channel], sections: Sequence[Section], **options: Unpack[BlockOptions]
+    channels: Sequence[Channel], sections: Sequence[SecondOrder], **options: Unpack[BlockOptions]
 ) -> SymbolicBlock:
     """Build the block of a chain of sections, the same for each channel.
 
@@ -191,7 +191,7 @@ def _gain(b: tuple[float, float, float], a: tuple[float, float]) -> float:
     return sum(b) / below if abs(below) > 1e-12 else 0.0
 
 
-def _delay(sections: Sequence[Section], sample_time: float) -> float:
+def _delay(sections: Sequence[SecondOrder], sample_time: float) -> float:
     """Delay at low frequency [s], where there is one: there s stands for c sample_time / 2 times the frequency."""
     found = 0.0
     for each in sections:
@@ -233,7 +233,7 @@ def _frequencies(kind: str, context: LoopContext, position: tuple[float, float])
     return found[len(found) - elastic :] if 0 < elastic <= len(found) else []
 
 
-def _built(section: FilterSection, context: LoopContext, sections: list[Section]) -> SymbolicBlock:
+def _built(section: FilterSection, context: LoopContext, sections: list[SecondOrder]) -> SymbolicBlock:
     return filter_block(
         section_channels(section, context, REFERENCE_KINDS), sections, name=context.name, **sampling(section, context)
     )

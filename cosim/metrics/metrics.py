@@ -161,7 +161,7 @@ def with_errors(
         return _based(measured, Metrics.basis)
 
     # error of each metric: its change in the companions, and rounding
-    rounding = {name: each.rounding + ROUNDING * _magnitude(run.recording, name) for name, each in measured.items()}
+    rounding = {name: each.rounding + ROUNDING * _magnitude(run, name) for name, each in measured.items()}
     stated = {name: _stated([one.get(name) for one in results], rounding[name], companion) for name in measured}
     _settle(stated, [run.recording, finest.recording], settings)
     if len(how) == 1:
@@ -229,11 +229,15 @@ def _settle(stated: dict[str, Measurement], recordings: Sequence[Recording], set
     stated["settling_time"] = replace(settled, own_error=own_error, error=error)
 
 
-def _magnitude(recording: Recording, name: str) -> float:
-    """Return the largest magnitude of the signals that a metric is computed from; 0 where none is recorded."""
-    columns = {"time": recording.time} | {each: column.values for each, column in recording.columns.items()}
-    values = [columns[each] for each in ALL_METRICS[name].columns if each in columns]
-    return max((float(np.abs(each).max()) for each in values), default=0.0)
+def _magnitude(run: Run, name: str) -> float:
+    """Return the largest magnitude of the signals that a metric is computed from; 0 where none is recorded.
+
+    An acceleration is what gravity and the forces that hold it leave.
+    """
+    columns = {"time": run.recording.time} | {each: column.values for each, column in run.recording.columns.items()}
+    known = [each for each in ALL_METRICS[name].columns if each in columns]
+    least = np.hypot(*run.scene.effects.gravity) if any("acceleration" in each for each in known) else 0.0
+    return max((float(np.abs(columns[each]).max()) for each in known), default=0.0) + float(least)
 
 
 def settings_for(run: Run) -> Settings:

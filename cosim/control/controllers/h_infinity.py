@@ -52,7 +52,7 @@ INTEGRAL = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class StateSpace:
     """A linear system, continuous or discrete.
 
     Attributes:
@@ -64,35 +64,35 @@ class System:
     C: RealArray
     D: RealArray
 
-    def __matmul__(self, first: System) -> System:
+    def __matmul__(self, first: StateSpace) -> StateSpace:
         """This system after another one: y = self(first(u))."""
         zero = np.zeros((first.A.shape[0], self.A.shape[0]))
-        return System(
+        return StateSpace(
             np.block([[first.A, zero], [self.B @ first.C, self.A]]),
             np.vstack([first.B, self.B @ first.D]),
             np.hstack([self.D @ first.C, self.C]),
             self.D @ first.D,
         )
 
-    def to_w(self, sample_time: float) -> System:
+    def to_w(self, sample_time: float) -> StateSpace:
         """Return this discrete system as one of w = 2/h (z - 1)/(z + 1)."""
         rate = 2.0 / sample_time
         inverse = np.linalg.inv(np.eye(len(self.A)) + self.A)
         return self._mapped(rate * inverse @ (self.A - np.eye(len(self.A))), inverse, sqrt(2.0 * rate), -1.0)
 
-    def to_z(self, sample_time: float) -> System:
+    def to_z(self, sample_time: float) -> StateSpace:
         """Return this system of w as a discrete one; the inverse of `to_w`."""
         rate = 2.0 / sample_time
         inverse = np.linalg.inv(rate * np.eye(len(self.A)) - self.A)
         return self._mapped(inverse @ (rate * np.eye(len(self.A)) + self.A), inverse, sqrt(2.0 * rate), 1.0)
 
-    def _mapped(self, A: RealArray, inverse: Any, factor: float, sign: float) -> System:
+    def _mapped(self, A: RealArray, inverse: Any, factor: float, sign: float) -> StateSpace:
         """The system with another A, and the B, C and D that belong to it."""
         B, C, D = factor * inverse @ self.B, factor * self.C @ inverse, self.D + sign * (self.C @ inverse @ self.B)
-        return System(A, B, C, D)
+        return StateSpace(A, B, C, D)
 
 
-def coprime_controller(plant: System, suboptimal: float = SUBOPTIMAL) -> tuple[System, float]:
+def coprime_controller(plant: StateSpace, suboptimal: float = SUBOPTIMAL) -> tuple[StateSpace, float]:
     """Return the controller that is most robust against perturbations of the plant's normalised coprime factors, and gamma.
 
     Args:
@@ -119,7 +119,7 @@ def coprime_controller(plant: System, suboptimal: float = SUBOPTIMAL) -> tuple[S
     F = -np.linalg.solve(S, D.T @ C + B.T @ X)
     scaled = np.linalg.solve(((1.0 - gamma**2) * np.eye(len(A)) + X @ Z).T, gamma**2 * Z @ C.T)
     gain = np.asarray(scaled, dtype=np.float64)
-    return System(A + B @ F + gain @ (C + D @ F), gain, B.T @ X, -D.T), gamma
+    return StateSpace(A + B @ F + gain @ (C + D @ F), gain, B.T @ X, -D.T), gamma
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +132,12 @@ class ShapedLoop:
         margin: epsilon = 1 / gamma; above 0.25 the shape of the loop is compatible with robustness.
     """
 
-    weights: System
-    controller: System
+    weights: StateSpace
+    controller: StateSpace
     margin: float
 
 
-def shape_loop(plant: System, sample_time: float, bandwidth: RealArray, integral_time: RealArray) -> ShapedLoop:
+def shape_loop(plant: StateSpace, sample_time: float, bandwidth: RealArray, integral_time: RealArray) -> ShapedLoop:
     """Design weights and controller of a sampled plant with as many inputs as outputs.
 
     Args:
@@ -160,7 +160,7 @@ def shape_loop(plant: System, sample_time: float, bandwidth: RealArray, integral
         for i, (w, c) in enumerate(zip(crossing, corner, strict=True))
     ]
     n = len(gains)
-    weights = System(np.zeros((n, n)), np.diag(corner), np.diag(gains), np.diag(gains))
+    weights = StateSpace(np.zeros((n, n)), np.diag(corner), np.diag(gains), np.diag(gains))
     controller, gamma = coprime_controller(robot @ weights)
     found = ShapedLoop(weights.to_z(h), controller.to_z(h), 1.0 / gamma)
     radius = float(np.abs(np.linalg.eigvals(closed_loop(plant, found))).max())
@@ -171,7 +171,7 @@ def shape_loop(plant: System, sample_time: float, bandwidth: RealArray, integral
     return found
 
 
-def closed_loop(plant: System, loop: ShapedLoop) -> RealArray:
+def closed_loop(plant: StateSpace, loop: ShapedLoop) -> RealArray:
     """Return the matrix of the loop of a discrete plant without feedthrough, its references at rest."""
     whole = loop.weights @ loop.controller
     return np.block(
@@ -182,7 +182,7 @@ def closed_loop(plant: System, loop: ShapedLoop) -> RealArray:
     )
 
 
-def _response(system: System, frequency: float) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+def _response(system: StateSpace, frequency: float) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     """Frequency response of a continuous system at a frequency [rad/s]."""
     resolvent = np.linalg.solve(1j * frequency * np.eye(len(system.A)) - system.A, system.B)
     return np.asarray(system.C @ resolvent + system.D, dtype=np.complex128)
@@ -228,7 +228,7 @@ def h_infinity(
     scene = without_coulomb_friction(scene)
     plant = linearize(scene, position, POSITIONS)[:, :2]
     robot = from_control(plant, method="zoh", sample_time=h, inputs=TORQUES, outputs=POSITIONS)
-    loop = shape_loop(System(robot.A, robot.B, robot.C, robot.D), h, rate, times_i)
+    loop = shape_loop(StateSpace(robot.A, robot.B, robot.C, robot.D), h, rate, times_i)
     return shaped_block(loop, operating_point(scene, position).inputs[:2], limits, **options)
 
 

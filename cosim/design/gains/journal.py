@@ -8,13 +8,13 @@ from typing import Any
 
 from flexfmu.cosim.design.gains.trial import Study, Trial
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.many.journal import Journal as Lines
+from flexfmu.cosim.many.journal import Journal
 
 FILE = "journal.jsonl"
 """What is tuned in its first line, a trial in each other one."""
 
 
-class Journal:
+class TrialJournal:
     """The trials of a tuning in a folder.
 
     Args:
@@ -31,7 +31,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path, study: Study, *, restart: bool = False) -> None:
-        self._lines, self.trials = Lines(folder / FILE, restart=restart), dict[tuple[float, ...], Trial]()
+        self._lines, self.trials = Journal(folder / FILE, restart=restart), dict[tuple[float, ...], Trial]()
         head = json.loads(json.dumps(_about(study)))
         found = [_read(line) for _, line in self._lines.read()]
         if not found:

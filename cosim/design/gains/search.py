@@ -14,7 +14,7 @@ import numpy as np
 
 from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.gains.goals import Condition
-from flexfmu.cosim.design.gains.journal import Journal
+from flexfmu.cosim.design.gains.journal import TrialJournal
 from flexfmu.cosim.design.gains.trial import Study, Trial
 from flexfmu.cosim.engine.slave import RealArray
 
@@ -71,7 +71,9 @@ class Search:
         done: the trials in their order.
     """
 
-    def __init__(self, study: Study, tried: Tried, total: int, journal: Journal | None, show: ShowProgress) -> None:
+    def __init__(
+        self, study: Study, tried: Tried, total: int, journal: TrialJournal | None, show: ShowProgress
+    ) -> None:
         self.study, self.total, self.done = study, total, list[Trial]()
         self._tried, self._journal, self._show = tried, journal, show
         self._known: dict[tuple[float, ...], Trial] = {}

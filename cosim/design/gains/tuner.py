@@ -14,7 +14,7 @@ from typing import Any
 
 from flexfmu.cosim.design.effects.choice import ShowProgress, quiet
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
-from flexfmu.cosim.design.gains.journal import Journal
+from flexfmu.cosim.design.gains.journal import TrialJournal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
@@ -142,7 +142,7 @@ def tune_scene(
     if payload_band is not None:
         band_masses(scene, payload_band)
     _check_figures(study)
-    journal = None if folder is None else Journal(folder, study, restart=restart)
+    journal = None if folder is None else TrialJournal(folder, study, restart=restart)
     return tune_study(study, method=method, trials=trials, seed=seed, processes=processes, journal=journal, show=show)
 
 
@@ -199,7 +199,7 @@ def tune_study(
     trials: int | None = None,
     seed: int = 0,
     processes: int = 1,
-    journal: Journal | None = None,
+    journal: TrialJournal | None = None,
     show: ShowProgress = quiet,
 ) -> TuneResult:
     """Try values and return the best ones; after Ctrl-C the best so far.

@@ -170,7 +170,7 @@ def plan_scene(
         methods: which of `METHODS` and `BASELINES`, the planners to compare with.
         candidates: further motions that are assessed beside those found.
         processes: number of processes of the search.
-        budget: time [s] after which nothing new is first_iterate; None for no limit.
+        budget: time [s] after which nothing new is started; None for no limit.
         robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
         show: is called with what is being done.
 

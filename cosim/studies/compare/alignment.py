@@ -27,7 +27,7 @@ REFINED, PARTS = 0.05, 20
 
 
 @dataclass(frozen=True)
-class Sampled:
+class TimedValues:
     """A signal at instants.
 
     Attributes:
@@ -43,7 +43,7 @@ class Sampled:
         return np.interp(time, self.time, self.values)
 
 
-Pair = tuple[Sampled, Sampled]
+Pair = tuple[TimedValues, TimedValues]
 """A measured signal, and the simulated one that it belongs to."""
 
 
@@ -112,7 +112,7 @@ class Difference:
         return float(0.5 * (values[1:] + values[:-1]) @ steps / steps.sum())
 
 
-def difference(measured: Sampled, simulated: Sampled, delay: float) -> Difference:
+def difference(measured: TimedValues, simulated: TimedValues, delay: float) -> Difference:
     """Return the difference of signals at the measured instants that the simulation covers.
 
     Raises:
@@ -191,7 +191,7 @@ def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
     return float(start - end + step * (lag if lag < count[0] else lag - length)), step
 
 
-def _standardised(signal: Sampled, begin: float, step: float) -> RealArray:
+def _standardised(signal: TimedValues, begin: float, step: float) -> RealArray:
     """Return a signal at equal steps from a time on, without its mean and in units of its standard deviation."""
     grid = begin + step * np.arange(int((signal.time[-1] - begin) / step) + 1, dtype=np.float64)
     values = signal.at(grid)
@@ -218,7 +218,7 @@ class _Cost:
             if np.count_nonzero(inside) < LEAST:
                 difference(measured, simulated, centre)  # its error has the figures
                 raise InputError("measurement and simulation hardly overlap where they agree best; give the delay")
-            self._pairs.append((Sampled(measured.time[inside], measured.values[inside]), simulated))
+            self._pairs.append((TimedValues(measured.time[inside], measured.values[inside]), simulated))
         self._weights = [1.0 / float(simulated.values.var()) for _, simulated in self._pairs]
 
     def __call__(self, delay: float) -> float:
@@ -255,7 +255,7 @@ def _variance_of_sum(terms: RealArray) -> float:
 
 
 def differences(
-    measured: Mapping[str, Sampled], simulated: Mapping[str, Sampled], delay: float
+    measured: Mapping[str, TimedValues], simulated: Mapping[str, TimedValues], delay: float
 ) -> dict[str, Difference]:
     """Return the difference of every measured signal that is simulated."""
     return {name: difference(each, simulated[name], delay) for name, each in measured.items() if name in simulated}

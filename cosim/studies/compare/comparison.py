@@ -37,7 +37,7 @@ from flexfmu.cosim.studies.compare.alignment import (
     Delay,
     Difference,
     Pair,
-    Sampled,
+    TimedValues,
     correlation,
     differences,
     estimate_delay,
@@ -244,13 +244,13 @@ def difference_table(measured: Measured) -> Table:
     return Table(f"{measured.name} minus simulation", ["Signal", "Run", "RMS", "Mean", "Largest", "Range"], rows, note)
 
 
-def _sampled(recording: Recording, name: str) -> Sampled:
+def _sampled(recording: Recording, name: str) -> TimedValues:
     """Return the finite samples of a signal."""
     values = recording[name].values
     known = np.isfinite(values)
     if not known.any():
         raise InputError(f"signal {name!r} has no values")
-    return Sampled(recording.time[known], values[known])
+    return TimedValues(recording.time[known], values[known])
 
 
 def _band_data(band: OverBand) -> dict[str, Any]:

@@ -123,7 +123,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Table:
+class CaseTable:
     """Cases one by one; None leaves a key as it is in the scene."""
 
     keys: tuple[str, ...]
@@ -291,7 +291,7 @@ def _parse_sample(text: str) -> tuple[str, int]:
     return method, number
 
 
-def read_cases(path: str | Path) -> tuple[Table, list[str]]:
+def read_cases(path: str | Path) -> tuple[CaseTable, list[str]]:
     """Cases from a CSV file: keys in the first line, perhaps with units in brackets; an empty cell leaves the scene's value.
 
     Raises:
@@ -315,7 +315,9 @@ def read_cases(path: str | Path) -> tuple[Table, list[str]]:
     return make_table(keys, rows, str(path))
 
 
-def make_table(keys: Sequence[str], rows: Iterable[Sequence[Any]], source: str = "cases") -> tuple[Table, list[str]]:
+def make_table(
+    keys: Sequence[str], rows: Iterable[Sequence[Any]], source: str = "cases"
+) -> tuple[CaseTable, list[str]]:
     """Cases from rows of values; and a note on rows that are left out.
 
     Raises:
@@ -336,7 +338,7 @@ def make_table(keys: Sequence[str], rows: Iterable[Sequence[Any]], source: str =
         if len(known) < total
         else []
     )
-    return Table(tuple(keys), tuple(known.values())), notes
+    return CaseTable(tuple(keys), tuple(known.values())), notes
 
 
 def as_cases(cases: Any, sample: str | None = None, seed: int = 0) -> Cases:

@@ -29,9 +29,9 @@ from flexfmu.cosim.studies.workprec.equations import (
 )
 from flexfmu.cosim.studies.workprec.trial import (
     Announce,
-    Curve,
     RunError,
     SceneUnderTest,
+    WorkCurve,
     WorkPrecisionTrial,
     sweep,
     trial_of,
@@ -52,7 +52,7 @@ ABSOLUTE = 1e-4
 of this size bend."""
 
 
-def scipy_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def scipy_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """SciPy's solvers with the exact Jacobian, restarted at every breakpoint, positions at the instants of comparison."""
     system, parts = system_of(subject)
     for method in SCIPY:
@@ -65,7 +65,7 @@ def scipy_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> It
         yield from sweep(TOLERANCES, trial, ours)
 
 
-def sundials_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def sundials_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """CVODES through CasADi, rate and exact Jacobian compiled, restarted at every breakpoint."""
     system, parts = system_of(subject)
 

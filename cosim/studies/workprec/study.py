@@ -21,8 +21,8 @@ from flexfmu.cosim.studies.workprec import solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE
 from flexfmu.cosim.studies.workprec.trial import (
     Announce,
-    Curve,
     SceneUnderTest,
+    WorkCurve,
     WorkPrecisionTrial,
     algorithm_trials,
     coupling_trials,
@@ -113,7 +113,7 @@ def _makers(
     def tools() -> Iterator[WorkPrecisionTrial]:
         # our best settings stand among the tools, measured with the integrators or here
         measured = [each for each in known if each.family == "integrators"]
-        ours = Curve.of(measured or integrator_trials(subject, step, announce, ("automatic",), ()))
+        ours = WorkCurve.of(measured or integrator_trials(subject, step, announce, ("automatic",), ()))
         for each in ours.trials:
             yield replace(each, family="tools", line=OURS, label=f"{each.line} {each.label}")
         # the same equations in other solvers
@@ -194,10 +194,10 @@ def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
     tools = study.family("tools")
     # a curve of the best settings for each tool
     curves = {
-        line: Curve.of(each for each in tools if each.line == line)
+        line: WorkCurve.of(each for each in tools if each.line == line)
         for line in dict.fromkeys(each.line for each in tools)
     }
-    ours, found = curves.pop(OURS, Curve(())), {}
+    ours, found = curves.pop(OURS, WorkCurve(())), {}
     curves.pop(PAPER_LINE, None)  # our own solver, and the beginning of the motion alone
     for line, curve in curves.items():
         # an error that both have reached, as near to the wanted one as possible

@@ -19,9 +19,9 @@ from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.studies.workprec.trial import (
     SAMPLING,
     Announce,
-    Curve,
     RunError,
     SceneUnderTest,
+    WorkCurve,
     WorkPrecisionTrial,
     completed,
     sweep,
@@ -45,7 +45,7 @@ PAPER_SHARE = 50
 """Ratio of the whole time to the part simulated at 10 MHz; a whole run would take a minute."""
 
 
-def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def model_exchange_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """fmpy integrates the FMU with CVODE; the references are a table of values, as fmpy takes no derivatives.
 
     The trial measures fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
@@ -134,7 +134,7 @@ CONVERGED_ELEMENTS, CONVERGED_STEP = 4, 2.5e-5
 """Exudyn's own reference."""
 
 
-def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def exudyn_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """The same mechanism by ANCF beam elements; errors are counted from Exudyn's own converged run, since all its links bend
     and stretch whatever the scene chooses, and it has no modal damping."""
     if find_spec("exudyn") is None:

@@ -155,7 +155,7 @@ def trial_of(
 
 
 @dataclass(frozen=True)
-class Curve:
+class WorkCurve:
     """Processor time over error for one tool: its Pareto front.
 
     Attributes:
@@ -165,7 +165,7 @@ class Curve:
     trials: tuple[WorkPrecisionTrial, ...]
 
     @classmethod
-    def of(cls, trials: Iterable[WorkPrecisionTrial]) -> Curve:
+    def of(cls, trials: Iterable[WorkPrecisionTrial]) -> WorkCurve:
         """The curve of all settings that were tried; failures and those that another one beats are left out."""
         good = [each for each in trials if each.error is not None and each.time is not None]
         # from the smallest error upwards, each setting that is faster than all before it
@@ -194,7 +194,7 @@ class Curve:
 
 
 def sweep(
-    settings: Iterable[TrialSetting], run: Callable[[TrialSetting], WorkPrecisionTrial], ours: Curve
+    settings: Iterable[TrialSetting], run: Callable[[TrialSetting], WorkPrecisionTrial], ours: WorkCurve
 ) -> Iterator[WorkPrecisionTrial]:
     """Trials of another tool, the loosest setting first, until it is as accurate as our best or `TOO_SLOW` for its error."""
     for setting in settings:

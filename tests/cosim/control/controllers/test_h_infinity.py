@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.h_infinity import (
-    System,
+    StateSpace,
     closed_loop,
     coprime_controller,
     h_infinity,
@@ -33,19 +33,19 @@ Array = NDArray[np.float64]
 H = 1e-3
 
 
-def system(A: Any, B: Any, C: Any, D: Any = 0.0) -> System:
+def system(A: Any, B: Any, C: Any, D: Any = 0.0) -> StateSpace:
     """A system of lists."""
-    return System(*(np.atleast_2d(np.array(each, dtype=float)) for each in (A, B, C, D)))
+    return StateSpace(*(np.atleast_2d(np.array(each, dtype=float)) for each in (A, B, C, D)))
 
 
-def sampled(plant: System, h: float = H) -> System:
+def sampled(plant: StateSpace, h: float = H) -> StateSpace:
     """Zero-order hold by the exponential of [[A, B], [0, 0]]."""
     n, m = plant.B.shape
     both = expm(h * np.block([[plant.A, plant.B], [np.zeros((m, n + m))]]))
-    return System(both[:n, :n], both[:n, n:], plant.C, plant.D)
+    return StateSpace(both[:n, :n], both[:n, n:], plant.C, plant.D)
 
 
-def two_joints() -> System:
+def two_joints() -> StateSpace:
     """Two motors, the first with a spring to a load, and a little of each torque at the other one."""
     k, motor, load = 400.0, 0.5, 0.2
     A = np.zeros((6, 6))
@@ -55,7 +55,7 @@ def two_joints() -> System:
     B[1], B[5] = (1.0 / motor, 0.2), (0.1, 1.5)
     C = np.zeros((2, 6))
     C[0, 0] = C[1, 4] = 1.0
-    return sampled(System(A, B, C, np.zeros((2, 2))))
+    return sampled(StateSpace(A, B, C, np.zeros((2, 2))))
 
 
 BANDWIDTH, TIMES = 2.0 * pi * np.array([6.0, 9.0]), np.array([0.15, 0.1])
@@ -69,7 +69,7 @@ BANDWIDTH, TIMES = 2.0 * pi * np.array([6.0, 9.0]), np.array([0.15, 0.1])
         (system(-1, 1, 1), sqrt(1.0 + (sqrt(2.0) - 1.0) ** 2)),
     ],
 )
-def test_gamma_of_known_plants(plant: System, gamma: float) -> None:
+def test_gamma_of_known_plants(plant: StateSpace, gamma: float) -> None:
     """1/s, 1/s2 and 1/(s + 1): from the Riccati equations by hand; X = Z = 1, and sqrt(2) - 1 for the third."""
     assert coprime_controller(plant, 1.0 + 1e-12)[1] == pytest.approx(gamma, rel=1e-9)
 
@@ -79,7 +79,7 @@ def test_gamma_of_known_plants(plant: System, gamma: float) -> None:
 def test_transforms_are_inverse(parts: list[float]) -> None:
     """From w to z and back, and their responses agree at w = 2/h (z - 1)/(z + 1)."""
     A = np.reshape(parts[:4], (2, 2)) - 5.0 * np.eye(2)
-    one = System(A, np.reshape(parts[4:6], (2, 1)), np.reshape(parts[6:10], (2, 2)), np.array([[parts[10]], [0.5]]))
+    one = StateSpace(A, np.reshape(parts[4:6], (2, 1)), np.reshape(parts[6:10], (2, 2)), np.array([[parts[10]], [0.5]]))
     other = one.to_z(0.1)
     for name, matrix in vars(other.to_w(0.1)).items():
         np.testing.assert_allclose(matrix, getattr(one, name), atol=1e-11)
@@ -89,7 +89,7 @@ def test_transforms_are_inverse(parts: list[float]) -> None:
     np.testing.assert_allclose(*responses, atol=1e-11)
 
 
-def response(plant: System, z: complex) -> Any:
+def response(plant: StateSpace, z: complex) -> Any:
     """Frequency response at a point of the unit circle."""
     return plant.C @ np.linalg.solve(z * np.eye(len(plant.A)) - plant.A, plant.B) + plant.D
 

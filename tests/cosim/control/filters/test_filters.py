@@ -14,7 +14,7 @@ from scipy import signal
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.filters import Section, biquad, filter_block, high_pass, lead_lag, low_pass, notch
+from flexfmu.cosim.control.filters import SecondOrder, biquad, filter_block, high_pass, lead_lag, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
@@ -26,7 +26,7 @@ H = 1e-3
 W = 2.0 * pi * 60.0
 
 
-def response(sections: list[Section], u: np.ndarray) -> np.ndarray:
+def response(sections: list[SecondOrder], u: np.ndarray) -> np.ndarray:
     """What the block makes of samples."""
     slave = BlockSlave(filter_block([Channel("x")], sections, sample_time=H))
     slave.initialize(0.0, 1.0, 1e-6)
@@ -46,7 +46,7 @@ def bilinear(numerator: list[float], denominator: list[float], w: float) -> tupl
     return signal.bilinear(numerator, denominator, fs=0.5 * w / np.tan(0.5 * w * H))
 
 
-DESIGNS: dict[str, tuple[list[Section], Callable[[], tuple[np.ndarray, np.ndarray]]]] = {
+DESIGNS: dict[str, tuple[list[SecondOrder], Callable[[], tuple[np.ndarray, np.ndarray]]]] = {
     "notch": (notch(60.0, 0.4, 0.1), lambda: bilinear([1, 0.08 * W, W * W], [1, 0.8 * W, W * W], W)),
     "low-pass 1": (low_pass(60.0, 1), lambda: signal.butter(1, 60.0, fs=1 / H)),
     "low-pass 2": (low_pass(60.0, 2), lambda: signal.butter(2, 60.0, fs=1 / H)),
@@ -161,7 +161,7 @@ def test_filters_stand_behind_encoders_and_before_lags() -> None:
 @pytest.mark.parametrize(
     "sections", [low_pass(60.0, 1), low_pass(60.0, 3), high_pass(60.0, 1), lead_lag(30.0, 120.0), biquad([1.0], [2.0])]
 )
-def test_sections_of_first_order_stay_of_first_order(sections: list[Section]) -> None:
+def test_sections_of_first_order_stay_of_first_order(sections: list[SecondOrder]) -> None:
     """No pole at z = -1, which a zero would cancel but for rounding: all poles are inside the unit circle."""
     for each in sections:
         _, a = each.discrete(H)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
-from flexfmu.cosim.design.gains.journal import FILE, Journal
+from flexfmu.cosim.design.gains.journal import FILE, TrialJournal
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial
 from flexfmu.cosim.design.gains.tuned_files import summary, write_tuned, write_tuning
 from flexfmu.cosim.design.gains.tuner import tune_scene, tune_study
@@ -98,7 +98,7 @@ def test_limits_that_none_keeps_are_missed_least() -> None:
 def test_an_interrupted_tuning_continues(tmp_path: Path) -> None:
     """The journal has every trial; the same command makes the others alone and ends with the same trials, torn lines or not."""
     whole = tune_study(study(), trials=40)
-    begun = Journal(tmp_path, study())
+    begun = TrialJournal(tmp_path, study())
     made: list[tuple[float, ...]] = []
 
     class Interrupted(Known):
@@ -113,15 +113,15 @@ def test_an_interrupted_tuning_continues(tmp_path: Path) -> None:
     assert first.trials == whole.trials[:22]
     with (tmp_path / FILE).open("a") as file:
         file.write('{"values": [1')
-    again = Journal(tmp_path, study())
+    again = TrialJournal(tmp_path, study())
     assert len(again.trials) == 22
     made.clear()
     second = tune_study(Interrupted(SCENE, KEYS, study().minimise), trials=40, journal=again)
     assert (second.trials, len(made)) == (whole.trials, 18)
     other = replace(study(), over=(KEYS[0], Interval("pd.kd", 20.0, 500.0), Interval("payload.mass", 1.0, 2.0)))
     with pytest.raises(InputError, match=r"has another tuning \(other keys\)"):
-        Journal(tmp_path, other)
-    assert Journal(tmp_path, other, restart=True).trials == {}
+        TrialJournal(tmp_path, other)
+    assert TrialJournal(tmp_path, other, restart=True).trials == {}
 
 
 def test_infinite_margins_keep_limits_and_are_null_in_json(tmp_path: Path) -> None:
@@ -133,13 +133,15 @@ def test_infinite_margins_keep_limits_and_are_null_in_json(tmp_path: Path) -> No
             return trial if trial.message else replace(trial, figures={**trial.figures, "delay_margin": math.inf})
 
     wish = Robust(SCENE, KEYS, study().minimise, (parse_condition("delay_margin>1ms"),))
-    result = tune_study(wish, trials=30, journal=Journal(tmp_path, wish))
+    result = tune_study(wish, trials=30, journal=TrialJournal(tmp_path, wish))
     assert result.is_feasible
     assert summary(result)["conditions"][0]["tuned"] is None
     assert len(write_tuning(result, tmp_path)) == 2
-    assert {*Journal(tmp_path, wish).trials} == {each.values for each in result.trials}
+    assert {*TrialJournal(tmp_path, wish).trials} == {each.values for each in result.trials}
     assert all(
-        each.figures["delay_margin"] == math.inf for each in Journal(tmp_path, wish).trials.values() if each.figures
+        each.figures["delay_margin"] == math.inf
+        for each in TrialJournal(tmp_path, wish).trials.values()
+        if each.figures
     )
 
 

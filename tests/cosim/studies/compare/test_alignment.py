@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.studies.compare.alignment import Sampled, correlation, difference, differences, estimate_delay
+from flexfmu.cosim.studies.compare.alignment import TimedValues, correlation, difference, differences, estimate_delay
 
 SAMPLE = 1e-3
 
@@ -19,17 +19,17 @@ def signal(time: np.ndarray, number: int) -> np.ndarray:
     return np.asarray(3.0 + 40.0 * pulse + 5.0 * np.exp(-20.0 * after) * np.sin(2.0 * np.pi * 60.0 * after))
 
 
-def simulated(number: int = 0) -> Sampled:
+def simulated(number: int = 0) -> TimedValues:
     """The signal as a simulation has it, with an instant that appears twice."""
     time = np.sort(np.append(np.linspace(0.0, 0.7, 3501), 0.4))
-    return Sampled(time, signal(time, number))
+    return TimedValues(time, signal(time, number))
 
 
-def measured(delay: float, noise: float = 0.0, seed: int = 0, number: int = 0, span: float = 1.0) -> Sampled:
+def measured(delay: float, noise: float = 0.0, seed: int = 0, number: int = 0, span: float = 1.0) -> TimedValues:
     """The signal at 1 kHz, later by a delay, with white noise."""
     time = 7.0 + np.arange(0.0, span, SAMPLE)
     random = np.random.default_rng([seed, number])
-    return Sampled(time, signal(time - delay, number) + noise * random.standard_normal(time.size))
+    return TimedValues(time, signal(time - delay, number) + noise * random.standard_normal(time.size))
 
 
 @pytest.mark.parametrize("delay", [7.1, 7.0123456, 7.29999])
@@ -46,7 +46,7 @@ def test_the_stated_error_is_that_of_noise(memory: float) -> None:
     delay, scaled, clean = 7.0123456, [], measured(7.0123456)
     for seed in range(100):
         shocks = np.sqrt(1.0 - memory**2) * np.random.default_rng(seed).standard_normal(clean.time.size)
-        log = Sampled(clean.time, clean.values + lfilter([1.0], [1.0, -memory], shocks))
+        log = TimedValues(clean.time, clean.values + lfilter([1.0], [1.0, -memory], shocks))
         found = estimate_delay([(log, simulated())])
         assert 0.0 < found.error < 0.5 * SAMPLE
         scaled.append((found.seconds - delay) / found.error)
@@ -57,7 +57,7 @@ def test_the_stated_error_is_that_of_noise(memory: float) -> None:
 def test_several_signals_give_a_smaller_error() -> None:
     """All signals together, whatever their units."""
     pairs = [(measured(7.05, 1.0, 0, number), simulated(number)) for number in range(4)]
-    milli = [(Sampled(a.time, 1e3 * a.values), Sampled(b.time, 1e3 * b.values)) for a, b in pairs[:2]]
+    milli = [(TimedValues(a.time, 1e3 * a.values), TimedValues(b.time, 1e3 * b.values)) for a, b in pairs[:2]]
     one, four = estimate_delay(pairs[:1]), estimate_delay([*milli, *pairs[2:]])
     assert four.error < 0.7 * one.error
     assert four.seconds == pytest.approx(7.05, abs=4.0 * four.error)
@@ -66,7 +66,7 @@ def test_several_signals_give_a_smaller_error() -> None:
 def test_an_offset_a_factor_and_a_short_log_do_no_harm() -> None:
     """The mean of a signal doesn't matter, nor that the log ends before the simulation."""
     log = measured(7.02, span=0.5)
-    changed = Sampled(log.time, 1.2 * log.values - 50.0)
+    changed = TimedValues(log.time, 1.2 * log.values - 50.0)
     assert estimate_delay([(changed, simulated())]).seconds == pytest.approx(7.02, abs=0.01 * SAMPLE)
 
 
@@ -80,7 +80,7 @@ def test_one_motion_in_a_long_log() -> None:
 def test_differences_over_the_common_time() -> None:
     """RMS, mean and largest difference of a known one: an offset and a sine of whole periods."""
     time = np.linspace(-0.2, 1.2, 1401)
-    log = Sampled(time, signal(time, 0) + 0.5 + 0.2 * np.sin(2.0 * np.pi * 10.0 * time))
+    log = TimedValues(time, signal(time, 0) + 0.5 + 0.2 * np.sin(2.0 * np.pi * 10.0 * time))
     found = differences({"a": log, "b": log}, {"a": simulated()}, 0.0)["a"]
     assert (found.time[0], found.time[-1]) == pytest.approx((0.0, 0.7))
     assert found.mean == pytest.approx(0.5, abs=1e-4)
@@ -91,10 +91,10 @@ def test_differences_over_the_common_time() -> None:
 
 def test_what_cannot_be_aligned() -> None:
     """Constant signals, and signals without a common time, are refused; the wrong sign shows in the correlation."""
-    flat = Sampled(np.linspace(0.0, 1.0, 100), np.ones(100))
+    flat = TimedValues(np.linspace(0.0, 1.0, 100), np.ones(100))
     with pytest.raises(InputError, match="no signal changes in both"):
         estimate_delay([(flat, simulated())])
     with pytest.raises(InputError, match=r"overlap in 0 samples only: with a delay of 0 s .* from 7 to 7\.999 s"):
         difference(measured(7.0), simulated(), 0.0)
     log = measured(7.0)
-    assert correlation([(Sampled(log.time, -log.values), simulated())], 7.0) == pytest.approx(-1.0, abs=1e-4)
+    assert correlation([(TimedValues(log.time, -log.values), simulated())], 7.0) == pytest.approx(-1.0, abs=1e-4)

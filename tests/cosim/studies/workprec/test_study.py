@@ -30,8 +30,8 @@ from flexfmu.cosim.studies.workprec.study import (
     sentence,
 )
 from flexfmu.cosim.studies.workprec.trial import (
-    Curve,
     SceneUnderTest,
+    WorkCurve,
     WorkPrecisionTrial,
     effect_trials,
     fmu_trial,
@@ -91,10 +91,10 @@ def test_other_solvers_get_the_exact_jacobian(subject: SceneUnderTest) -> None:
 @pytest.mark.slow
 def test_other_tools_reach_our_errors(subject: SceneUnderTest) -> None:
     """Each implicit solver gets there with its own tolerance; fmpy's import, which holds inputs, with shorter output intervals."""
-    ours = Curve((WorkPrecisionTrial("tools", "flexfmu", "", 1e-5, 1e9),))
+    ours = WorkCurve((WorkPrecisionTrial("tools", "flexfmu", "", 1e-5, 1e9),))
     trials = [*solver_trials.scipy_trials(subject, ours, silent), *solver_trials.sundials_trials(subject, ours, silent)]
     for line in ("SciPy Radau", "SciPy BDF", "SciPy LSODA", "SciPy DOP853", "CasADi cvodes"):
-        assert Curve.of(each for each in trials if each.line == line).least <= 1e-5, line
+        assert WorkCurve.of(each for each in trials if each.line == line).least <= 1e-5, line
     held = [each.error or 1.0 for each in tool_trials.model_exchange_trials(subject, ours, silent)]
     assert held[-1] < 0.3 * held[1]
 
@@ -210,7 +210,7 @@ def test_curves_and_sweeps() -> None:
     is that of the loosest, or unknown. Another tool is tried until it is as accurate, or a hundred times as slow."""
     settings = [(1e-2, 1.0), (1e-3, 3.0), (1e-4, 2.0), (1e-6, 8.0), (None, None)]
     trials = [WorkPrecisionTrial("tools", "any", str(error), error, time) for error, time in settings]
-    ours = Curve.of(trials)
+    ours = WorkCurve.of(trials)
     assert [each.error for each in ours.trials] == [1e-6, 1e-4, 1e-2]
     assert ours.time(1e-5) == pytest.approx(4.0)
     assert (ours.time(1.0), ours.time(1e-7)) == (pytest.approx(1.0), None)
@@ -221,7 +221,7 @@ def test_curves_and_sweeps() -> None:
     ]
     assert list(sweep(accurate, lambda trial: trial, ours)) == accurate[:2]
     assert list(sweep(slow, lambda trial: trial, ours)) == slow[:3]
-    assert list(sweep(slow, lambda trial: trial, Curve(()))) == slow
+    assert list(sweep(slow, lambda trial: trial, WorkCurve(()))) == slow
 
 
 def test_nothing_accurate_enough(study: WorkPrecisionStudy) -> None:
