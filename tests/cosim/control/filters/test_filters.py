@@ -139,6 +139,7 @@ def test_a_frequency_beyond_half_the_sampling_frequency_is_told() -> None:
         flexfmu.run(scene(kind="low-pass", frequency=700.0))
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 def test_filters_stand_behind_encoders_and_before_lags() -> None:
     """The torque is filtered, then late; the position is rounded, then filtered."""
     robot = scene().replace(

@@ -73,6 +73,7 @@ def scene(*imperfections: dict[str, Any]) -> Scene:
     )
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 def test_references_of_a_known_delay_are_as_late_as_the_measurement() -> None:
     run = flexfmu.run(scene({"kind": "delay", "signal": "position", "time": 2e-3, "known": True}))
     time, joints = run.recording.time, run.plan.joints
