@@ -79,6 +79,7 @@ def test_computed_torque_follows_the_plan(run: Run) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("offset", [0.0, 5e-4])
 def test_first_row_is_the_standstill(robot: Scene, offset: float) -> None:
     """Left of the start, and until a late first sample, every slave puts out what it makes of the robot at rest: the

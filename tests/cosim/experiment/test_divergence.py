@@ -38,6 +38,7 @@ def largest_multiplier(robot: Scene, derivative: float) -> float:
     return float(abs(np.linalg.eigvals(a - b @ gains @ c)).max())
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("derivative", [600.0, 1000.0])
 def test_growth_is_that_of_the_linearised_loop(robot: Scene, derivative: float) -> None:
     """A gain that is too high: the run fails where the mechanism no longer assembles, and the growth per sample that the message
@@ -51,6 +52,7 @@ def test_growth_is_that_of_the_linearised_loop(robot: Scene, derivative: float) 
     assert stated > 1.5
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize(
     ("changes", "remedy"),
     [

@@ -53,6 +53,7 @@ def test_an_unstable_explicit_step_is_blamed_for_what_it_blows_up(undamped: Scen
             assert "make `cosimulation.integrator_step` smaller" in run.message
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("torques", [(60.0, 60.0), (-100.0, 100.0), (60.0, 0.0)])
 def test_a_singularity_is_still_one(undamped: Scene, torques: tuple[float, float]) -> None:
     """Torques push the robot into it: a stable explicit step says so, as error control does."""
