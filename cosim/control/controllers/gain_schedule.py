@@ -43,11 +43,15 @@ def scheduled(
         start: value of the signal until it is connected.
 
     Raises:
-        InputError: the values don't ascend, the controller has no such gain, or factors are missing, negative or not finite.
+        InputError: the values don't ascend, the signal is the controller's output, the controller has no such gain, or factors are missing, negative or not finite.
     """
     points = np.asarray(at, dtype=float)
     if points.ndim != 1 or points.size < 2 or not np.isfinite(points).all() or (np.diff(points) <= 0.0).any():
         raise InputError(f"{controller.name}: a schedule needs two or more ascending values of {over}, got {list(at)}")
+    if over in (each.name for each in controller.outputs):
+        raise InputError(
+            f"{controller.name}: its gains can't follow its own output {over}: let `over` be a measured signal, or a reference"
+        )
     # factors (points,) of every parameter that has some
     tables: dict[int, np.ndarray] = {}
     for gain, rows in factors.items():

@@ -191,6 +191,12 @@ def test_refused(at: list[float], factors: Mapping[str, list[Any]], message: str
         scheduled(pd(1.0, 1.0, sample_time=H), "load", at, factors)
 
 
+def test_an_own_output_is_no_signal_to_follow() -> None:
+    """The torque depends on the gains."""
+    with pytest.raises(InputError, match="its gains can't follow its own output joint1.torque"):
+        scheduled(pd(1.0, 1.0, sample_time=H), "joint1.torque", [0.0, 50.0], {"proportional_gain": [1.0, 1.2]})
+
+
 def test_a_signal_that_there_isnt(robot: Scene) -> None:
     """A misspelt signal has no source."""
     misspelt = {**SCHEDULE, "over": "end_efector.position.x"}

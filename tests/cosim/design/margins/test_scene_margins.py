@@ -143,6 +143,7 @@ def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> 
         scene_margins(robot(PD).replace(changes), poses=1)
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
     scene = robot(PD).replace({"trajectory.duration": 0.1})
     critical = scene_margins(scene, poses=1).worst.gain_margin
@@ -239,6 +240,7 @@ def lqg(position_error: float, measurement_noise: float, **other: Any) -> Scene:
     return robot({"kind": "state-feedback", "pose": "start", "torque_deviation": 10.0, "sample_time": 1e-3, **design})
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", [lqg(3e-5, 1e-4), lqg(1e-3, 1e-5)], ids=["a quarter of the path", "a hundredth"])
 def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
