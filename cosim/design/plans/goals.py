@@ -63,7 +63,7 @@ class Variation:
         if self.stiffness != 1.0:
             found["material.youngs_modulus"] = self.stiffness * scene.mechanism.material.youngs_modulus
         if self.damping != 1.0:
-            found |= {f"damping.{key}": self.damping * value for key, value in _damping(scene).items()}
+            found |= {f"damping.{key}": self.damping * value for key, value in damping_of(scene).items()}
         return found
 
     def of(self, scene: Scene) -> Scene:
@@ -80,7 +80,7 @@ class Variation:
         return text + (f", {100 * (self.damping - 1):+.0f} % damping" if self.damping != 1.0 else "")
 
 
-def _damping(scene: Scene) -> dict[str, float]:
+def damping_of(scene: Scene) -> dict[str, float]:
     """Keys and values of the damping's strength; none without damping."""
     damping = scene.effects.damping
     return {key: value for key in ("ratio", "rate", "time") if (value := getattr(damping, key, 0.0))}
@@ -157,7 +157,7 @@ def goals_of(scene: Scene) -> Goals:
             f'scene {scene.name} has a torque drive or controllers: plan with `cosimulation.drive = "motion"`, then run the '
             f"planned motion with your controllers"
         )
-    if wishes.damping_band and not _damping(scene):
+    if wishes.damping_band and not damping_of(scene):
         raise InputError(
             f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
             f"leave the band out, or set `effects.damping`"

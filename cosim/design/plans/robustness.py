@@ -15,7 +15,7 @@ import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.goals import Goals, goals_of
+from flexfmu.cosim.design.plans.goals import Goals, damping_of, goals_of
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
@@ -203,10 +203,8 @@ def judge_of(goals: Goals, changes: Mapping[str, Any], stiffness: float = 1.0, d
     material = goals.scene.mechanism.material
     if stiffness != 1.0:
         other["mechanism.material.youngs_modulus"] = stiffness * material.youngs_modulus
-    for key in ("ratio", "time"):
-        value = getattr(goals.scene.effects.damping, key, None)
-        if damping != 1.0 and value is not None:
-            other[f"effects.damping.{key}"] = damping * value
+    if damping != 1.0:
+        other |= {f"effects.damping.{key}": damping * value for key, value in damping_of(goals.scene).items()}
     return Judge(goals_of(goals.scene.replace(other) if other else goals.scene), PAYLOADS)
 
 

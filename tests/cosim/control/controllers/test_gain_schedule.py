@@ -193,7 +193,7 @@ def test_refused(at: list[float], factors: Mapping[str, list[Any]], message: str
 
 def test_an_own_output_is_no_signal_to_follow() -> None:
     """The torque depends on the gains."""
-    with pytest.raises(InputError, match="its gains can't follow its own output joint1.torque"):
+    with pytest.raises(InputError, match=r"its gains can't follow its own output joint1\.torque"):
         scheduled(pd(1.0, 1.0, sample_time=H), "joint1.torque", [0.0, 50.0], {"proportional_gain": [1.0, 1.2]})
 
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.design.plans.checks import checked_goals
-from flexfmu.cosim.design.plans.goals import LEAST_DWELL, goals_of
+from flexfmu.cosim.design.plans.goals import LEAST_DWELL, Variation, goals_of
+from flexfmu.cosim.design.plans.robustness import judge_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -105,3 +106,20 @@ def test_a_closed_outline_is_the_same_region() -> None:
 
 def test_a_payload_of_zero_has_a_band_of_one_payload() -> None:
     assert [each.payload for each in checked_goals(SCENE.replace({"payload.mass": 0.0})).variations(7)] == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("damping", "key"),
+    [
+        ({"kind": "modal", "ratio": 0.1}, "ratio"),
+        ({"kind": "stiffness", "time": 1e-4}, "time"),
+        ({"kind": "rayleigh", "rate": 2.0, "time": 1e-4}, "rate"),
+    ],
+)
+def test_other_damping_is_that_of_a_variation(damping: dict[str, Any], key: str) -> None:
+    """Judges of other models scale all that bands over the damping scale."""
+    scene = SCENE.replace({"effects.damping": damping})
+    judged = judge_of(goals_of(scene), {}, damping=0.5).goals.scene.effects.damping
+    varied = Variation(scene.payload.mass, damping=0.5).of(scene).effects.damping
+    assert judged == varied
+    assert getattr(judged, key) == 0.5 * damping[key]
