@@ -11,7 +11,7 @@ import pytest
 
 from flexfmu.cosim.control.controllers.cascade import current_loop
 from flexfmu.cosim.control.controllers.gain_schedule import scheduled
-from flexfmu.cosim.control.filters import Section, biquad, filter_block, high_pass, lead_lag, low_pass, notch
+from flexfmu.cosim.control.filters import SecondOrder, biquad, filter_block, high_pass, lead_lag, low_pass, notch
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.control.imperfections.delay import Lagrange, Thiran, delay, whole_delay
 from flexfmu.cosim.control.imperfections.lag import Lag, lag
@@ -42,7 +42,7 @@ def filtered(rng: Draw) -> SymbolicBlock:
     """One or two filters, up to 0.45 times the sampling frequency."""
     frequency, other = rng.uniform(0.02, 0.45, 2) / H
     order = int(rng.integers(1, 9))
-    kinds: list[Callable[[], list[Section]]] = [
+    kinds: list[Callable[[], list[SecondOrder]]] = [
         lambda: low_pass(frequency, order),
         lambda: notch(frequency, rng.uniform(0.3, 1.0), rng.uniform(0.0, 0.9)),
         lambda: lead_lag(frequency, other),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.studies.workprec import tool_trials
-from flexfmu.cosim.studies.workprec.trial import Curve, WorkPrecisionTrial, subject_of
+from flexfmu.cosim.studies.workprec.trial import WorkCurve, WorkPrecisionTrial, subject_of
 from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
@@ -15,7 +15,7 @@ SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 def trials(**changes: object) -> list[WorkPrecisionTrial]:
     """Exudyn's trials of the scene with changed keys."""
     scene = SCENE.replace({key.replace("__", "."): value for key, value in changes.items()})
-    return list(tool_trials.exudyn_trials(subject_of(scene), Curve(()), lambda text: None))
+    return list(tool_trials.exudyn_trials(subject_of(scene), WorkCurve(()), lambda text: None))
 
 
 @pytest.mark.slow
