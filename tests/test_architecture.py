@@ -77,7 +77,8 @@ SELDOM = (
     "model.reference_design",
     "model.symbolic",
 )
-"""What a run whose metrics aren't asked for, without shapers, controllers, imperfections, cycles, references for the flexible robot, own motions and tables doesn't load: functions that need it may
+"""What a run whose metrics aren't asked for, without shapers, controllers, imperfections, cycles, references for the flexible robot, own
+motions and tables doesn't load: functions that need it may
 import it."""
 
 

@@ -56,7 +56,8 @@ def margins(
 ) -> int:
     """Gain, phase, delay and disk margins of a sampled loop, about standstill along the path.
 
-    The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays, encoders, lags and several sample rates count exactly;
+    The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays,
+    encoders, lags and several sample rates count exactly;
     rounding and limits don't count. The exit status is 1 if the loop is unstable.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band

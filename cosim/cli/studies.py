@@ -1,4 +1,5 @@
-"""`flexfmu paper` and `workprec`: the paper's tables beside the computed ones; what accuracy costs, and with `--hard` whether hard cases stay right."""
+"""`flexfmu paper` and `workprec`: the paper's tables beside the computed ones; what accuracy costs, and with `--hard` whether hard cases
+stay right."""
 
 from __future__ import annotations
 

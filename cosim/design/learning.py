@@ -1,7 +1,8 @@
 """Controllers that learn from cycle to cycle, judged and completed before the run from the linear loop along the path.
 
 At a pose, the response from learned torques to measured angles is that of the scene's linear loop, cut at the controller that learns:
-what is fed in reaches the loop as its torques did, what comes back is what it measured. From the response follow the contraction (see `flexfmu.cosim.control.controllers.learning_laws`), the Q-filter's cut-off and the norm-optimal law.
+what is fed in reaches the loop as its torques did, what comes back is what it measured. From the response follow the contraction (see
+`flexfmu.cosim.control.controllers.learning_laws`), the Q-filter's cut-off and the norm-optimal law.
 """
 
 from __future__ import annotations

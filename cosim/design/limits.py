@@ -46,8 +46,10 @@ class Limit:
 
     @property
     def met(self) -> bool:
-        """Whether an upper limit is kept."""
-        return self.value <= self.limit * (1.0 + self.rounding)
+        """Whether the limit is kept."""
+        if self.is_upper:
+            return self.value <= self.limit * (1.0 + self.rounding)
+        return self.value >= self.limit * (1.0 - self.rounding)
 
     def used(self, value: float, where: str = "") -> Limit:
         """The limit with what is used of it."""

@@ -62,8 +62,9 @@ def check_size(motion: MotionPlan, parts: SceneSystem, sizes: Sequence[float], s
     )
     hints = "".join(f"; {each}" for each in _unit_hints(motion, parts, step))
     raise InputError(
-        f"{motion.scene.name}: {motion.stop_time:g} s in steps of {step:g} s record about {largest}, more than {1e-9 * LARGEST_SIZE:g} GB{hints}; "
-        f"take a larger step, record less (`cosimulation.record`, `record_step`), or run it all the same: `flexfmu run --yes`, in Python accept_size=True"
+        f"{motion.scene.name}: {motion.stop_time:g} s in steps of {step:g} s record about {largest}, "
+        f"more than {1e-9 * LARGEST_SIZE:g} GB{hints}; take a larger step, record less (`cosimulation.record`, `record_step`), or run it "
+        f"all the same: `flexfmu run --yes`, in Python accept_size=True"
     )
 
 

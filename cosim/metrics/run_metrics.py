@@ -64,7 +64,8 @@ class RunMetrics(Mapping[str, Quantity]):
 
     Values are the run's own in SI units, of `flexfmu.cosim.metrics.metric_table.COMMON_METRICS`, without simulating again. Errors
     (``run.metrics.peak_torque_1.error``) are those of these values, by the one companion run of `measure_run`, which is simulated
-    when the first error is asked for; `print` then shows the companion's values, which are more accurate. In pandas: ``pandas.Series(run.metrics)``, ``pandas.DataFrame([run.metrics for run in runs])``.
+    when the first error is asked for; `print` then shows the companion's values, which are more accurate. In pandas:
+    ``pandas.Series(run.metrics)``, ``pandas.DataFrame([run.metrics for run in runs])``.
 
     Args:
         run: the run.

@@ -73,7 +73,8 @@ def run(
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
         ``run.completed`` whether it reached the stop time. If a slave fails during the run, nothing is raised: the recording
         ends there, and the outcome gives the reason. A control loop that is unstable, or nearly, is named in
-        ``run.health.messages`` and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains. ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
+        ``run.health.messages`` and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains.
+        ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.

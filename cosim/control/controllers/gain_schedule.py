@@ -43,7 +43,8 @@ def scheduled(
         start: value of the signal until it is connected.
 
     Raises:
-        InputError: the values don't ascend, the signal is the controller's output, the controller has no such gain, or factors are missing, negative or not finite.
+        InputError: the values don't ascend, the signal is the controller's output, the controller has no such gain, or factors are
+            missing, negative or not finite.
     """
     points = np.asarray(at, dtype=float)
     if points.ndim != 1 or points.size < 2 or not np.isfinite(points).all() or (np.diff(points) <= 0.0).any():

@@ -1,6 +1,7 @@
 """H-infinity loop shaping for the torque-driven robot (D. McFarlane, K. Glover, IEEE Trans. Automatic Control 37, 1992, 759-769).
 
-The robot is linearised about its equilibrium at a pose, without Coulomb friction, and sampled with a zero-order hold. Weights shape it: each joint gets
+The robot is linearised about its equilibrium at a pose, without Coulomb friction, and sampled with a zero-order hold. Weights shape it:
+each joint gets
 W = k (1 + 1 / (T s)) with the gain k for which the joint's own loop crosses 1 at its bandwidth. The controller K then stabilises the
 shaped plant G W with the largest margin epsilon against perturbations of its normalised coprime factors; epsilon = 1 / gamma, where
 gamma is the H-infinity norm of [I; K] (I - G W K)^-1 [I, G W]. Formulas for a plant with feedthrough: S. Skogestad,

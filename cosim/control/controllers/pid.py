@@ -10,7 +10,8 @@ Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, 
 
 Without a filter (T_f = 0, a = 0) D is the difference quotient. At the first sample the integral gets no increment and D
 is zero, since there is no sample before. It begins at I_0 = initial torque + (1 - b) K_p q_r, so that the torque there is the initial
-one for every b if the robot is at its reference: a bumpless start, section 3.6. Form, weights and anti-windup, the rule for the integral at the limits, after
+one for every b if the robot is at its reference: a bumpless start, section 3.6. Form, weights and anti-windup, the rule for the integral at
+the limits, after
 K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, sections 3.3 to 3.5.
 """
 

@@ -1,6 +1,7 @@
 """Linearises what samples in a loop: blocks by exact derivatives of their equations at the operating point.
 
-Rounding (quantisers, encoders), dead zones and backlash count as identity. Limits that aren't reached have no influence. Random coefficients count with
+Rounding (quantisers, encoders), dead zones and backlash count as identity. Limits that aren't reached have no influence. Random
+coefficients count with
 their mean. Only states count that inputs reach and that reach outputs. Functions in C have finite differences.
 """
 

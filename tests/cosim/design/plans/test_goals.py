@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.checks import checked_goals
 from flexfmu.cosim.design.plans.goals import LEAST_DWELL, Variation, goals_of
 from flexfmu.cosim.design.plans.robustness import judge_of
@@ -123,3 +124,10 @@ def test_other_damping_is_that_of_a_variation(damping: dict[str, Any], key: str)
     varied = Variation(scene.payload.mass, damping=0.5).of(scene).effects.damping
     assert judged == varied
     assert getattr(judged, key) == 0.5 * damping[key]
+
+
+@given(st.floats(1e-3, 1e3), st.floats(0.0, 2e3), st.booleans())
+def test_a_limit_is_kept_where_nothing_exceeds_it(limit: float, value: float, is_upper: bool) -> None:
+    """The verdict and the excess agree, for largest and for smallest values."""
+    found = Limit("figure", limit, "1", is_upper=is_upper).used(value)
+    assert found.met is (found.excess(value) <= 0.0)
