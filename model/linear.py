@@ -63,14 +63,10 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
         outputs: names of the outputs; all outputs of the FMU by default.
 
     Raises:
-        ImportError: python-control isn't installed.
         ValueError: an output is unknown, or the position is out of reach.
         EquilibriumError: there is no equilibrium.
     """
-    try:
-        import control
-    except ImportError:
-        raise ImportError("linearize needs python-control; run: pip install flexfmu[control]") from None
+    import control
 
     plant = _plant(scene)[0]
     names = [variable.name for variable in plant.outputs]

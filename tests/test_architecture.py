@@ -57,10 +57,10 @@ UNKNOWN: Mapping[str, tuple[str, ...]] = {
 TYPES = ("model.symbolic",)
 """All that `fmu_build` knows of the model: the types of what it is given."""
 
-OPTIONAL = ("control", "distributed", "exudyn", "mcap", "pandas", "pyarrow", "ruckig", "toppra", "xarray")
+OPTIONAL = ("distributed", "exudyn", "mcap", "pandas", "pyarrow", "ruckig", "toppra", "xarray")
 """Libraries that a user may not have or seldom needs: they may be imported within functions."""
 
-HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
+HEAVY = (*OPTIONAL, "casadi", "control", "matplotlib", "fmpy", "lief")
 """What a light module may put off loading, by an import within a function of what needs it."""
 
 SLOW = ("scipy", "threadpoolctl", "concurrent", "html")

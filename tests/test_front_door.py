@@ -104,17 +104,9 @@ def test_modes_are_those_of_the_command() -> None:
 
 def test_linearize() -> None:
     """The robot about a pose with the outputs that are asked for, for python-control."""
-    pytest.importorskip("control")
     system = flexfmu.linearize(LIGHT, (0.0, 0.3), ["joint1.position"])
     assert system.output_labels == ["joint1_position"]
     assert system.nstates == 2 * (2 + len(flexfmu.modes(LIGHT, 3)[0].frequencies))
-
-
-def test_linearize_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error says what to install."""
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(ImportError, match=r"pip install flexfmu\[control\]"):
-        flexfmu.linearize(LIGHT, (0.0, 0.3))
 
 
 def test_build(tmp_path: Path) -> None:

@@ -325,7 +325,6 @@ def linearize(
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
-        ImportError: python-control isn't installed (``pip install flexfmu[control]``).
         ValueError: an output is unknown, or the position is out of reach.
         EquilibriumError: the robot has no static equilibrium at the pose.
         TrajectoryError, BuildError, ResultsError: with ``select = "auto"``, the motion is not feasible, or a run that verifies

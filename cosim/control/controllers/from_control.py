@@ -96,7 +96,7 @@ def from_control(
         units: name → unit; a signal without a unit connects to any unit.
 
     Raises:
-        InputError: python-control is missing, the system is of another kind or not proper, it has no time base,
+        InputError: the system is of another kind or not proper, it has no time base,
             it is continuous without method or sample time, sample times contradict each other, or a name is unknown.
     """
     # matrices and names of the system
@@ -133,12 +133,10 @@ def _matrices(system: Any) -> Matrices:
     """Return A, B, C, D of a system in s or z.
 
     Raises:
-        InputError: python-control is missing, the system is of another kind or not proper.
+        InputError: the system is of another kind or not proper.
     """
-    try:
-        import control
-    except ImportError:
-        raise InputError("python-control is missing; run: pip install flexfmu[control]") from None
+    import control
+
     if isinstance(system, control.StateSpace):
         return system.A, system.B, system.C, system.D
     # transfer functions need a realisation

@@ -214,7 +214,7 @@ def h_infinity(
         options: ``sample_time`` [s], ``offset`` [s], ``name``.
 
     Raises:
-        InputError: python-control is missing, a frequency or time isn't positive, or there is no stable loop.
+        InputError: a frequency or time isn't positive, or there is no stable loop.
         EquilibriumError: there is no equilibrium at the pose.
     """
     name, h = options.get("name", "h_infinity"), options["sample_time"]

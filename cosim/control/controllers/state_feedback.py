@@ -228,7 +228,6 @@ def lqg(
         options: ``sample_time`` [s], ``offset`` [s], ``name``.
 
     Raises:
-        InputError: python-control is missing.
         EquilibriumError: there is no equilibrium at the pose.
     """
     scene, h = without_coulomb_friction(scene), options["sample_time"]
@@ -261,15 +260,9 @@ def lqg(
 
 
 def _gains(robot: LinearSystem, weights: LqgWeights | StateFeedbackSection) -> tuple[RealArray, RealArray]:
-    """Return feedback gains K and observer gains L for a robot whose outputs are angles, then rates.
+    """Return feedback gains K and observer gains L for a robot whose outputs are angles, then rates."""
+    import control
 
-    Raises:
-        InputError: python-control is missing.
-    """
-    try:
-        import control
-    except ImportError:
-        raise InputError("state feedback needs python-control; run: pip install flexfmu[control]") from None
     # the regulator, by Bryson's rule: each deviation relative to its unit of cost
     cost = robot.C.T @ np.diag(1.0 / np.square([*weights.position_error, *weights.velocity_error])) @ robot.C
     K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(weights.torque_deviation)))

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from flexfmu.cosim.design.margins.margins import ALL, LoopMargins, PoseMargins
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult
-from flexfmu.cosim.engine.errors import ResultsError, extra
+from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
@@ -125,11 +125,9 @@ def responses(result: MarginsResult) -> list[Any]:
     """Loop transfer functions at each pose and each single cut, as python-control's `FrequencyResponseData`.
 
     Of loops with several samples a period they are the parts that keep the frequency.
-
-    Raises:
-        InputError: python-control isn't installed.
     """
-    control = _control()
+    import control
+
     found = []
     for pose in result.poses:
         for row, cut in zip(pose.loops, pose.open, strict=True):
@@ -147,12 +145,11 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
     """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and ``root-locus.png`` into a folder.
 
     Raises:
-        InputError: python-control isn't installed.
         ResultsError: a file can't be written.
     """
     out = OutputFolder(folder)
     out.prepare()
-    control = _control()
+    import control
     import matplotlib.pyplot as plt
 
     plt.switch_backend("Agg")
@@ -179,9 +176,10 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
 
 def _root_locus(result: MarginsResult) -> None:
     """Eigenvalues over a period, in the z-plane, as all torques grow from a twentieth to twenty times their size."""
+    import control
     import matplotlib.pyplot as plt
 
-    draw_grid: Any = _control().grid.zgrid
+    draw_grid: Any = control.grid.zgrid
     draw_grid()
     for pose, loop in zip(result.poses, result.linear, strict=True):
         factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
@@ -194,9 +192,3 @@ def _root_locus(result: MarginsResult) -> None:
     plt.ylim(-1.3, 1.3)
     plt.legend(markerscale=6.0)
     plt.title("Eigenvalues over a period, torques times 0.05 to 20 (x: times 1)")
-
-
-def _control() -> Any:
-    with extra("control"):
-        import control
-    return control

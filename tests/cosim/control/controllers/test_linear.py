@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -195,13 +194,6 @@ def test_refused_systems(system: Any, options: dict[str, Any], message: str) -> 
     """What would have to be guessed is asked for instead."""
     with pytest.raises(InputError, match=message):
         from_control(system, **options)
-
-
-def test_python_control_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without python-control the message says what to install."""
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(InputError, match=r"pip install flexfmu\[control\]"):
-        from_control(DISCRETE)
 
 
 @pytest.mark.parametrize(("change", "message"), [
