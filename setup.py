@@ -9,7 +9,7 @@ imported in place of the package.
 from setuptools import find_packages, setup
 from setuptools.command.build_py import build_py
 
-FOLDERS = ("model", "fmu_build", "trajectories", "cosim")
+FOLDERS = ("model", "fmu_build", "trajectories", "cosim", "benchmarks/hard_cases")
 
 
 class BuildWithFolders(build_py):
@@ -17,9 +17,10 @@ class BuildWithFolders(build_py):
 
     def finalize_options(self) -> None:
         super().finalize_options()
-        found = find_packages(include=[*FOLDERS, *(f"{folder}.*" for folder in FOLDERS)])
-        self.packages = [*self.packages, *(f"flexfmu.{package}" for package in found)]
-        self.package_dir = {**self.package_dir, **{f"flexfmu.{folder}": folder for folder in FOLDERS}}
+        for folder in FOLDERS:
+            name = f"flexfmu.{folder.replace('/', '.')}"
+            self.packages = [*self.packages, name, *(f"{name}.{package}" for package in find_packages(folder))]
+            self.package_dir = {**self.package_dir, name: folder}
 
 
 setup(cmdclass={"build_py": BuildWithFolders})

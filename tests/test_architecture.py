@@ -86,10 +86,9 @@ PLUG_INS = (
     "cosim.cli",
     "cosim.control.controllers",
     "cosim.engine.formats",
-    "cosim.studies.hard",
     "fmu_build.validation",
 )
-"""Folders of which a module is one command, kind of controller, file format, hard case, or check: one place lists them all."""
+"""Folders of which a module is one command, kind of controller, file format, or check: one place lists them all."""
 
 ALONE = {
     "cosim.control": "the front door names what is in it",
@@ -116,14 +115,17 @@ ALONE = {
     "cosim.experiment.table_motion": "motions from files",
     "cosim.many.variants": "many runs, behind the front door",
     "cosim.metrics.analysis": "the compiled analysis of segments",
+    "cosim.metrics.small_deflections": "limits of small deflections, which hard cases check too",
     "cosim.reports.plots": "drawing",
     "cosim.reports.report": "the page of a run",
     "cosim.studies.compare.alignment": "delays of measurements",
     "cosim.studies.paper.command": "a command",
     "cosim.studies.paper.spectra": "spectra of torques",
     "cosim.studies.sweep.picture": "drawing",
+    "cosim.studies.workprec.equations": "the equations for other solvers, which hard cases use too",
     "cosim.studies.workprec.exudyn_peer": "another tool",
     "cosim.studies.workprec.figures": "drawing",
+    "cosim.studies.workprec.solver_trials": "other solvers, which hard cases use too",
     "cosim.studies.workprec.tool_trials": "other tools",
     "fmu_build.block_build": "FMUs of blocks",
     "fmu_build.trajectory_build": "FMUs of references",
@@ -131,6 +133,7 @@ ALONE = {
     "model.finite_elements.motion": "time integration",
     "model.foreshortening": "an effect",
     "model.multipliers": "the second form of the equations",
+    "model.plant_functions": "functions of a plant, which hard cases check too",
     "model.reference_design.optimal_control": "the transcription",
     "model.reference_design.robust_correction": "correction over a band",
     "model.rotary_inertia": "an effect",

@@ -27,7 +27,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("model", "fmu_build", "trajectories", "cosim")
+FOLDERS = ("model", "fmu_build", "trajectories", "cosim", "benchmarks/hard_cases")
 LIGHT = "barnard2012-0.1kg"
 
 

@@ -118,7 +118,7 @@ def _hard_cases(
     """Run the hard cases, write what happened, and print it; the exit status."""
     from rich.text import Text
 
-    from flexfmu.cosim.studies.hard.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
+    from flexfmu.benchmarks.hard_cases.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
 
     if source is not None:
         raise InputError(f"the hard cases have robots of their own: leave out {source}")

@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 from rich.table import Column, Table
 
+from flexfmu.benchmarks.hard_cases.suite import terminal_table as hard_table
 from flexfmu.cosim.cli.export import _table as fmus_table
 from flexfmu.cosim.cli.run_ssp import _ranges as ranges_table
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
@@ -26,7 +27,6 @@ from flexfmu.cosim.reports.comparison import ComparedRun
 from flexfmu.cosim.reports.comparison import metrics_table as compare_table
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_table
 from flexfmu.cosim.reports.terminal import FittingTable, as_terminal_table, titled_table
-from flexfmu.cosim.studies.hard.suite import terminal_table as hard_table
 from flexfmu.cosim.studies.workprec.study import terminal_table as workprec_table
 
 WIDTHS = (60, 80, 120)

@@ -11,14 +11,14 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from flexfmu.benchmarks.hard_cases import repetition, singularity, steps
+from flexfmu.benchmarks.hard_cases.case import CaseReport, HardCase
+from flexfmu.benchmarks.hard_cases.extremes import motion_cases, parameter_cases, stiffness_cases
+from flexfmu.benchmarks.hard_cases.steps import gain_cases, step_cases
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
-from flexfmu.cosim.studies.hard import repetition, singularity, steps
-from flexfmu.cosim.studies.hard.case import CaseReport, HardCase
-from flexfmu.cosim.studies.hard.extremes import motion_cases, parameter_cases, stiffness_cases
-from flexfmu.cosim.studies.hard.steps import gain_cases, step_cases
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.errors import TrajectoryError
 

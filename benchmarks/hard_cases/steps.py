@@ -17,11 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
-from flexfmu.cosim.studies.hard.case import (
+from flexfmu.benchmarks.hard_cases.case import (
     ALLOWED,
     ERROR,
     NOT_FINITE,
@@ -34,7 +30,11 @@ from flexfmu.cosim.studies.hard.case import (
     not_finite,
     paper_robot,
 )
-from flexfmu.cosim.studies.hard.scipy_solution import Phase, Solver, signals_of_constant_references
+from flexfmu.benchmarks.hard_cases.scipy_solution import Phase, Solver, signals_of_constant_references
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene

@@ -9,13 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.cycles import repeated
-from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
-from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import (
+from flexfmu.benchmarks.hard_cases.case import (
     LOOP_SIGNALS,
     CaseReport,
     Criterion,
@@ -24,7 +18,13 @@ from flexfmu.cosim.studies.hard.case import (
     paper_robot,
     soundness,
 )
-from flexfmu.cosim.studies.hard.scipy_solution import POSITION
+from flexfmu.benchmarks.hard_cases.scipy_solution import POSITION
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.cycles import repeated
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.numeric import numeric_model
 
 CYCLES = 10_000

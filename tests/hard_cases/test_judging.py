@@ -13,12 +13,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.cosim.cli.main import app
-from flexfmu.cosim.engine.errors import SlaveError
-from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.studies.hard import extremes, singularity, suite
-from flexfmu.cosim.studies.hard.case import (
+from flexfmu.benchmarks.hard_cases import extremes, singularity, suite
+from flexfmu.benchmarks.hard_cases.case import (
     CLOSURE,
     NOT_FINITE,
     OFF_BRANCH,
@@ -31,12 +27,16 @@ from flexfmu.cosim.studies.hard.case import (
     run_case,
     soundness,
 )
-from flexfmu.cosim.studies.hard.extremes import STIFF
+from flexfmu.benchmarks.hard_cases.extremes import STIFF
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.errors import SlaveError
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[2]
 PASSED = CaseReport("all is well", (Criterion("error", 1e-6, 1e-5), Criterion("numbers not finite", 0.0, 0.0)))
 FAILED = CaseReport("it blew | up", (Criterion("error", nan, 1e-5, "m"),))
 

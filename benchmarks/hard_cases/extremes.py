@@ -9,10 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.studies.hard.case import (
+from flexfmu.benchmarks.hard_cases.case import (
     ALLOWED,
     STEP,
     CaseReport,
@@ -23,7 +20,10 @@ from flexfmu.cosim.studies.hard.case import (
     run_case,
     soundness,
 )
-from flexfmu.cosim.studies.hard.scipy_solution import Solver
+from flexfmu.benchmarks.hard_cases.scipy_solution import Solver
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.model.scene.schema import Scene
 
 STIFF = Solver("LSODA", 1e-11)

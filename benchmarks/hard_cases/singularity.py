@@ -11,11 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import (
+from flexfmu.benchmarks.hard_cases.case import (
     ALLOWED,
     CaseReport,
     Criterion,
@@ -28,7 +24,11 @@ from flexfmu.cosim.studies.hard.case import (
     run_case,
     soundness,
 )
-from flexfmu.cosim.studies.hard.scipy_solution import Solver
+from flexfmu.benchmarks.hard_cases.scipy_solution import Solver
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.plant_functions import MINIMUM_SINE
 from flexfmu.model.scene.mechanism import Mechanism

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from flexfmu.cosim.studies.hard import repetition, suite
-from flexfmu.cosim.studies.hard.case import HardCase
-from flexfmu.cosim.studies.hard.suite import figures
+from flexfmu.benchmarks.hard_cases import repetition, suite
+from flexfmu.benchmarks.hard_cases.case import HardCase
+from flexfmu.benchmarks.hard_cases.suite import figures
 
 CYCLES = 200
 
