@@ -5,20 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, option
 from flexfmu.cosim.reports.text import to_json
 
 
 def modes(
-    scene: SceneArgument,
-    poses: Annotated[
-        int, option("N", "Poses along the path: an odd number, so that the middle is one.", min=3, max=10_001)
-    ] = 11,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    poses: Annotated[int, typer.Option(min=3, max=10_001)] = 11,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
-    """Natural frequencies along the path, with the motors locked, about the static equilibrium."""
+    """Natural frequencies along the path, with the motors locked, about the static equilibrium.
+
+    Args:
+        poses (N): Poses along the path: an odd number, so that the middle is one.
+    """
     from flexfmu.cosim.experiment.planning import plan
     from flexfmu.cosim.reports.modes_table import modes_along_path, modes_table
 
@@ -35,30 +38,24 @@ def modes(
 
 
 def margins(
-    scene: SceneArgument,
-    poses: Annotated[
-        int, option("N", "Poses, equally spaced along the path, beside the worst ones; 1 for its end alone.", min=1)
-    ] = 5,
-    payload_band: Annotated[
-        str | None,
-        option(
-            "BAND",
-            "Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 "
-            "for 4 to 8 kg. Default: the scene's alone.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        option("DIR", "Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files."),
-    ] = None,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    poses: Annotated[int, typer.Option(min=1)] = 5,
+    payload_band: str | None = None,
+    out: Path | None = None,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Gain, phase, delay and disk margins of a sampled loop, about standstill along the path.
 
     The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays,
     encoders, lags and several sample rates count exactly;
     rounding and limits don't count. The exit status is 1 if the loop is unstable.
+
+    Args:
+        poses (N): Poses, equally spaced along the path, beside the worst ones; 1 for its end alone.
+        payload_band (BAND): Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both
+            sides, or 4,8 for 4 to 8 kg. Default: the scene's alone.
+        out (DIR): Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
     from flexfmu.cosim.design.margins.pictures import margins_data, margins_table
@@ -90,18 +87,20 @@ def margins(
 
 
 def effects(
-    scene: SceneArgument,
-    tolerance: Annotated[float | None, option("RELATIVE", "Largest error. Default: the scene's, or 0.01.")] = None,
-    of: Annotated[
-        list[str] | None, option("METRIC", "A metric to hold; may be repeated. Default: the scene's, or three of them.")
-    ] = None,
-    check: Annotated[
-        bool, flag("Run the chosen set beside the next richer ones; builds their FMUs. Default: don't.", "--check")
-    ] = False,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    tolerance: float | None = None,
+    of: list[str] | None = None,
+    check: bool = False,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
-    """Choose the cheapest elastic effects within a tolerance; shows what each is worth and what it costs."""
+    """Choose the cheapest elastic effects within a tolerance; shows what each is worth and what it costs.
+
+    Args:
+        tolerance (RELATIVE): Largest error. Default: the scene's, or 0.01.
+        of (METRIC): A metric to hold; may be repeated. Default: the scene's, or three of them.
+        check: Run the chosen set beside the next richer ones; builds their FMUs. Default: don't.
+    """
     from flexfmu.cosim.design.effects.study import check_choice, comparison_table, report, study_data, study_effects
 
     robot = load_changed(scene, settings)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SetOption, option
 from flexfmu.cosim.engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,66 +15,35 @@ if TYPE_CHECKING:
 
 
 def compare(
-    runs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="RUN",
-            help="A folder of results, a results file (.csv, .parquet, .mat), or a scene, which is run now; NAME=SCENE gives it "
-            "another name.",
-            show_default=False,
-        ),
-    ],
-    measured: Annotated[
-        Path | None,
-        option(
-            "LOG.csv",
-            "A measurement: a CSV file with a header and a column `time`. Columns named like signals are compared. "
-            "Default: none.",
-        ),
-    ] = None,
-    mapping: Annotated[
-        list[str] | None,
-        option(
-            "COLUMN=SIGNAL",
-            "What a measured column is, with a factor or a unit and an offset if needed: tau1=joint1.torque*1e-3, "
-            "phi=joint1.position*deg+0.5, t=time*ms. May be repeated. Default: by the names.",
-            "--map",
-        ),
-    ] = None,
-    delay: Annotated[
-        float | None,
-        option(
-            "SECONDS",
-            "Time of an event in the measurement minus that in the simulation. Default: estimated by correlation.",
-        ),
-    ] = None,
-    variant: Annotated[
-        list[str] | None,
-        option(
-            "NAME:KEY=VALUE",
-            "The first scene with other values, as one more run; several with commas: stiff:pd.kp=2e4,pd.kd=200. May be repeated. "
-            "Default: none.",
-        ),
-    ] = None,
-    payload_band: Annotated[
-        str | None,
-        option(
-            "BAND",
-            "Run scenes with other payloads too, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 and "
-            "8 kg. Default: not.",
-        ),
-    ] = None,
-    settings: SetOption = None,
-    out: Annotated[
-        Path | None, option("DIR", "Write comparison.html and comparison.json there. Default: nowhere.")
-    ] = None,
-    json: JsonOption = False,
+    runs: list[str],
+    measured: Path | None = None,
+    mapping: list[str] | None = None,
+    delay: float | None = None,
+    variant: list[str] | None = None,
+    payload_band: str | None = None,
+    settings: list[str] | None = None,
+    out: Path | None = None,
+    json: bool = False,
 ) -> int:
     """Compare runs with each other and with a measurement: metrics side by side, signals over each other, spectra.
 
     Differences are relative to the first run. Scenes with different controllers or shapers have their margins, processor times and
     the worst over a band of payloads side by side, too. A measurement is aligned in time with it; RMS, mean and largest difference of each
     signal are those over the time that both have.
+
+    Args:
+        runs (RUN): A folder of results, a results file (.csv, .parquet, .mat), or a scene, which is run now; NAME=SCENE gives it
+            another name.
+        measured (LOG.csv): A measurement: a CSV file with a header and a column `time`. Columns named like signals are
+            compared. Default: none.
+        mapping (--map COLUMN=SIGNAL): What a measured column is, with a factor or a unit and an offset if needed:
+            tau1=joint1.torque*1e-3, phi=joint1.position*deg+0.5, t=time*ms. May be repeated. Default: by the names.
+        delay (SECONDS): Time of an event in the measurement minus that in the simulation. Default: estimated by correlation.
+        variant (NAME:KEY=VALUE): The first scene with other values, as one more run; several with commas:
+            stiff:pd.kp=2e4,pd.kd=200. May be repeated. Default: none.
+        payload_band (BAND): Run scenes with other payloads too, which controllers don't know: 0.2 for 20 % to both sides, or
+            4,8 for 4 and 8 kg. Default: not.
+        out (DIR): Write comparison.html and comparison.json there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.engine.files import OutputFolder

@@ -261,7 +261,7 @@ def _sentence(error: Exception) -> str:
 
 
 def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
-    """A scene from its file or by its name, changed by ``KEY=VALUE`` of `SetOption`; a note says if its effects are too poor.
+    """A scene from its file or by its name, changed by ``KEY=VALUE`` of the option --set; a note says if its effects are too poor.
 
     Raises:
         SceneError: as for `flexfmu.model.scene.file.load_scene`; a setting has another form.

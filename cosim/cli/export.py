@@ -5,19 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from math import gcd, lcm
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from flexfmu.cosim.cli.console import load_changed, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import (
-    JsonOption,
-    NamingOption,
-    PlatformOption,
-    SceneArgument,
-    SetOption,
-    flag,
-    naming_convention,
-    option,
-)
+from flexfmu.cosim.cli.options import naming_convention
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.reports.text import to_json
 
@@ -31,21 +22,20 @@ if TYPE_CHECKING:
 
 
 def build(
-    scene: SceneArgument,
-    output: Annotated[Path | None, option("FILE.fmu", "Default: the scene's name, here.", "--output", "-o")] = None,
-    platform: PlatformOption = None,
-    naming: NamingOption = "structured",
-    enumerations: Annotated[
-        bool,
-        flag(
-            "Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
-            "--enumerations",
-        ),
-    ] = False,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    output: Path | None = None,
+    platform: list[str] | None = None,
+    naming: str = "structured",
+    enumerations: bool = False,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
-    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
+    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange.
+
+    Args:
+        output (--output, -o FILE.fmu): Default: the scene's name, here.
+        enumerations: Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.
+    """
     from flexfmu.cosim.experiment.scene_build import build_scene
     from flexfmu.model.choice_text import choice_sentence
 
@@ -85,19 +75,21 @@ def build(
 
 
 def fmus(
-    scene: SceneArgument,
-    out: Annotated[Path | None, option("DIR", "Folder of the FMUs. Default: results/<name of the scene>/fmus.")] = None,
-    slave: Annotated[
-        list[str] | None, option("NAME", "Name of a slave in the scene; may be repeated. Default: all of them.")
-    ] = None,
-    platform: PlatformOption = None,
-    naming: NamingOption = "structured",
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    out: Path | None = None,
+    slave: list[str] | None = None,
+    platform: list[str] | None = None,
+    naming: str = "structured",
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Export a scene's slaves as FMUs: robot, trajectory, controllers, shapers and imperfections.
 
     With --json it also lists the connections between them.
+
+    Args:
+        out (DIR): Folder of the FMUs. Default: results/<name of the scene>/fmus.
+        slave (NAME): Name of a slave in the scene; may be repeated. Default: all of them.
     """
     from flexfmu.cosim.exchange.slave_export import export_slaves
 
@@ -154,15 +146,18 @@ def _table(system: ExportedSystem) -> Table:
 
 
 def export(
-    scene: SceneArgument,
-    output: Annotated[Path | None, option("FILE.ssp", "Default: the scene's name, here.", "--output", "-o")] = None,
-    platform: PlatformOption = None,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    output: Path | None = None,
+    platform: list[str] | None = None,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Write a whole scene as one SSP 1.0 file: its FMUs, their connections and parameters.
 
     Other tools simulate the file as it is; here: flexfmu run FILE.ssp.
+
+    Args:
+        output (--output, -o FILE.ssp): Default: the scene's name, here.
     """
     from flexfmu.cosim.exchange.ssp.export import export_ssp
     from flexfmu.cosim.exchange.ssp.loading import load_ssp

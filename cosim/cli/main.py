@@ -28,6 +28,7 @@ from flexfmu.cosim.cli.console import (
     show_note,
 )
 from flexfmu.cosim.cli.export import build, export, fmus
+from flexfmu.cosim.cli.options import help_and_signature
 from flexfmu.cosim.cli.plan import plan
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.scenes import new, scenes, schema
@@ -94,12 +95,10 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
         with one_line_errors():
             raise typer.Exit(command(**arguments))
 
+    run_command.__doc__, parameters = help_and_signature(command)
+    run_command.__annotations__ = {name: each.annotation for name, each in parameters.parameters.items()}
+    run_command.__signature__ = parameters  # type: ignore[attr-defined]
     return run_command
-
-
-def _first_sentence(command: Callable[..., int]) -> str:
-    """What the list of commands says of it."""
-    return (command.__doc__ or "").partition("\n")[0]
 
 
 for _command in (
@@ -122,4 +121,4 @@ for _command in (
     validate,
     schema,
 ):
-    app.command(short_help=_first_sentence(_command))(_reporting(_command))
+    app.command(short_help=(_command.__doc__ or "").partition("\n")[0])(_reporting(_command))

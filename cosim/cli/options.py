@@ -1,8 +1,16 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options of commands, as their docstrings describe them.
+
+A parameter of a command is an option, one without a default an argument. The section Args of the docstring has its help with its
+default, and in brackets what it takes, behind its names where it isn't called like the parameter: `output (-o, --output FILE.toml): ...`.
+`SHARED` describes those that several commands have.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+import re
+from collections.abc import Callable
+from inspect import Parameter, Signature, getdoc, signature
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -12,61 +20,63 @@ from flexfmu.cosim.experiment.run_options import RUN_OPTIONS
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
 
+SHARED = """
+    scene (SCENE): A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.
+    naming (CONVENTION): structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.
+    platform (NAME): linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.
+    processes (-j, --processes N): Processes. Default: one for each processor.
+    settings (--set KEY=VALUE): Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5,
+        controller[0].derivative=120, controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Without --out the
+        results have a folder of their own, named after the changes. Default: the scene as it is.
+    json: Print the result as JSON and nothing else. Default: text.
+"""
 
-def option(metavar: str, help: str, *names: str, min: float | None = None, max: float | None = None) -> Any:
-    """An option with a value: what it takes, what it is for with its default, and its names where it isn't called like its argument."""
-    return typer.Option(*names, metavar=metavar, help=help, min=min, max=max)
+OptionalScene = Annotated[str | None, typer.Argument()]
+ProcessesOption = Annotated[int | None, typer.Option(min=1)]
+
+_ENTRY = re.compile(r"^    (\w+)(?: \((.*?)\))?: (.+(?:\n     .*)*)", re.MULTILINE)
+"""Name, what is in brackets, and help of a parameter."""
 
 
-def flag(help: str, *names: str) -> Any:
-    """An option without a value, or with one of a few words that its type names."""
-    return typer.Option(*names, help=help)
+def help_and_signature(command: Callable[..., int]) -> tuple[str, Signature]:
+    """The help text of a command, and its parameters as typer takes them."""
+    text, _, section = (getdoc(command) or "").partition("\n\nArgs:\n")
+    described = {name: (taken, " ".join(help.split())) for name, taken, help in _ENTRY.findall(SHARED + section)}
+    hints = get_type_hints(command, include_extras=True)
+    parameters = signature(command).parameters.values()
+    return text, Signature(
+        [each.replace(annotation=_annotated(each, hints[each.name], described)) for each in parameters]
+    )
 
 
-def folder_option(ending: str = "") -> Any:
-    """The folder of a command's results."""
-    return option("DIR", f"Folder of the results. Default: results/<name of the scene>{ending}.")
+def _annotated(parameter: Parameter, kind: Any, described: dict[str, tuple[str, str]]) -> Any:
+    """The type of a parameter, annotated with its argument or option; what its annotation has already stays, a least value for example."""
+    kind, shown = (kind.__origin__, kind.__metadata__[0]) if hasattr(kind, "__metadata__") else (kind, None)
+    if parameter.name in described:
+        taken, shown_help = described[parameter.name]
+        if shown is None:
+            shown = typer.Argument() if parameter.default is Parameter.empty else typer.Option()
+        *names, metavar = taken.replace(",", "").split(" ")
+        shown.help, shown.metavar = shown_help, metavar or None
+        if isinstance(shown, typer.models.ArgumentInfo):
+            shown.show_default = False
+        elif names:
+            shown.param_decls = names
+        elif kind is bool and parameter.default is False:
+            # what is off by default has no name that switches it off
+            shown.param_decls = [f"--{parameter.name.replace('_', '-')}"]
+    annotated: Any = Annotated
+    return annotated[kind, shown]
 
 
 def run_option(name: str, *names: str) -> Any:
     """The option of a run that `flexfmu.cosim.experiment.run_options` describes."""
     described = RUN_OPTIONS[name]
-    return option(described.takes, described.help, *names) if described.takes else flag(described.help, *names)
-
-
-_SCENE = typer.Argument(
-    metavar="SCENE",
-    help="A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.",
-    show_default=False,
-)
-SceneArgument = Annotated[str, _SCENE]
-OptionalScene = Annotated[str | None, _SCENE]
-NamingOption = Annotated[
-    str, option("CONVENTION", "structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.")
-]
-PlatformOption = Annotated[
-    list[str] | None,
-    option(
-        "NAME", "linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's."
-    ),
-]
-ProcessesOption = Annotated[
-    int | None, option("N", "Processes. Default: one for each processor.", "-j", "--processes", min=1)
-]
-SetOption = Annotated[
-    list[str] | None,
-    option(
-        "KEY=VALUE",
-        "Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5, controller[0].derivative=120, "
-        "controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Without --out the results have a folder of their own, named after the changes. Default: the scene as it is.",
-        "--set",
-    ),
-]
-JsonOption = Annotated[bool, flag("Print the result as JSON and nothing else. Default: text.", "--json")]
+    return typer.Option(*names, metavar=described.takes or None, help=described.help)
 
 
 def naming_convention(name: str) -> Naming:
-    """What `NamingOption` stands for.
+    """What the option ``naming`` stands for.
 
     Raises:
         InputError: there is no such naming convention.

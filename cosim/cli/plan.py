@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, ProcessesOption, SceneArgument, SetOption, flag, folder_option, option
+from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -19,80 +21,55 @@ if TYPE_CHECKING:
 
 
 def plan(
-    scene: SceneArgument,
-    output: Annotated[
-        Path | None,
-        option("FILE.toml", "Also write the planned scene here. Default: only into --out.", "-o", "--output"),
-    ] = None,
-    out: Annotated[Path | None, folder_option("-plan")] = None,
-    minimise: Annotated[
-        str | None,
-        option(
-            "WHAT",
-            "time, torque, rms_torque, energy or residual; all but time need --duration. Default: the scene's, or time.",
-        ),
-    ] = None,
-    duration: Annotated[float | None, option("SECONDS", "Total time, for all but time. Default: the scene's.")] = None,
-    residual: Annotated[
-        float | None, option("METRES", "Largest residual vibration. Default: the scene's, or 1e-6.")
-    ] = None,
-    payload_band: Annotated[
-        str | None,
-        option(
-            "BAND",
-            "Payloads for which the limits hold: 0.3 for 30 % to both sides, or 4,8 for 4 to 8 kg. Default: the scene's, or 0.3.",
-        ),
-    ] = None,
-    stiffness_band: Annotated[
-        float | None,
-        option("FRACTION", "Relative change of Young's modulus to both sides. Default: the scene's, or 0."),
-    ] = None,
-    damping_band: Annotated[
-        float | None, option("FRACTION", "Relative change of the damping to both sides. Default: the scene's, or 0.")
-    ] = None,
-    limit: Annotated[
-        list[str] | None,
-        option(
-            "NAME=VALUE",
-            "A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed, "
-            "acceleration, jerk, rms_torque, power, reaction, stress, off_path; may be repeated. Default: torque=1x, "
-            "speed=2.5x, acceleration=2.5x, jerk=2.5x.",
-        ),
-    ] = None,
-    margin: Annotated[
-        float | None, option("METRES", "How far it may come into what is kept clear. Default: the scene's, or 1e-4.")
-    ] = None,
-    corridor: Annotated[
-        float | None, option("METRES", "How far it may swing beyond the given path. Default: the scene's, or 0.01.")
-    ] = None,
-    method: Annotated[
-        list[str] | None,
-        option(
-            "NAME",
-            "search, flexible, optimal, or a planner to compare with, ruckig or toppra; may be repeated. Default: all that "
-            "are installed.",
-        ),
-    ] = None,
-    candidate: Annotated[
-        list[Path] | None,
-        option(
-            "FILE.csv",
-            "A motion of your own, of joints or end effector, to be judged with the others; may be repeated. Default: none.",
-        ),
-    ] = None,
-    budget: Annotated[
-        float | None, option("SECONDS", "Begin nothing new after this time. Default: no limit.", min=0.0)
-    ] = None,
-    seed: Annotated[int | None, option("N", "Seed of the search. Default: the scene's, or 0.")] = None,
+    scene: str,
+    output: Path | None = None,
+    out: Path | None = None,
+    minimise: str | None = None,
+    duration: float | None = None,
+    residual: float | None = None,
+    payload_band: str | None = None,
+    stiffness_band: float | None = None,
+    damping_band: float | None = None,
+    limit: list[str] | None = None,
+    margin: float | None = None,
+    corridor: float | None = None,
+    method: list[str] | None = None,
+    candidate: list[Path] | None = None,
+    budget: Annotated[float | None, typer.Option(min=0.0)] = None,
+    seed: int | None = None,
     processes: ProcessesOption = None,
-    robust: Annotated[bool, flag("Judge the chosen motion in richer models too.", "--robust/--no-robust")] = True,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    robust: bool = True,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Plan the fastest motion that leaves no vibration, within limits that hold over a band of payloads.
 
     Writes planned.toml, which every command takes, the Pareto front as front.csv, and plan.html with the planned motion
     beside the given one. After Ctrl-C the best motion so far is written.
+
+    Args:
+        output (-o, --output FILE.toml): Also write the planned scene here. Default: only into --out.
+        out (DIR): Folder of the results. Default: results/<name of the scene>-plan.
+        minimise (WHAT): time, torque, rms_torque, energy or residual; all but time need --duration. Default: the scene's, or
+            time.
+        duration (SECONDS): Total time, for all but time. Default: the scene's.
+        residual (METRES): Largest residual vibration. Default: the scene's, or 1e-6.
+        payload_band (BAND): Payloads for which the limits hold: 0.3 for 30 % to both sides, or 4,8 for 4 to 8 kg. Default: the
+            scene's, or 0.3.
+        stiffness_band (FRACTION): Relative change of Young's modulus to both sides. Default: the scene's, or 0.
+        damping_band (FRACTION): Relative change of the damping to both sides. Default: the scene's, or 0.
+        limit (NAME=VALUE): A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed,
+            acceleration, jerk, rms_torque, power, reaction, stress, off_path; may be repeated. Default: torque=1x, speed=2.5x,
+            acceleration=2.5x, jerk=2.5x.
+        margin (METRES): How far it may come into what is kept clear. Default: the scene's, or 1e-4.
+        corridor (METRES): How far it may swing beyond the given path. Default: the scene's, or 0.01.
+        method (NAME): search, flexible, optimal, or a planner to compare with, ruckig or toppra; may be repeated. Default: all
+            that are installed.
+        candidate (FILE.csv): A motion of your own, of joints or end effector, to be judged with the others; may be repeated.
+            Default: none.
+        budget (SECONDS): Begin nothing new after this time. Default: no limit.
+        seed (N): Seed of the search. Default: the scene's, or 0.
+        robust: Judge the chosen motion in richer models too.
     """
     import os
 

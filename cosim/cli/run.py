@@ -8,76 +8,46 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import end_loading
-from flexfmu.cosim.cli.options import JsonOption, SetOption, flag, folder_option, option, run_option
+from flexfmu.cosim.cli.options import run_option
 from flexfmu.cosim.engine.errors import InputError
 
 
 def run(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE",
-            help="A scene file (TOML), the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg; or an SSP file.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[Path | None, folder_option()] = None,
+    scene: str,
+    out: Path | None = None,
     step: Annotated[float | None, run_option("communication_step")] = None,
-    stop_time: Annotated[
-        float | None, option("SECONDS", "End of an SSP file's run. Default: what the file says, or the FMUs in it.")
-    ] = None,
-    ssd: Annotated[
-        str | None, option("NAME", "System of an SSP file that holds several. Default: SystemStructure.ssd.")
-    ] = None,
-    output_order: Annotated[
-        int | None,
-        option(
-            "N",
-            "Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.",
-            min=0,
-        ),
-    ] = None,
+    stop_time: float | None = None,
+    ssd: str | None = None,
+    output_order: Annotated[int | None, typer.Option(min=0)] = None,
     isolate: Annotated[bool | None, run_option("isolate", "--isolate/--no-isolate")] = None,
-    verify: Annotated[
-        bool | None,
-        flag(
-            "Verify the errors of the metrics by a second companion run. Default: take them from one.",
-            "--verify/--no-verify",
-        ),
-    ] = None,
-    report: Annotated[
-        bool | None, flag("Draw report.html. Default: draw it, but with --json don't.", "--report/--no-report")
-    ] = None,
-    record: Annotated[
-        list[str] | None,
-        option("SIGNAL", "Record this signal alone; may be repeated. Default: what the scene says, or all."),
-    ] = None,
-    record_step: Annotated[
-        float | None,
-        option(
-            "SECONDS", "Interval of the recorded instants. Default: what the scene says, or every communication point."
-        ),
-    ] = None,
-    record_order: Annotated[
-        int | None, option("N", "Number of recorded derivatives. Default: what the scene says, or 2.", min=0, max=2)
-    ] = None,
-    formats: Annotated[
-        list[str] | None,
-        option(
-            "NAME",
-            "Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may be repeated. "
-            "Default: csv.",
-            "--format",
-        ),
-    ] = None,
+    verify: bool | None = None,
+    report: bool | None = None,
+    record: list[str] | None = None,
+    record_step: float | None = None,
+    record_order: Annotated[int | None, typer.Option(min=0, max=2)] = None,
+    formats: list[str] | None = None,
     yes: Annotated[bool, run_option("accept_size", "--yes")] = False,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
 
     The FMU is built first unless it is in the cache. A companion run with shorter communication steps and a tighter
     tolerance gives the errors of the metrics; --no-verify saves it. An SSP file, ours or not, gives results.csv and summary.json.
+
+    Args:
+        scene (SCENE): A scene file (TOML), the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg; or an SSP file.
+        out (DIR): Folder of the results. Default: results/<name of the scene>.
+        stop_time (SECONDS): End of an SSP file's run. Default: what the file says, or the FMUs in it.
+        ssd (NAME): System of an SSP file that holds several. Default: SystemStructure.ssd.
+        output_order (N): Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.
+        verify: Verify the errors of the metrics by a second companion run. Default: take them from one.
+        report: Draw report.html. Default: draw it, but with --json don't.
+        record (SIGNAL): Record this signal alone; may be repeated. Default: what the scene says, or all.
+        record_step (SECONDS): Interval of the recorded instants. Default: what the scene says, or every communication point.
+        record_order (N): Number of recorded derivatives. Default: what the scene says, or 2.
+        formats (--format NAME): Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may
+            be repeated. Default: csv.
     """
     from zipfile import is_zipfile
 

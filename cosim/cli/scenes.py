@@ -5,12 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.cli.console import print_rich, print_text, show_note
-from flexfmu.cosim.cli.options import JsonOption, flag, option
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
 
@@ -22,7 +19,7 @@ USUAL = "starter"
 """The scene that `new` starts from."""
 
 
-def scenes(json: JsonOption = False) -> int:
+def scenes(json: bool = False) -> int:
     """List the scenes that come with flexfmu, which every command takes by their names."""
     from rich.text import Text
 
@@ -70,14 +67,18 @@ def _table(found: list[dict[str, Any]]) -> Table:
 
 
 def new(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="The file to write.", show_default=False)],
-    origin: Annotated[
-        str, option("NAME", "A shipped scene to start from; flexfmu scenes lists them.", "--from")
-    ] = USUAL,
-    force: Annotated[bool, flag("Overwrite the file if there is one. Default: refuse.", "--force")] = False,
-    json: JsonOption = False,
+    file: Path,
+    origin: str = USUAL,
+    force: bool = False,
+    json: bool = False,
 ) -> int:
-    """Write a scene file to start from: complete, with units, choices and defaults as comments."""
+    """Write a scene file to start from: complete, with units, choices and defaults as comments.
+
+    Args:
+        file (FILE.toml): The file to write.
+        origin (--from NAME): A shipped scene to start from; flexfmu scenes lists them.
+        force: Overwrite the file if there is one. Default: refuse.
+    """
     from flexfmu.cosim.reports.text import to_json
     from flexfmu.model.scene.file import read_scene_text, scene_path, shipped_scenes
 
@@ -107,13 +108,14 @@ def new(
 
 
 def schema(
-    output: Annotated[
-        Path | None, option("FILE.json", "File to write. Default: standard output.", "-o", "--output")
-    ] = None,
+    output: Path | None = None,
 ) -> int:
     """JSON Schema of scene files, by which editors complete keys and show their units.
 
     Editors with taplo (Even Better TOML) read it where a scene file begins with a line [i]#:schema ./scene.schema.json[/i].
+
+    Args:
+        output (-o, --output FILE.json): File to write. Default: standard output.
     """
     from flexfmu.model.scene.file import scene_schema
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, SceneArgument, SetOption, flag, folder_option, option
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
@@ -14,40 +13,34 @@ from flexfmu.cosim.reports.text import to_json
 
 
 def shaper(
-    scene: SceneArgument,
-    out: Annotated[Path | None, folder_option()] = None,
-    payload_errors: Annotated[
-        bool,
-        flag("Seven payload errors instead of five; writes payload_errors.md too. Default: five.", "--payload-errors"),
-    ] = False,
-    payload_band: Annotated[float, option("FRACTION", "Largest error of the payload's mass, either way.")] = 0.3,
-    drive: Annotated[
-        Literal["perfect", "controller"] | None,
-        flag(
-            "What drives the robot: exactly its references, or the scene's controllers and imperfections. "
-            "Default: the controllers where the scene has some."
-        ),
-    ] = None,
-    max_deviation: Annotated[
-        float | None, option("METRES", "Largest deviation from the path. Default: no limit.")
-    ] = None,
-    max_added_time: Annotated[
-        float | None, option("SECONDS", "Longest time that the shaper may add. Default: no limit.")
-    ] = None,
-    max_jerk: Annotated[float | None, option("RAD/S3", "Largest jerk of a joint reference. Default: no limit.")] = None,
-    max_torque: Annotated[
-        float | None, option("N.M", "Largest torque of a motor over the payload band. Default: no limit.")
-    ] = None,
-    output: Annotated[
-        Path | None,
-        option("FILE.toml", "Write the scene with the recommended shaper here. Default: nowhere.", "--output", "-o"),
-    ] = None,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    scene: str,
+    out: Path | None = None,
+    payload_errors: bool = False,
+    payload_band: float = 0.3,
+    drive: Literal["perfect", "controller"] | None = None,
+    max_deviation: float | None = None,
+    max_added_time: float | None = None,
+    max_jerk: float | None = None,
+    max_torque: float | None = None,
+    output: Path | None = None,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Design input shapers for a scene, try them all in co-simulation and recommend one, with the TOML that applies it.
 
     Writes shapers.json, shapers.csv and the picture: sensitivity, and the vibration before and after.
+
+    Args:
+        out (DIR): Folder of the results. Default: results/<name of the scene>.
+        payload_errors: Seven payload errors instead of five; writes payload_errors.md too. Default: five.
+        payload_band (FRACTION): Largest error of the payload's mass, either way.
+        drive: What drives the robot: exactly its references, or the scene's controllers and imperfections. Default: the
+            controllers where the scene has some.
+        max_deviation (METRES): Largest deviation from the path. Default: no limit.
+        max_added_time (SECONDS): Longest time that the shaper may add. Default: no limit.
+        max_jerk (RAD/S3): Largest jerk of a joint reference. Default: no limit.
+        max_torque (N.M): Largest torque of a motor over the payload band. Default: no limit.
+        output (--output, -o FILE.toml): Write the scene with the recommended shaper here. Default: nowhere.
     """
     from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data
     from flexfmu.cosim.design.shapers.figure import save_sensitivity

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, rich_output
-from flexfmu.cosim.cli.options import JsonOption, OptionalScene, SetOption, flag, folder_option, option
+from flexfmu.cosim.cli.options import OptionalScene
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
@@ -16,12 +15,15 @@ from flexfmu.cosim.reports.text import to_json
 
 
 def paper(
-    out: Annotated[Path | None, option("DIR", "Folder of the results. Default: results/paper.")] = None,
-    json: JsonOption = False,
+    out: Path | None = None,
+    json: bool = False,
 ) -> int:
     """Repeat the paper's experiment: every table beside the printed one, and the figures.
 
     Barnard, Briot and Caro, "Trajectory Generation for High Speed Pick-and-Place Robots", ESDA 2012.
+
+    Args:
+        out (DIR): Folder of the results. Default: results/paper.
     """
     from flexfmu.cosim.studies.paper.command import DEFAULT_FOLDER, run_paper
     from flexfmu.cosim.studies.paper.report import print_report
@@ -45,27 +47,11 @@ HARD_CASES = "hard-cases"
 
 def workprec(
     scene: OptionalScene = None,
-    out: Annotated[
-        Path | None,
-        folder_option("/workprec or results/hard-cases"),
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        option(
-            "FAMILY",
-            "integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's "
-            "name; may be repeated. Default: all.",
-        ),
-    ] = None,
-    hard: Annotated[
-        bool,
-        flag(
-            "Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.",
-            "--hard",
-        ),
-    ] = False,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    out: Path | None = None,
+    only: list[str] | None = None,
+    hard: bool = False,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Measure what accuracy costs in time: by integrator, communication step, coupling, effects, formulation and tool.
 
@@ -73,6 +59,12 @@ def workprec(
 
     With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
     hard-cases.json and hard-cases.md.
+
+    Args:
+        out (DIR): Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases.
+        only (FAMILY): integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's
+            name; may be repeated. Default: all.
+        hard: Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.
     """
     return (_hard_cases if hard else _study)(scene, out, only or [], settings or [], json)
 

@@ -7,8 +7,10 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, ProcessesOption, SceneArgument, SetOption, flag, folder_option, option
+from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -18,62 +20,43 @@ if TYPE_CHECKING:
 
 
 def sweep(
-    scene: SceneArgument,
-    vary: Annotated[
-        list[str] | None,
-        option(
-            "KEY=VALUES",
-            "A key of the scene and its values: payload.mass=0:8:50 (from, to, number), trajectory.duration=0.3,0.4, "
-            "controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all combinations. Default: nothing.",
-        ),
-    ] = None,
-    sample: Annotated[
-        str | None,
-        option(
-            "METHOD:N",
-            "Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence, sobol:1024. "
-            "Default: all combinations.",
-        ),
-    ] = None,
-    seed: Annotated[int, option("N", "Seed of the sample.", min=0)] = 0,
-    cases: Annotated[
-        Path | None,
-        option(
-            "FILE.csv",
-            "Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's value. "
-            "Default: those of --vary.",
-        ),
-    ] = None,
-    metrics: Annotated[
-        list[str] | None, option("NAMES", "Metrics, separated by commas; may be repeated. Default: all.")
-    ] = None,
-    record: Annotated[
-        list[str] | None,
-        option("SIGNAL", "Keep this signal of each case, in signals/; may be repeated. Default: none."),
-    ] = None,
-    record_step: Annotated[
-        float | None, option("SECONDS", "Interval of the kept signals. Default: every instant.")
-    ] = None,
+    scene: str,
+    vary: list[str] | None = None,
+    sample: str | None = None,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    cases: Path | None = None,
+    metrics: list[str] | None = None,
+    record: list[str] | None = None,
+    record_step: float | None = None,
     processes: ProcessesOption = None,
-    out: Annotated[Path | None, folder_option("-sweep")] = None,
-    restart: Annotated[
-        bool, flag("Discard the results of another sweep in the folder. Default: refuse.", "--restart")
-    ] = False,
-    dask: Annotated[
-        str | None,
-        option("ADDRESS", "Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine."),
-    ] = None,
-    plot: Annotated[
-        bool | None,
-        flag("Draw sweep.png and sweep.svg. Default: draw them, but with --json don't.", "--plot/--no-plot"),
-    ] = None,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    out: Path | None = None,
+    restart: bool = False,
+    dask: str | None = None,
+    plot: bool | None = None,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Simulate many variants of a scene: writes sweep.csv (and sweep.parquet) with the metrics of each, and a picture.
 
     Every finished case is kept at once. After Ctrl-C or a crash the same command continues, and ends with the same
     table. A case that fails is a line with its message.
+
+    Args:
+        vary (KEY=VALUES): A key of the scene and its values: payload.mass=0:8:50 (from, to, number),
+            trajectory.duration=0.3,0.4, controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all
+            combinations. Default: nothing.
+        sample (METHOD:N): Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence,
+            sobol:1024. Default: all combinations.
+        seed (N): Seed of the sample.
+        cases (FILE.csv): Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's
+            value. Default: those of --vary.
+        metrics (NAMES): Metrics, separated by commas; may be repeated. Default: all.
+        record (SIGNAL): Keep this signal of each case, in signals/; may be repeated. Default: none.
+        record_step (SECONDS): Interval of the kept signals. Default: every instant.
+        out (DIR): Folder of the results. Default: results/<name of the scene>-sweep.
+        restart: Discard the results of another sweep in the folder. Default: refuse.
+        dask (ADDRESS): Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine.
+        plot: Draw sweep.png and sweep.svg. Default: draw them, but with --json don't.
     """
     from flexfmu.cosim.engine.results import Selection
     from flexfmu.cosim.studies.sweep.result import write_files

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.options import JsonOption, ProcessesOption, SceneArgument, SetOption, flag, folder_option, option
+from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
 
@@ -18,71 +20,44 @@ if TYPE_CHECKING:
 
 
 def tune(
-    scene: SceneArgument,
-    over: Annotated[
-        list[str] | None,
-        option(
-            "KEY=FROM:TO",
-            "A key of the scene and the interval of its values: pd.kp=1e3:1e5, controller[0].derivative=10:500; may be "
-            "repeated, or several with commas. Default: none, at least one is needed.",
-        ),
-    ] = None,
-    minimise: Annotated[
-        str,
-        option(
-            "FIGURE",
-            "A metric, of both joints the larger without a number at its end: rms_tracking_error, settling_time.",
-        ),
-    ] = "rms_tracking_error",
-    subject_to: Annotated[
-        list[str] | None,
-        option(
-            "CONDITION",
-            "FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms, "
-            "margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.",
-        ),
-    ] = None,
-    payload_band: Annotated[
-        str | None,
-        option(
-            "BAND",
-            "Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or 4,8 for 4 "
-            "to 8 kg. Default: the scene's alone.",
-        ),
-    ] = None,
-    start: Annotated[
-        str | None,
-        option(
-            "KIND:HZ",
-            "Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10; feedforward "
-            "stays. Default: the scene's.",
-        ),
-    ] = None,
-    method: Annotated[
-        str,
-        option(
-            "NAME",
-            "What improves the best of the first trials: gradient, by differences of runs. sample makes first trials alone.",
-        ),
-    ] = "gradient",
-    trials: Annotated[int | None, option("N", "Number of trials. Default: some 50 for each key.", min=2)] = None,
-    seed: Annotated[int, option("N", "Seed of the first trials.", min=0)] = 0,
+    scene: str,
+    over: list[str] | None = None,
+    minimise: str = "rms_tracking_error",
+    subject_to: list[str] | None = None,
+    payload_band: str | None = None,
+    start: str | None = None,
+    method: str = "gradient",
+    trials: Annotated[int | None, typer.Option(min=2)] = None,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
     processes: ProcessesOption = None,
-    output: Annotated[
-        Path | None,
-        option("FILE.toml", "Write the tuned scene here. Default: into the folder of the results.", "-o", "--output"),
-    ] = None,
-    out: Annotated[Path | None, folder_option("-tune")] = None,
-    restart: Annotated[
-        bool, flag("Discard the trials of another tuning in the folder. Default: refuse.", "--restart")
-    ] = False,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    output: Path | None = None,
+    out: Path | None = None,
+    restart: bool = False,
+    settings: list[str] | None = None,
+    json: bool = False,
 ) -> int:
     """Tune gains and other keys of a scene: what minimises a figure within limits.
 
     Writes tuned.toml, which every command takes, and all trials as tune.csv. Every trial is kept at once: after Ctrl-C the best
     so far is written, and the same command continues.
+
+    Args:
+        over (KEY=FROM:TO): A key of the scene and the interval of its values: pd.kp=1e3:1e5, controller[0].derivative=10:500;
+            may be repeated, or several with commas. Default: none, at least one is needed.
+        minimise (FIGURE): A metric, of both joints the larger without a number at its end: rms_tracking_error, settling_time.
+        subject_to (CONDITION): FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms,
+            margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.
+        payload_band (BAND): Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or
+            4,8 for 4 to 8 kg. Default: the scene's alone.
+        start (KIND:HZ): Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10;
+            feedforward stays. Default: the scene's.
+        method (NAME): What improves the best of the first trials: gradient, by differences of runs. sample makes first trials
+            alone.
+        trials (N): Number of trials. Default: some 50 for each key.
+        seed (N): Seed of the first trials.
+        output (-o, --output FILE.toml): Write the tuned scene here. Default: into the folder of the results.
+        out (DIR): Folder of the results. Default: results/<name of the scene>-tune.
+        restart: Discard the trials of another tuning in the folder. Default: refuse.
     """
     import os
 

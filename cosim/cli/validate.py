@@ -9,25 +9,17 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, print_text, progress
-from flexfmu.cosim.cli.options import JsonOption, flag, option
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.cosim.reports.text import to_json
 from flexfmu.fmu_build.errors import ArchiveError
 
 
 def validate(
-    fmu: Annotated[
-        Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)
-    ],
-    static: Annotated[bool, flag("Only look at the file, don't run what is in it. Default: both.", "--static")] = False,
-    strict: Annotated[bool, flag("Exit status 1 for warnings too. Default: for errors.", "--strict")] = False,
-    time_limit: Annotated[
-        float | None,
-        option(
-            "SECONDS", "Longest time for what runs the FMU, one FMI call may take a fifth of it. Default: 120.", min=1.0
-        ),
-    ] = None,
-    json: JsonOption = False,
+    fmu: Annotated[Path, typer.Argument(readable=False)],
+    static: bool = False,
+    strict: bool = False,
+    time_limit: Annotated[float | None, typer.Option(min=1.0)] = None,
+    json: bool = False,
 ) -> int:
     """Check any FMU 2.0: archive, description, binaries, and each claim tried for real.
 
@@ -36,6 +28,12 @@ def validate(
     Prints one line for each kind of finding, the worst first: what is wrong, the remedy, the section of the standard.
 
     Exit status 1 if there is an error, 2 if the file is no FMU.
+
+    Args:
+        fmu (FILE.fmu): The FMU to check.
+        static: Only look at the file, don't run what is in it. Default: both.
+        strict: Exit status 1 for warnings too. Default: for errors.
+        time_limit (SECONDS): Longest time for what runs the FMU, one FMI call may take a fifth of it. Default: 120.
     """
     from flexfmu.fmu_build.validation.finding import Finding, Severity
     from flexfmu.fmu_build.validation.validate import TIME_LIMIT, validate_fmu
