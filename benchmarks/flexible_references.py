@@ -1,4 +1,4 @@
-"""References for the flexible robot against rigid ones: tables of docs/flexible-references.md.
+"""References for the flexible robot against rigid ones: tables of docs/motions.md.
 
 python benchmarks/flexible_references.py [--damping 0.01] [--loop]
 """

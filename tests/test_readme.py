@@ -111,7 +111,7 @@ def test_every_command_is_named() -> None:
     """In the README's table, and with its options in docs/commands.md."""
     for name in get_command(app).commands:  # type: ignore[attr-defined]
         assert f"`flexfmu {name}" in README
-        assert f"**`flexfmu {name}" in page("commands"), name
+        assert f"## `flexfmu {name}" in page("commands"), name
 
 
 def test_files_and_targets_exist() -> None:
@@ -135,7 +135,7 @@ def test_readme_is_short() -> None:
 def test_every_example_is_listed() -> None:
     """Nobody has to find an example by chance."""
     for script in (ROOT / "examples").glob("*.py"):
-        assert f"](../examples/{script.name})" in page("examples"), script.name
+        assert f"](../examples/{script.name})" in page("how-to"), script.name
 
 
 def test_scene_file_is_the_shipped_one() -> None:
@@ -191,7 +191,7 @@ def test_modes_table() -> None:
 
 def test_paper_figures_of_the_trajectories_and_frequencies() -> None:
     """Lengths, accelerations and frequencies beside the paper's, reproduced or not."""
-    text = page("paper")
+    text = page("references")
     for label, computed in {
         "Table 2: length of the Lamé": 1e3 * blend_length("Lamé"),
         "Table 2: length of the clothoid": 1e3 * blend_length("Clothoid"),
@@ -210,7 +210,7 @@ def test_paper_figures_of_the_trajectories_and_frequencies() -> None:
 @pytest.mark.slow
 def test_paper_figures_of_the_simulations(metrics: dict[str, Measurement]) -> None:
     """Figures of Tables 7, 8, 9 and 11, each with its difference from the printed one."""
-    text = page("paper")
+    text = page("references")
 
     def measured(scene: str, profile: str, curve: str) -> dict[str, Measurement]:
         return dict(measure_run(run_scene(case_scene(scene, profile, curve))))
@@ -240,7 +240,7 @@ def test_paper_figures_of_the_simulations(metrics: dict[str, Measurement]) -> No
 
 def test_printed_figures_are_the_paper_s() -> None:
     """No printed figure that isn't in the tables of the paper as they are kept."""
-    for row in rows(page("paper")):
+    for row in rows(page("references")):
         found = re.match(r"Table (\d+):", row[0])
         if found:
             table = printed_table(f"table-{int(found.group(1)):02d}")

@@ -113,7 +113,7 @@ def test_the_commands_of_the_page_work(tmp_path: Path, monkeypatch: pytest.Monke
     """Lists and new files are written in their order; of the others the scene, the settings and the options are right."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
-    lines = re.findall(r"^    flexfmu (.*)$", (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8"), re.M)
+    lines = re.findall(r"^    flexfmu (.*)$", (ROOT / "docs" / "commands.md").read_text(encoding="utf-8"), re.M)
     assert len(lines) > 6
     for name, *arguments in (shlex.split(line, comments=True) for line in lines):
         if name in ("new", "scenes"):

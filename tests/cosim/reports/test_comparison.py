@@ -59,12 +59,11 @@ def test_many_runs_stay_below_the_limit_of_a_page() -> None:
 
 @pytest.mark.slow
 def test_the_documented_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """docs/report.md: a page of two runs."""
-    text = (Path(__file__).parents[3] / "docs" / "report.md").read_text(encoding="utf-8")
-    example = re.search(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    assert example is not None
+    """docs/results.md: a page of two runs."""
+    text = (Path(__file__).parents[3] / "docs" / "results.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```python\n(.*?)^```", text.partition("\n### Compare runs")[2], re.DOTALL | re.MULTILINE)
     monkeypatch.chdir(tmp_path)
-    exec(compile(example[1], "docs/report.md", "exec"), {})
+    exec(compile(example, "docs/results.md", "exec"), {})
     page = (tmp_path / "comparison.html").read_text(encoding="utf-8")
     assert "Spectra of the residual vibration" in page
     assert re.search(r"\(−\d+\.\d %\)", page)
