@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from flexfmu.errors import Error
 
-class BuildError(RuntimeError):
+
+class BuildError(Error, RuntimeError):
     """An FMU could not be built or read; the message says what to do."""
 
 

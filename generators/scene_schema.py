@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from flexfmu.model.scene.loop import ObjectSection
 from flexfmu.model.scene.schema import Scene
 
 HERE = Path(__file__).parent
@@ -34,6 +35,8 @@ WORDS = {"modes": ["along-path"], "step": ["auto"], "references": ["rigid", "fle
 
 def sections(annotation: Any) -> dict[str, type[BaseModel]]:
     """All sections below an annotation, by the name of their class."""
+    if annotation is ObjectSection:  # which files can't have
+        return {}
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         inside = [sections(field.annotation) for field in annotation.model_fields.values()]
         return {annotation.__name__: annotation} | {name: each for found in inside for name, each in found.items()}

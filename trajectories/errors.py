@@ -8,8 +8,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flexfmu.errors import Error
 
-class TrajectoryError(ValueError):
+
+class TrajectoryError(Error, ValueError):
     """A trajectory can't be planned or evaluated with these arguments.
 
     The message is one line: the value with its unit and place, the limits, and what to change.

@@ -6,12 +6,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
+from flexfmu.errors import Error
+
 MOST_NAMES, NEAREST = 20, 5
 """Largest number of names that a message lists, and number of those nearest to a misspelt one where there are more."""
 
 
-class CosimError(Exception):
-    """Base of all errors of this package."""
+class CosimError(Error):
+    """A run, its input or its results failed."""
 
 
 class InputError(CosimError, ValueError):

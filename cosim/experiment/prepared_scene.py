@@ -207,7 +207,8 @@ class PreparedScene:
         self._call_limit = options.get("call_limit") or section.call_limit
         record = options.get("record") or Selection(section.record, section.record_order, section.record_step)
         self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
-        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, caller_owned=loop is not None)
+        objects = loop is not None or scene.has_objects
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, caller_owned=objects)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
         self._rests = RestPositions(self._loop.motion, StaticEquilibria(scene, self._fmu_path))

@@ -16,7 +16,7 @@ from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_sour
 from flexfmu.model.linear import without_coulomb_friction
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
-from flexfmu.model.scene.loop import FmuSection, PythonSection
+from flexfmu.model.scene.loop import FmuSection, ObjectSection, PythonSection
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -114,6 +114,8 @@ class _Builder:
         """The shaper of a section."""
         if isinstance(section, (PythonSection, FmuSection)):
             return self.slave(section, self._planned)
+        if isinstance(section, ObjectSection):
+            return _described(section) or self.slave(section, self._planned)
         shaper: Shaper = self._built(section, self._planned, "", 0.0)
         return shaper
 
@@ -122,6 +124,9 @@ class _Builder:
 
         Of a cascade it is that of the loop that exchanges the signal; encoders count as velocities.
         """
+        if isinstance(section, ObjectSection):
+            own: PayloadError | Slave = _described(section) or self.slave(section, self._planned)
+            return own
         sample_time = _rate(getattr(section, "signal", "velocity"), controllers)
         sample_time = sample_time or self._scene.cosimulation.communication_step
         if isinstance(section, PayloadErrorSection):
@@ -161,6 +166,8 @@ class _Builder:
         if isinstance(section, PythonSection):
             source = from_source(section.source, section.arguments, section.folder)
             made = as_slave(source, self._names, section.name)
+        elif isinstance(section, ObjectSection):
+            made = as_slave(section.object.value, self._names, section.name)
         elif isinstance(section, FmuSection):
             made = fmu_slave(
                 section.path,
@@ -227,6 +234,16 @@ class _Builder:
         if self._holding_torques is None:
             self._holding_torques = tuple(holding_torques(self._scene).values())
         return self._holding_torques
+
+
+def _described(section: ObjectSection) -> Any:
+    """The object of a section if it is no slave but describes a shaper or a payload error; None otherwise."""
+    from flexfmu.cosim.control.imperfections.payload_error import PayloadError
+    from flexfmu.cosim.control.shapers import Shaper
+    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+
+    value = section.object.value
+    return value if isinstance(value, (Shaper, ImpulseSequence, PayloadError)) else None
 
 
 def _without_coulomb(scene: Scene, section: Any) -> tuple[Scene, Any]:

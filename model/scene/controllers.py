@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection, Sampling, from_scene_file
+from flexfmu.model.scene.loop import OwnPart, SampledSection, Sampling, from_scene_file
 from flexfmu.model.scene.section import (
     NotNegative,
     NotNegativePerJoint,
@@ -409,7 +409,6 @@ ControllerSection = Annotated[
     | HInfinitySection
     | StateSpaceSection
     | CFunctionSection
-    | PythonSection
-    | FmuSection,
+    | OwnPart,
     Field(discriminator="kind"),
 ]

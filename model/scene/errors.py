@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from flexfmu.errors import Error
 
-class SceneError(ValueError):
+
+class SceneError(Error, ValueError):
     """An invalid scene file or value; the message gives key, value, unit and remedy."""
 
 
@@ -11,5 +13,5 @@ class SceneWarning(UserWarning):
     """A valid value that suggests a mistake, for example a wrong unit."""
 
 
-class EquilibriumError(ArithmeticError):
+class EquilibriumError(Error, ArithmeticError):
     """No (stable) static equilibrium, or no convergence of the finite elements; the message gives pose or time."""

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.loop import FmuSection, LoopSection, PythonSection
+from flexfmu.model.scene.loop import LoopSection, OwnPart
 from flexfmu.model.scene.section import (
     NotNegativePerJoint,
     Positive,
@@ -217,7 +217,6 @@ ImperfectionSection = Annotated[
     | JitterSection
     | LagSection
     | PayloadErrorSection
-    | PythonSection
-    | FmuSection,
+    | OwnPart,
     Field(discriminator="kind"),
 ]

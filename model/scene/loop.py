@@ -6,7 +6,8 @@ from pathlib import Path
 from sys import float_info
 from typing import Annotated, Any, Literal, TypedDict
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo
+from pydantic.json_schema import SkipJsonSchema
 
 from flexfmu.model.scene.section import Positive, Seconds, SecondsOrZero, Section, quantity
 
@@ -109,3 +110,41 @@ class FmuSection(LoopSection):
     sample_time: Annotated[Positive | None, quantity("s")] = None
     offset: SecondsOrZero = 0.0
     output_order: Annotated[int | None, Field(ge=0)] = None
+
+
+class Held:
+    """Holds an object of the caller's program, which copies and dumps of a scene hand on as it is."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __repr__(self) -> str:
+        """Type and address of the object."""
+        return f"<{type(self.value).__name__} at {id(self.value):#x}>"
+
+
+def _held(value: Any) -> Any:
+    """The value, if a program gave it.
+
+    Raises:
+        ValueError: it comes from a scene file.
+    """
+    if isinstance(value, Held):
+        return value
+    raise ValueError(
+        'objects are given in Python, `flexfmu.run(scene, controllers=[...])`; in a scene file use kind = "python"'
+    )
+
+
+class ObjectSection(LoopSection):
+    """An object of the caller's program: a function with `flexfmu.controller`, a block, a slave, a python-control system, a shaper.
+
+    Scene files can't have it. A scene with one runs in every way; it is written with the object's type and address alone.
+    """
+
+    kind: Literal["object"]
+    object: Annotated[Any, BeforeValidator(_held), PlainSerializer(repr, return_type=str, when_used="json")]
+
+
+OwnPart = PythonSection | FmuSection | SkipJsonSchema[ObjectSection]
+"""Parts of the loop that users bring, whatever their kind."""

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 
 from flexfmu.model.scene.keys import GAINS
+from flexfmu.model.scene.loop import ObjectSection
 
 MOST_HOMES = 3
 """Largest number of other kinds with a key for which they are named."""
@@ -69,11 +70,14 @@ def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
     if kind == "tuple_type" and any(_sections(annotation)):
         remedy = f"instead of [{key}]" if isinstance(value, dict) else f"and the keys below it, got {value!r}"
         return f"`{key}` is a list of tables: write [[{key}]] {remedy}"
-    if kind == "union_tag_invalid":
-        return f"`{key}.kind` must be one of {context['expected_tags']}, got {value.get('kind')!r}"
-    if kind == "union_tag_not_found":
-        kinds = [tag for each in _sections(annotation) for tag in _tags(each)]
-        return f"`{key}.kind` must be one of {', '.join(map(repr, kinds))}, but is missing"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        kinds = [tag for each in _sections(annotation) if each is not ObjectSection for tag in _tags(each)]
+        found = (
+            "but is missing"
+            if kind == "union_tag_not_found"
+            else f"got {(value if isinstance(value, dict) else vars(value)).get('kind')!r}"
+        )
+        return f"`{key}.kind` must be one of {', '.join(map(repr, kinds))}, {found}"
     # a value out of range, of the wrong form, or anything else that pydantic finds
     if kind in _BOUNDS:
         unit = f" {unit}" if unit else ""

@@ -18,7 +18,7 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.filters import FilterTable
 from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.keys import set_value
-from flexfmu.model.scene.loop import FOLDER
+from flexfmu.model.scene.loop import FOLDER, ObjectSection
 from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.messages import sentences
 from flexfmu.model.scene.motion import TrajectorySection, with_kind
@@ -60,6 +60,11 @@ class Scene(Section):
     def learners(self) -> tuple[LearningSection, ...]:
         """Controllers that learn from cycle to cycle."""
         return tuple(each for each in self.controller if isinstance(each, LearningSection))
+
+    @property
+    def has_objects(self) -> bool:
+        """Whether objects of the caller's program are parts of the loop."""
+        return any(isinstance(each, ObjectSection) for each in (*self.controller, *self.shaper, *self.imperfection))
 
     def __repr__(self) -> str:
         """Return five lines with the beginning of each section; `print` shows all keys."""

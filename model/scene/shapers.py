@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.loop import FmuSection, LoopSection, PythonSection
+from flexfmu.model.scene.loop import LoopSection, OwnPart
 from flexfmu.model.scene.section import Positive, SecondsOrZero, Section, as_tuple, quantity
 
 
@@ -77,6 +77,4 @@ class SpecifiedInsensitivitySection(AppliedShaperSection):
         return self
 
 
-ShaperSection = Annotated[
-    ImpulseShaperSection | SpecifiedInsensitivitySection | PythonSection | FmuSection, Field(discriminator="kind")
-]
+ShaperSection = Annotated[ImpulseShaperSection | SpecifiedInsensitivitySection | OwnPart, Field(discriminator="kind")]

@@ -6,9 +6,9 @@
     run = flexfmu.run(scene)
     print(run.metrics.peak_torque_1, run.metrics.peak_torque_1.unit)
 
-Every argument ``scene`` is a `Scene`, the path of a scene file, or the name of a shipped scene. Further functions and classes
-are in `flexfmu.trajectories`, `flexfmu.model`, `flexfmu.fmu_build` and `flexfmu.cosim`. Names are imported at their first use,
-so that ``import flexfmu`` takes milliseconds. Command line: ``python -m flexfmu --help``.
+Every argument ``scene`` is a `Scene`, the path of a scene file, or the name of a shipped scene. Parts of the loop are in
+`flexfmu.control`, `flexfmu.shapers`, `flexfmu.imperfections`, `flexfmu.filters` and `flexfmu.disturbances`, motions from elsewhere
+in `flexfmu.motions`. Names are imported at their first use, so that ``import flexfmu`` takes milliseconds. Command line: ``python -m flexfmu --help``.
 """
 
 import os
@@ -16,55 +16,117 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, compare, linearize, margins, modes, plan, plan_motion, run, start_gains, sweep, tune
+    from flexfmu import control, disturbances, filters, imperfections, motions, shapers
+    from flexfmu.api import (
+        build,
+        compare,
+        linearize,
+        margins,
+        modes,
+        plan_motion,
+        reference_motion,
+        run,
+        start_gains,
+        sweep,
+        tune,
+    )
     from flexfmu.cosim.control.controllers.own_function import controller
+    from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
+    from flexfmu.cosim.engine.results import Selection
+    from flexfmu.cosim.exchange.slave_export import export_slaves
+    from flexfmu.cosim.exchange.ssp.export import export_ssp
+    from flexfmu.cosim.exchange.ssp.loading import load_ssp
+    from flexfmu.cosim.many.variants import run_variants
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.motors import motor_loads
     from flexfmu.cosim.metrics.run_metrics import RunMetrics
     from flexfmu.cosim.metrics.stress import link_stresses
+    from flexfmu.errors import Error
+    from flexfmu.fmu_build.errors import BuildError
+    from flexfmu.model.scene.errors import EquilibriumError, SceneError
     from flexfmu.model.scene.file import load_scene
     from flexfmu.model.scene.motor import Motor
     from flexfmu.model.scene.schema import Scene
+    from flexfmu.systems import simulate, slave
+    from flexfmu.trajectories.errors import TrajectoryError
 
     __version__: str
 
+_NAMES = {
+    "api": "build compare linearize margins modes plan_motion reference_motion run start_gains sweep tune",
+    "cosim.control.controllers.own_function": "controller",
+    "cosim.engine.errors": "InputError LoopWarning ResultsError",
+    "cosim.engine.results": "Selection",
+    "cosim.exchange.slave_export": "export_slaves",
+    "cosim.exchange.ssp.export": "export_ssp",
+    "cosim.exchange.ssp.loading": "load_ssp",
+    "cosim.many.variants": "run_variants",
+    "cosim.metrics.metric_table": "display",
+    "cosim.metrics.metrics": "measure_run",
+    "cosim.metrics.motors": "motor_loads",
+    "cosim.metrics.run_metrics": "RunMetrics",
+    "cosim.metrics.stress": "link_stresses",
+    "errors": "Error",
+    "fmu_build.errors": "BuildError",
+    "model.scene.errors": "EquilibriumError SceneError",
+    "model.scene.file": "load_scene",
+    "model.scene.motor": "Motor",
+    "model.scene.schema": "Scene",
+    "systems": "simulate slave",
+    "trajectories.errors": "TrajectoryError",
+}
+"""Module → public names that are imported from it at their first use."""
+
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+_FAMILIES = ("control", "disturbances", "filters", "imperfections", "motions", "shapers")
+"""Modules with parts of a scene, `flexfmu.control.pd` ..."""
+
 __all__ = [
+    "BuildError",
+    "EquilibriumError",
+    "Error",
+    "InputError",
+    "LoopWarning",
     "Motor",
+    "ResultsError",
     "RunMetrics",
     "Scene",
+    "SceneError",
+    "Selection",
+    "TrajectoryError",
     "__version__",
     "build",
     "compare",
+    "control",
     "controller",
     "display",
+    "disturbances",
+    "export_slaves",
+    "export_ssp",
+    "filters",
+    "imperfections",
     "linearize",
     "link_stresses",
     "load_scene",
+    "load_ssp",
     "margins",
     "measure_run",
     "modes",
+    "motions",
     "motor_loads",
-    "plan",
     "plan_motion",
+    "reference_motion",
     "run",
+    "run_variants",
+    "shapers",
+    "simulate",
+    "slave",
     "start_gains",
     "sweep",
     "tune",
 ]
-
-_HOMES = dict.fromkeys(__all__, "flexfmu.api") | {
-    "Motor": "flexfmu.model.scene.motor",
-    "RunMetrics": "flexfmu.cosim.metrics.run_metrics",
-    "Scene": "flexfmu.model.scene.schema",
-    "controller": "flexfmu.cosim.control.controllers.own_function",
-    "display": "flexfmu.cosim.metrics.metric_table",
-    "link_stresses": "flexfmu.cosim.metrics.stress",
-    "load_scene": "flexfmu.model.scene.file",
-    "measure_run": "flexfmu.cosim.metrics.metrics",
-    "motor_loads": "flexfmu.cosim.metrics.motors",
-}
-"""Public name → module that it is imported from at its first use."""
 
 # in a wheel the packages are in this folder; in a clone (editable installs) they are in the clone's top folder
 if not os.path.isdir(os.path.join(__path__[0], "model")):
@@ -81,13 +143,20 @@ if not TYPE_CHECKING:
         """
         if name == "__version__":
             value = import_module("importlib.metadata").version("flexfmu")
+        elif name in _FAMILIES:
+            value = import_module(f"flexfmu.{name}")
         elif name in _HOMES:
-            value = getattr(import_module(_HOMES[name]), name)
+            value = getattr(import_module(f"flexfmu.{_HOMES[name]}"), name)
+        elif name == "plan":
+            import_module("warnings").warn(
+                "flexfmu.plan is called flexfmu.reference_motion now", DeprecationWarning, stacklevel=2
+            )
+            return __getattr__("reference_motion")
         else:
             raise AttributeError(f"module 'flexfmu' has no attribute {name!r}; it has {', '.join(__all__)}")
         globals()[name] = value
         return value
 
     def __dir__() -> list[str]:
-        """Names for completion, including public names that have not been imported yet."""
-        return sorted({*globals(), *__all__})
+        """The public names, for completion; most are imported at their first use."""
+        return sorted(__all__)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from flexfmu.cosim.design.effects.choice import resolved
-from flexfmu.cosim.engine.errors import LoopWarning
+from flexfmu.cosim.engine.errors import LoopWarning, suggestion
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
@@ -23,6 +23,7 @@ from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.systems import Part, Parts, with_parts
 
 if TYPE_CHECKING:
     import control
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from flexfmu.trajectories.own import OwnMotion
     from flexfmu.trajectories.trajectory import Trajectory
 
+
 SceneSource = Scene | Path | str
 """A scene, the path of a scene file, or the name of a shipped scene."""
 
@@ -45,17 +47,24 @@ def run(
     *,
     fmu: str | Path | None = None,
     trajectory: OwnMotion | Trajectory | None = None,
+    controllers: Iterable[Part] | None = None,
+    shapers: Iterable[Part] | None = None,
+    imperfections: Iterable[Part] | None = None,
+    filters: Iterable[Part] | None = None,
+    disturbances: Iterable[Part] | None = None,
+    connect: Mapping[str, str] | None = None,
     **options: Unpack[RunOptions],
 ) -> Run:
     """Co-simulate a scene over its motion and the dwell that follows.
 
     Plans the motion, builds the robot's FMU or takes it from the cache, and connects it with the scene's controllers, shapers
-    and imperfections. With ``effects = { select = "auto" }`` the effects are chosen first.
+    and imperfections, or with those given. With ``effects = { select = "auto" }`` the effects are chosen first.
 
         run = flexfmu.run("barnard2012-6kg", parameters={"payload.mass": 3.0})
         run.recording.time, run.recording["joint1.torque"].values  # (N,) [s], (N,) [N.m]
-
-    Controllers as Python objects: `flexfmu.cosim.experiment.prepared_scene.run_loop`.
+        robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
+        pd = flexfmu.control.pd(proportional=1e4, derivative=100.0, sample_time=1e-3)
+        flexfmu.run(robot, controllers=[pd], imperfections=[flexfmu.imperfections.encoder(counts_per_turn=2**17)])
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
@@ -63,6 +72,11 @@ def run(
             parameters are set from the scene.
         trajectory: own motion instead of the scene's path and profile: an object with ``duration`` [s] and ``position(time)``,
             x and y [m], see `flexfmu.trajectories.own`. The scene's shapers, controllers, cycles and dwell apply to it.
+        controllers, shapers, imperfections, filters, disturbances: lists that replace the scene's: what the functions of
+            `flexfmu.control`, `flexfmu.shapers` ... return, or tables (dicts) as in a scene file. The first three also take functions
+            with `flexfmu.controller`, objects of a class of yours, python-control systems and paths of FMUs. Torques drive the
+            robot where controllers or disturbances are given.
+        connect: ``slave.input`` → ``slave.output``, where names differ.
         options: ``communication_step`` [s] and relative ``tolerance`` of the FMU's integrator, by default the scene's
             ``cosimulation.step`` and ``tolerance``; ``parameters``, values of FMU parameters that replace the scene's, by name, in SI
             units: ``{"payload.mass": 0.1}``; ``progress``, a function that is called during the run with the simulated fraction, 0
@@ -85,7 +99,18 @@ def run(
         ResultsError: with ``select = "auto"``, a run that verifies the choice of effects failed.
         TypeError: ``scene`` is of another type.
     """
-    robot = _scene(scene)
+    parts = Parts(
+        controllers=controllers,
+        shapers=shapers,
+        imperfections=imperfections,
+        filters=filters,
+        disturbances=disturbances,
+        connect=connect,
+    )
+    if unknown := options.keys() - RunOptions.__optional_keys__:
+        known = sorted(RunOptions.__optional_keys__ | parts.keys())
+        raise TypeError(f"run has no argument {min(unknown)!r}; {suggestion(min(unknown), known)}")
+    robot = with_parts(_scene(scene), parts)
     loop = None
     if trajectory is not None:
         from flexfmu.cosim.experiment.own_motion import own_loop  # which few runs need
@@ -110,6 +135,7 @@ def compare(
     mapping: Mapping[str, str] | None = None,
     delay: float | None = None,
     payload_band: float | tuple[float, float] | None = None,
+    **parts: Unpack[Parts],
 ) -> Comparison:
     """Compare runs, controllers and shapers with each other, and with a measurement.
 
@@ -128,7 +154,8 @@ def compare(
             out, and ``time`` is the time. Other columns are taken where their name is that of a signal.
         delay: time of an event in the measurement minus that in the simulation [s]; None to estimate it from the first run.
         payload_band: scenes are also run with other payloads, which their controllers, shapers and motion don't know: a fraction to
-            both sides, or the lightest and the heaviest payload [kg]; None for not.
+            both sides, or the lightest and the heaviest payload [kg]; None to skip them.
+        parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
         The runs with metrics and signals; ``comparison.runs[0].loop`` has margins and processor time [s] of a scene,
@@ -145,6 +172,8 @@ def compare(
     from flexfmu.cosim.studies.compare.measured import as_mapped
     from flexfmu.cosim.studies.compare.sources import compared_runs
 
+    if parts:
+        runs = tuple(with_parts(_scene(each), parts) if isinstance(each, Scene | str | Path) else each for each in runs)
     meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
     return compare_runs(compared_runs(runs, payload_band=payload_band), measured, meaning, delay)
 
@@ -184,8 +213,10 @@ def build(
     return build_scene(chosen, output=target, platforms=platforms, naming=naming, enumerations=enumerations).path
 
 
-def plan(scene: SceneSource, trajectory: OwnMotion | Trajectory | None = None) -> MotionPlan:
-    """Plan a scene's motion, with its way back and cycles but without its shapers, and check it along the whole path.
+def reference_motion(scene: SceneSource, trajectory: OwnMotion | Trajectory | None = None) -> MotionPlan:
+    """The motion of a scene as references of the joints, with its way back and cycles but without its shapers, checked along the path.
+
+    `plan_motion` looks for a better one.
 
     Calls `flexfmu.cosim.experiment.planning.plan`; ``plan.once`` is the plan of a single motion.
 
@@ -337,7 +368,11 @@ def linearize(
 
 
 def margins(
-    scene: SceneSource, *, poses: int = 5, payload_band: float | tuple[float, float] | None = None
+    scene: SceneSource,
+    *,
+    poses: int = 5,
+    payload_band: float | tuple[float, float] | None = None,
+    **parts: Unpack[Parts],
 ) -> MarginsResult:
     """How far the sampled loop of a torque-driven scene is from instability, about equilibria along its path.
 
@@ -351,6 +386,7 @@ def margins(
         poses: number of poses, equally spaced along the path, beside the worst ones, which are searched; 1 for its end alone.
         payload_band: payloads among which the worst one is searched, too, which controllers don't know: a fraction to both sides,
             or the lightest and the heaviest [kg].
+        parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
         Gain, phase and delay margin, disk margin, peak of the sensitivity and bandwidth for each pose and each cut, in SI units
@@ -366,7 +402,7 @@ def margins(
     from flexfmu.cosim.design.gains.robustness import band_masses
     from flexfmu.cosim.design.margins.scene_margins import scene_margins
 
-    robot = _scene(scene)
+    robot = with_parts(_scene(scene), parts)
     return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
 
 
@@ -384,6 +420,7 @@ def sweep(
     restart: bool = False,
     dask: str | None = None,
     progress: Progress | None = None,
+    **parts: Unpack[Parts],
 ) -> SweepResult:
     """Simulate many variants of a scene and measure each.
 
@@ -408,6 +445,7 @@ def sweep(
         restart: whether results of another sweep in the folder are discarded.
         dask: address of a Dask scheduler whose workers simulate, ``tcp://host:8786``.
         progress: function that is called with the finished fraction, 0 to 1.
+        parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
         The cases as a sequence of dicts, with `to_pandas`, `plot`, `failed`, `summary` and `recording`. A case that fails has a
@@ -425,7 +463,7 @@ def sweep(
 
     folder = None if out is None else Path(out)
     result = sweep_scene(
-        resolved(_scene(scene)),
+        resolved(with_parts(_scene(scene), parts)),
         as_cases(cases, sample, seed),
         metrics=metrics,
         record=None if record is None else Selection(list(record), step=record_step),
@@ -489,6 +527,7 @@ def tune(
     out: str | Path | None = None,
     restart: bool = False,
     progress: Callable[[str, float | None], None] | None = None,
+    **parts: Unpack[Parts],
 ) -> TuneResult:
     """Tune gains and other keys of a scene: what minimises a figure within limits.
 
@@ -514,6 +553,7 @@ def tune(
             where it was interrupted. None for memory alone.
         restart: whether the trials of another tuning in the folder are discarded.
         progress: function that is called with what is being done, and the finished fraction.
+        parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
         The best trial, the scene with its values, and all trials; the best so far after Ctrl-C. ``result.is_feasible`` tells
@@ -531,7 +571,7 @@ def tune(
 
     folder = None if out is None else Path(out)
     result = tune_scene(
-        resolved(_scene(scene)),
+        resolved(with_parts(_scene(scene), parts)),
         over,
         minimise,
         subject_to,
