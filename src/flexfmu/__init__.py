@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.control.controllers.own_function import controller
     from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
     from flexfmu.cosim.engine.results import Selection
+    from flexfmu.cosim.engine.slave import SlaveVariable
     from flexfmu.cosim.exchange.slave_export import export_slaves
     from flexfmu.cosim.exchange.ssp.export import export_ssp
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
@@ -58,6 +59,7 @@ _NAMES = {
     "cosim.control.controllers.own_function": "controller",
     "cosim.engine.errors": "InputError LoopWarning ResultsError",
     "cosim.engine.results": "Selection",
+    "cosim.engine.slave": "SlaveVariable",
     "cosim.exchange.slave_export": "export_slaves",
     "cosim.exchange.ssp.export": "export_ssp",
     "cosim.exchange.ssp.loading": "load_ssp",
@@ -95,6 +97,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Selection",
+    "SlaveVariable",
     "TrajectoryError",
     "__version__",
     "build",

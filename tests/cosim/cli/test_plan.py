@@ -55,7 +55,7 @@ def test_the_planned_scene_the_front_and_the_page_are_written(tmp_path: Path) ->
     assert "kept, chosen" in result.stdout
     assert "All limits are kept" in result.stdout
     assert load_scene(elsewhere) == load_scene(tmp_path / "out" / "planned.toml")
-    assert flexfmu.plan(load_scene(elsewhere)).duration == 0.6
+    assert flexfmu.reference_motion(load_scene(elsewhere)).duration == 0.6
 
 
 @pytest.mark.slow
@@ -77,7 +77,7 @@ def test_ctrl_c_writes_the_best_so_far(tmp_path: Path) -> None:
     result = plan(*QUICK, "--seed", "1", "--out", str(tmp_path))
     assert "interrupted: this is the best motion so far" in result.stderr
     assert "shaped 0.6" in result.stdout
-    assert flexfmu.plan(load_scene(tmp_path / "planned.toml")).duration == 0.6
+    assert flexfmu.reference_motion(load_scene(tmp_path / "planned.toml")).duration == 0.6
 
 
 @pytest.mark.slow

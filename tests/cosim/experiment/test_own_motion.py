@@ -91,7 +91,7 @@ def test_summary_and_report_name_the_motion() -> None:
 def test_cycles_and_shapers_apply() -> None:
     """There and back, each motion shaped in the joints; a shaper along the path has no profile to act on."""
     scene = robot().replace({"trajectory.way_back": "same-path", "trajectory.cycles": 2, "trajectory.pause": 0.1})
-    motion = flexfmu.plan(scene, trajectory=Line())
+    motion = flexfmu.reference_motion(scene, trajectory=Line())
     assert motion.duration == pytest.approx(4 * 0.4 + 3 * 0.1)
     np.testing.assert_allclose(motion.task.evaluate([0.4, 0.9], 0)[0], [[0.1, 0.33], [-0.1, 0.33]], atol=1e-12)
     own, sequence = plan_own(robot(), Line()), ImpulseSequence((0.0, 0.02), (0.5, 0.5))
@@ -118,19 +118,19 @@ def test_motions_that_the_robot_cannot_make_are_refused() -> None:
             return x, y + 3.0 * (x + 0.1)
 
     with pytest.raises(TrajectoryError, match="along the whole path"):
-        flexfmu.plan(robot(), trajectory=Far())
+        flexfmu.reference_motion(robot(), trajectory=Far())
 
     class Turned(SamePath):
         def position(self, time: float) -> Any:
             return super().position(time) + 2.0 * pi
 
     with pytest.raises(TrajectoryError, match=r"starts at joint angles .* change `mechanism\.working_mode`"):
-        flexfmu.plan(robot(), trajectory=Turned(robot(), "joints"))
+        flexfmu.reference_motion(robot(), trajectory=Turned(robot(), "joints"))
     odd = SamePath(robot(), "tool")
     with pytest.raises(
         TrajectoryError, match="`coordinates` of an own motion must be 'end-effector' or 'joints', got 'tool'"
     ):
-        flexfmu.plan(robot(), trajectory=odd)
+        flexfmu.reference_motion(robot(), trajectory=odd)
     data = {
         key: value
         for key, value in robot().effects.model_dump(exclude_none=True).items()

@@ -47,7 +47,7 @@ def cycles() -> flexfmu.Run:
 
 def test_a_scene_of_cycles_is_the_repeated_motion() -> None:
     """Two cycles of 2 (0.3 + 0.05) s, without the last pause; the end effector comes back, and the middle is the place."""
-    motion = flexfmu.plan(robot().replace(TWICE))
+    motion = flexfmu.reference_motion(robot().replace(TWICE))
     assert (motion.duration, motion.stop_time) == (pytest.approx(1.35), pytest.approx(1.45))
     assert motion.duration == pytest.approx(motion.scene.trajectory.moving_time, rel=1e-15)
     x = motion.task.evaluate([0.0, 0.325, 0.7, 1.025, 1.35], 1)

@@ -26,7 +26,7 @@ SHORT = {"trajectory.dwell": 0.05}
 @pytest.fixture(scope="module")
 def known() -> MotionPlan:
     """A motion along a path."""
-    return flexfmu.plan(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
+    return flexfmu.reference_motion(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def tabulated(known: MotionPlan, file: Path, **keys: object) -> Scene:
 def test_plan_and_run(known: MotionPlan, folder: Path, name: str) -> None:
     """References and metrics are those of the path; joints by inverse, the end effector by forward kinematics."""
     scene = tabulated(known, folder / f"{name}.csv")
-    motion = flexfmu.plan(scene)
+    motion = flexfmu.reference_motion(scene)
     instants = np.linspace(0.0, 0.48, 481)
     for found, expected in ((motion.task, known.task), (motion.joints, known.joints)):
         for order, scale in enumerate((1e-11, 1e-8, 1e-4)):
@@ -84,7 +84,7 @@ def test_duration_scales_the_motion(known: MotionPlan, folder: Path, name: str) 
     file = folder / f"{name}.csv"
     scene = tabulated(known, file)
     assert scene.trajectory.duration == 0.43
-    slower = flexfmu.plan(scene.replace({"trajectory.duration": 0.86}))
+    slower = flexfmu.reference_motion(scene.replace({"trajectory.duration": 0.86}))
     instants = np.linspace(0.0, 0.86, 87)
     expected = known.joints.evaluate(0.5 * instants, 2, "left")
     for order in range(3):
@@ -97,7 +97,7 @@ def test_duration_scales_the_motion(known: MotionPlan, folder: Path, name: str) 
 
 def test_modes_and_shapers(known: MotionPlan, folder: Path) -> None:
     """Poses by arc length as on the path; shaped joints leave it as far; there is no profile to shape."""
-    motion = flexfmu.plan(tabulated(known, folder / "joints.csv"))
+    motion = flexfmu.reference_motion(tabulated(known, folder / "joints.csv"))
     for found, expected in zip(modes_along_path(motion, 3), modes_along_path(known, 3), strict=True):
         assert (found.x, found.y, found.q11) == pytest.approx((expected.x, expected.y, expected.q11), abs=1e-6)
         assert found.frequencies == pytest.approx(expected.frequencies, rel=1e-5)
@@ -116,7 +116,7 @@ def test_whole_turns_and_working_modes(known: MotionPlan, folder: Path) -> None:
     turned, other = folder / "turned.csv", folder / "other.csv"
     rows = np.column_stack([time, angles + 2.0 * np.pi])
     np.savetxt(turned, rows, delimiter=",", header="time,q11,q21", comments="", fmt="%.17g")
-    start = flexfmu.plan(tabulated(known, turned)).joints.evaluate(0.0, 0)[0, 0]
+    start = flexfmu.reference_motion(tabulated(known, turned)).joints.evaluate(0.0, 0)[0, 0]
     assert start == pytest.approx(known.joints.evaluate(0.0, 0)[0, 0])
     other.write_text("time,q11,q21\n0,2.737,3.380\n1,2.322,2.759\n")
     with pytest.raises(SceneError, match=r"`mechanism.working_mode` must be 'left' for q11 = .* got 'elbows-out'"):
@@ -136,7 +136,7 @@ def test_out_of_reach(known: MotionPlan, folder: Path, text: str, said: str) -> 
     file = folder / "far.csv"
     file.write_text(text)
     with pytest.raises((TrajectoryError, SceneError), match=said):
-        flexfmu.plan(tabulated(known, file).replace({"mechanism.distal.length": 0.3}))
+        flexfmu.reference_motion(tabulated(known, file).replace({"mechanism.distal.length": 0.3}))
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_relative_to_the_scene_file(folder: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_shapers_on_the_path_are_left_out(known: MotionPlan, folder: Path) -> None:
     """With one reason for all of them, since a table has no profile."""
-    motion = flexfmu.plan(tabulated(known, folder / "task.csv"))
+    motion = flexfmu.reference_motion(tabulated(known, folder / "task.csv"))
     sequence = zero_vibration(Oscillator(30.0))
     found, refused = candidates(motion, [Alternative("zv", sequence, {"kind": "zv"}), Alternative("b", sequence, {})])
     assert [each.application for each in found] == ["-", "joints", "joints"]
@@ -190,9 +190,9 @@ def test_shapers_on_the_path_are_left_out(known: MotionPlan, folder: Path) -> No
 def test_the_report_says_which_spline(known: MotionPlan, folder: Path) -> None:
     """Degree, continuity, rows and file, in the plan and in the summary."""
     (folder / "few.csv").write_text("time,x,y,vx,vy\n0,-0.175,0.32,0,0\n1,0,0.3,0.2,0\n2,0.1,0.3,0,0\n")
-    motion = flexfmu.plan(tabulated(known, folder / "few.csv"))
+    motion = flexfmu.reference_motion(tabulated(known, folder / "few.csv"))
     assert motion.source == "spline of degree 5 (C3) through 3 rows of end-effector positions, velocities in few.csv"
-    again = flexfmu.plan(tabulated(known, folder / "few.csv", degree=3))
+    again = flexfmu.reference_motion(tabulated(known, folder / "few.csv", degree=3))
     assert again.source.startswith("spline of degree 3 (C1) through 3 rows")
 
 
@@ -202,7 +202,7 @@ def test_measured_positions(known: MotionPlan, tmp_path: Path) -> None:
     rows = known.joints.evaluate(time, 0)[0] + 2e-5 * np.random.default_rng(0).normal(size=(431, 2))
     table = np.column_stack([time, rows])
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="time,q11,q21", comments="", fmt="%.9g")
-    motion = flexfmu.plan(tabulated(known, tmp_path / "log.csv", noise=2e-5))
+    motion = flexfmu.reference_motion(tabulated(known, tmp_path / "log.csv", noise=2e-5))
     assert motion.task.evaluate(0.0, 0)[0, 0] == pytest.approx(motion.scene.start, abs=1e-12)
     instants = np.linspace(0.0, 0.43, 500)[1:-1]
     found, expected = (each.evaluate(instants, 2)[2] for each in (motion.joints, known.joints))

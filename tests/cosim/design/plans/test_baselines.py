@@ -83,7 +83,7 @@ def test_missing_package(goals: Goals, monkeypatch: pytest.MonkeyPatch) -> None:
 def planned(goals: Goals, tmp_path_factory: pytest.TempPathFactory) -> PlanResult:
     """A plan with a motion of the end effector from a file, longer than the given one."""
     file = tmp_path_factory.mktemp("motion") / "mine.csv"
-    write_table(file, flexfmu.plan(SCENE.replace({"trajectory.duration": 0.5})).task)
+    write_table(file, flexfmu.reference_motion(SCENE.replace({"trajectory.duration": 0.5})).task)
     candidate = baselines.file_candidate(SCENE.replace({"shaper": [{"kind": "zv"}]}), file)
     slow = Candidate("slower", "csv", SCENE.replace({"trajectory.duration": 0.6}))
     return plan_scene(SCENE.replace({"plan.residual": 1.0}), methods=(), candidates=[candidate, slow], robust=False)
@@ -104,8 +104,8 @@ def test_end_effector_motion_is_written_as_such(planned: PlanResult, tmp_path: P
     found = next(each for each in planned.assessed if each.candidate.label == "mine.csv")
     chosen = PlanResult(planned.goals, planned.given, found, planned.assessed, (), False, 0.0)
     write_scene(chosen, tmp_path / "planned.toml")
-    again = flexfmu.plan(flexfmu.load_scene(tmp_path / "planned.toml")).task
-    wanted = flexfmu.plan(SCENE.replace({"trajectory.duration": 0.5})).task
+    again = flexfmu.reference_motion(flexfmu.load_scene(tmp_path / "planned.toml")).task
+    wanted = flexfmu.reference_motion(SCENE.replace({"trajectory.duration": 0.5})).task
     instants = np.linspace(0.0, 0.5, 50)
     np.testing.assert_allclose(again.evaluate(instants, 0), wanted.evaluate(instants, 0), atol=1e-7)
 

@@ -133,7 +133,7 @@ def test_a_shaped_motion_is_written_as_keys_of_the_scene(tmp_path: Path) -> None
     assert found.chosen.candidate.label == "wide corners"
     write_scene(found, tmp_path / "planned.toml")
     scene = load_scene(tmp_path / "planned.toml")
-    assert flexfmu.plan(scene).duration == 0.27
+    assert flexfmu.reference_motion(scene).duration == 0.27
     assert flexfmu.run(scene).plan.duration == pytest.approx(found.chosen.time, rel=1e-12)
 
 
