@@ -1,10 +1,12 @@
-# make demo   set everything up and run the paper's experiment: tables, figures and report in results/
-# make test   set everything up, build the wheel and run every test against it
-# make fuzz   100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
-# make bench  how fast everything is, against its targets and against the figures of the last release
-# make check  formatting, linting, types and the fast tests, from the source tree: a quick look before a commit
-# make lint   formatting, linting, types, and where the lines are
-# make docs   the documentation as a site in build/site; warnings are errors
+# make demo      set everything up and run the paper's experiment: tables, figures and report in results/
+# make test      set everything up and run all tests that aren't marked slow, against the built wheel: five minutes on two cores
+# make test-all  make test, then make slow: everything
+# make slow      the slow tests, against the built wheel: examples, other people's tools, whole studies, every variant
+# make fuzz      100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
+# make bench     how fast everything is, against its targets and against the figures of the last release
+# make check     make lint and make test side by side: before a commit
+# make lint      formatting, linting, types, and where the lines are
+# make docs      the documentation as a site in build/site; warnings are errors
 
 PYTHON ?= python3
 # a C compiler from PyPI where the machine has none
@@ -12,35 +14,45 @@ EXTRAS := $(if $(shell command -v cc || command -v gcc || command -v clang),,[zi
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check fast fuzz bench lint docs format clean
+# a module is compiled once, when it is first imported; most modules of the packages never are
+export PIP_NO_COMPILE := 1
+export PYTHONDONTWRITEBYTECODE :=
+# uv installs in seconds what takes pip a minute; pip does it where uv finds no packages (behind a mirror that pip alone knows)
+install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(BIN)/python -m pip install --quiet $(1)
+# tests run against the installed wheel, never against the source tree
+install_wheel = rm -rf build/lib && { $(call install,--force-reinstall --no-deps .); }
+
+.PHONY: demo test test-all slow check fuzz bench lint docs format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+	$(call install,--editable ".$(EXTRAS)")
 	$(BIN)/flexfmu paper --out results/paper
 	$(BIN)/flexfmu run barnard2012-6kg --out results/barnard2012-6kg
 	@echo "Open results/paper/report.html and results/barnard2012-6kg/report.html in a browser."
 
-# the tests run against the installed wheel, never against the source tree; three at a time on two cores, since some wait for other programs
 test: $(VENV)/.test
-	rm -rf build/wheel build/lib && $(BIN)/python -m build --quiet --wheel --outdir build/wheel .
-	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
-	$(BIN)/python -m pytest -n 3 --dist worksteal $(PYTEST_ARGUMENTS)
-
-# types and the first tests side by side, on two cores
-check: $(VENV)/.lint $(VENV)/.test
-	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
-	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint fast
-
-fast:
+	$(install_wheel)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -q -m "not slow" $(PYTEST_ARGUMENTS)
 
-fuzz: $(VENV)/.test
-	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+test-all:
+	$(MAKE) --no-print-directory test
+	$(MAKE) --no-print-directory slow
+
+# three at a time on two cores, since some wait for other programs
+slow: $(VENV)/.slow
+	$(install_wheel)
+	$(BIN)/python -m pytest -n 3 --dist worksteal -q -m slow $(PYTEST_ARGUMENTS)
+
+check: $(VENV)/.lint $(VENV)/.test
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint test
+
+fuzz: $(VENV)/.slow
+	$(call install,--editable ".$(EXTRAS)")
 	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 tests/fmu_boundary/test_fuzzing.py
 
-bench: $(VENV)/.test
-	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+bench: $(VENV)/.slow
+	$(call install,--editable ".$(EXTRAS)")
 	$(BIN)/python benchmarks/speed.py $(BENCH_ARGUMENTS)
 
 lint: $(VENV)/.lint
@@ -62,18 +74,10 @@ format: $(VENV)/.lint
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1" uv
 
-$(VENV)/.test: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet build --group test ".$(EXTRAS)"
-	touch $@
-
-$(VENV)/.lint: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --group lint --group test ".$(EXTRAS)"
-	touch $@
-
-$(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --group docs
+$(VENV)/.%: pyproject.toml | $(VENV)/bin/python
+	$(call install,--group $* ".$(EXTRAS)")
 	touch $@
 
 clean:

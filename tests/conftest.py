@@ -1,5 +1,5 @@
-"""What tests of everything use: one cache of FMUs, tools that must not be missing where they can be had, and how much work
-something is, counted instead of timed."""
+"""What tests of everything use: one cache of FMUs, drawn cases that are the same on every machine, tools that must not be missing
+where they can be had, what was left out, and how much work something is, counted instead of timed."""
 
 from __future__ import annotations
 
@@ -7,13 +7,23 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder: `formulations`, for example
+
+# a test that fails does so by a change, not by the draw or because the machine is busy
+settings.register_profile(
+    "flexfmu",
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+settings.load_profile("flexfmu")
 
 TOOLS_REQUIRED = os.environ.get("FLEXFMU_REQUIRE_TOOLS", "0") not in ("", "0")
 """Whether a test that misses a tool fails instead of being skipped; `.ci/run` sets the variable where `.ci/tools` gets them."""
@@ -46,6 +56,35 @@ def _required(report: Report) -> Report:
         report.outcome = "failed"
         report.longrepr = f"{report.longreprtext}: FLEXFMU_REQUIRE_TOOLS asks for every tool; .ci/tools gets them"
     return report
+
+
+LEFT_OUT = pytest.StashKey[int]()
+"""How many slow tests the selection leaves out."""
+
+
+def pytest_deselected(items: Sequence[pytest.Item]) -> None:
+    """Count slow tests among them."""
+    for item in items:
+        item.config.stash[LEFT_OUT] = item.config.stash.get(LEFT_OUT, 0) + (item.get_closest_marker("slow") is not None)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A process of pytest-xdist tells the first one."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, 0)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """All of its processes have the same selection."""
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", 0)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """The last line says what is missing, and how to run it."""
+    if config.stash.get(LEFT_OUT, 0) and not hasattr(config, "workeroutput"):
+        kinds = "examples, tutorials, other people's tools, whole studies, every variant"
+        print(f"left out: {config.stash[LEFT_OUT]} slow tests ({kinds}); `make test-all` runs them too")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import os
 
+import mpmath
 import numpy as np
 import pytest
 from elementary_support.arguments import calls_of, names, special_calls
 from elementary_support.probe import Array, Call, Evaluate
-
-mpmath = pytest.importorskip("mpmath")
 
 COUNT = int(os.environ.get("FLEXFMU_ELEMENTARY", "300"))
 """Arguments drawn for each function: a thousand times as many were tried."""

@@ -197,9 +197,7 @@ class Life(RuleBasedStateMachine):
         assert (status, value.value) == ((OK, self.now.last) if self.serves("fmi2GetStatus") else (ERROR, -1))
 
 
-LIVES = settings(
-    max_examples=15, stateful_step_count=40, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
-)
+LIVES = settings(max_examples=15, stateful_step_count=40, suppress_health_check=list(HealthCheck))
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from pathlib import Path
 import casadi
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.fmu_build.codegen import function_file, generate_description, generate_functions, identifier
@@ -85,7 +85,7 @@ def _with_mass(
     return replace(model, functions={**model.functions, **functions})
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25)
 @given(st.floats(0.05, 20.0), st.floats(0.02, 0.9), st.sampled_from([-1.0, -1e-5, 1e-5, 1e-3, 9.0]), st.booleans())
 def test_mass_matrices_that_are_not_symmetric_are_refused(
     make_oscillators: MakeModel, cart: float, coupling: float, error: float, is_late: bool
@@ -148,7 +148,6 @@ def test_wrong_shape_is_refused(make_oscillators: MakeModel, wrong: casadi.Funct
         generate_functions(replace(model, functions={**model.functions, "residual": wrong}))
 
 
-@settings(derandomize=True, deadline=None)
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_numbers_in_c_are_exact(value: float) -> None:
     """A start value in the binary is the start value in the description, to the last bit."""
@@ -161,7 +160,6 @@ def test_infinite_constant_is_refused() -> None:
         c_double(float("nan"))
 
 
-@settings(derandomize=True, deadline=None)
 @given(st.text())
 def test_strings_in_c_survive(text: str) -> None:
     """Any name or sentence can stand in the generated C: quotes, backslashes, trigraphs, all of Unicode."""

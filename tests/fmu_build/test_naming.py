@@ -49,7 +49,7 @@ def test_names_are_flattened_as_documented(name: str, flat: str) -> None:
 
 @pytest.mark.slow
 @given(names=st.lists(NAMES, max_size=4, unique=True))
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_flat_names_are_plain_and_differ(names: list[str]) -> None:
     """Whatever is flattened has letters, digits and underscores alone and is found again; what would collide is refused."""
     try:

@@ -88,6 +88,7 @@ def test_foreign_platform_needs_zig(monkeypatch: pytest.MonkeyPatch) -> None:
         find_compiler(foreign)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HAS_ZIG, reason="needs ziglang")
 def test_zig_is_the_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
     """A compiler from PyPI serves where the system has none."""

@@ -151,8 +151,6 @@ def drawn(examples: int) -> settings:
     """Seeded, without shrinking: an example takes seconds."""
     return settings(
         max_examples=examples,
-        deadline=None,
-        derandomize=True,
         phases=[Phase.explicit, Phase.generate],
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
     )

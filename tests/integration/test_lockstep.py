@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.engine.errors import InputError
@@ -93,7 +93,7 @@ def test_recordings_are_those_of_the_fmu(lanes: int) -> None:
 
 @pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.slow
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10)
 @given(st.lists(factors, min_size=1, max_size=11), st.randoms(use_true_random=False))
 def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], random: Any) -> None:
     """Shuffled, in batches that are full or not: each variant stays the same within the tolerance."""

@@ -172,7 +172,7 @@ def scenes(draw: st.DrawFn) -> Scene:
 
 
 @pytest.mark.slow
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12)
 @given(scenes())
 def test_drawn_scenes_have_positive_definite_mass_and_stiffness(scene: Scene) -> None:
     """Any choice of effects is a well-posed model with real frequencies."""

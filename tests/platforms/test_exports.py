@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,7 @@ from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
 from flexfmu.fmu_build.sources import Sources
 from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder
 
-lief = pytest.importorskip("lief")
+pytestmark = pytest.mark.slow
 
 LibraryFor = Callable[..., bytes]
 
@@ -29,6 +30,11 @@ OLDEST_GLIBC = {"linux64": (2, 14), "aarch64-linux": (2, 17)}
 """Of 2011, and the first one that ARM had."""
 
 
+def lief() -> Any:
+    """The library."""
+    return pytest.importorskip("lief")
+
+
 def _fmi_functions(description: str) -> set[str]:
     """What the standard's header declares for the interfaces that the model description names."""
     header = (fmi_header_folder() / "fmi2Functions.h").read_text(encoding="utf-8")
@@ -41,7 +47,7 @@ def _fmi_functions(description: str) -> set[str]:
 
 
 def _exports(name: str, library: bytes) -> set[str]:
-    binary = lief.parse(list(library))
+    binary = lief().parse(list(library))
     if PLATFORMS[name].suffix == ".dylib":
         names = {symbol.name for symbol in binary.symbols if symbol.has_export_info}
         return {each.removeprefix("_") for each in names - OF_ZIG_S_LINKER}
@@ -51,15 +57,15 @@ def _exports(name: str, library: bytes) -> set[str]:
 
 
 def _needs(name: str, library: bytes) -> list[str]:
-    binary = lief.parse(list(library))
+    binary = lief().parse(list(library))
     if PLATFORMS[name].suffix != ".dylib":
         return list(binary.libraries)
-    dependencies = [each for each in binary.libraries if each.command != lief.MachO.LoadCommand.TYPE.ID_DYLIB]
+    dependencies = [each for each in binary.libraries if each.command != lief().MachO.LoadCommand.TYPE.ID_DYLIB]
     return [each.name for each in dependencies]
 
 
 def _glibc_versions(library: bytes) -> set[tuple[int, ...]]:
-    requirements = lief.parse(list(library)).symbols_version_requirement
+    requirements = lief().parse(list(library)).symbols_version_requirement
     names = [version.name for requirement in requirements for version in requirement.get_auxiliary_symbols()]
     return {tuple(map(int, name.removeprefix("GLIBC_").split("."))) for name in names}
 

@@ -20,7 +20,7 @@ KINDS: tuple[Callable[[float, float], Blend], ...] = (LameBlend, ClothoidPair, P
 ROUNDING = 1e-15
 """Error that rounding leaves of a value of size 1; it grows by less than a factor of 4 with each derivative."""
 
-seeded = settings(derandomize=True, deadline=None, max_examples=40)
+seeded = settings(max_examples=40)
 extents = st.floats(0.002, 0.2)
 ratios = {LameBlend: st.floats(0.1, 10.0), PolarPolynomial: st.floats(0.1, 10.0), ClothoidPair: st.floats(0.563, 1.778)}
 

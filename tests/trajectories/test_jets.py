@@ -16,7 +16,7 @@ from flexfmu.trajectories.jets import arctan2, compose, cos, power, revert, sin,
 ORDER = 12
 
 coefficients = arrays(float, (7, 3), elements=st.floats(-2.0, 2.0))
-seeded = settings(derandomize=True, deadline=None, max_examples=60)
+seeded = settings(max_examples=60)
 
 
 def variable(value: float = 0.0) -> Jet:

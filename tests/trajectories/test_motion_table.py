@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.trajectories.blends import LameBlend
@@ -111,7 +111,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
             read_table(path)
 
 
-@settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50)
 @given(st.text(alphabet="time,xyq12;\n\t.0129-e# \"'nan", max_size=80))
 def test_any_text_is_a_motion_or_an_error(tmp_path: Path, text: str) -> None:
     """Whatever a file holds, the outcome is a table or one line that names the file."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from flexfmu.trajectories import Blend, ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
 
-seeded = settings(derandomize=True, deadline=None, max_examples=60)
+seeded = settings(max_examples=60)
 
 
 @st.composite

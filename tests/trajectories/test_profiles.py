@@ -43,7 +43,7 @@ PROFILES = (
     ModifiedTrapezoid(),
     PolynomialProfile((0.0, 0.0, 3.0, -2.0)),
 )
-seeded = settings(derandomize=True, deadline=None, max_examples=40)
+seeded = settings(max_examples=40)
 
 
 @pytest.mark.parametrize("profile", PROFILES)

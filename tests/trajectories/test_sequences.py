@@ -26,7 +26,7 @@ FREQUENCY = 58.0
 ratios = st.floats(0.0, 0.2)
 frequencies = st.floats(0.5, 500.0)
 shapers = st.sampled_from(sorted(SHAPERS))
-settle = settings(derandomize=True, deadline=None, max_examples=60)
+settle = settings(max_examples=60)
 
 
 def vibration(sequence: ImpulseSequence, mode: Oscillator, time: float) -> complex:

@@ -61,7 +61,7 @@ def test_ruckig(synchronization: str, jerk: float) -> None:
     assert abs(motion.evaluate(np.linspace(0.0, motion.duration, 50), 4)[4]).max() == 0.0
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(*[st.floats(-2.0, 2.0)] * 6)
 def test_ruckig_from_any_state(p: float, q: float, v: float, w: float, a: float, b: float) -> None:
     """Braking phases before the motion, and both axes with knots of their own."""

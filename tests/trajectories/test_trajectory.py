@@ -25,7 +25,7 @@ from flexfmu.trajectories import (
 
 PROFILES = (SeventhDegreePolynomial(), BangBang(), Trapezoidal(0.25), Trapezoidal(0.125))
 BLENDS = (LameBlend(0.025, 0.025), ClothoidPair(0.025, 0.025), PolarPolynomial(0.025, 0.025), LameBlend(0.02, 0.175))
-seeded = settings(derandomize=True, deadline=None, max_examples=30)
+seeded = settings(max_examples=30)
 
 
 def planned(

@@ -47,7 +47,7 @@ def whole(grid: RunGrid) -> TimeGrid:
     return joined
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(
     start=st.floats(-10.0, 10.0),
     count=st.floats(1.0, 1000.0),

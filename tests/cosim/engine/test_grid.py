@@ -24,7 +24,7 @@ def test_no_drift_after_many_steps() -> None:
     assert grid.times[grid.marked].tolist() == marks
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     start=st.floats(-10.0, 10.0),
     span=st.floats(1e-3, 10.0),

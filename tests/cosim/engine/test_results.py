@@ -39,6 +39,7 @@ def test_fmpy_writes_the_same_text(recording: Recording, tmp_path: Path) -> None
     assert ours.read_text() == (tmp_path / "theirs.csv").read_text()
 
 
+@pytest.mark.slow
 def test_fmpy_plots_what_we_write(recording: Recording, tmp_path: Path) -> None:
     """fmpy plots the file, in each diagram an event line at the jump."""
     table = fmpy.util.read_csv(recording.write_csv(tmp_path / "results.csv"))

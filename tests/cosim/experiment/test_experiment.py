@@ -165,11 +165,16 @@ def test_an_fmu_without_the_effect_is_refused(scene: Scene, run: Run) -> None:
 
 
 def test_fmpy_reads_the_results(run: Run, tmp_path: Path) -> None:
-    """The CSV file of a real run, with its names in brackets, is one table for fmpy, which plots as many columns as the
-    documentation says."""
+    """The CSV file of a real run, with its names in brackets, is one table for fmpy."""
     table = fmpy.util.read_csv(run.recording.write_csv(tmp_path / "results.csv"))
     assert len(table.dtype.names) == 1 + len(run.recording.columns)
     np.testing.assert_array_equal(table["link11.bending[1]"], run.recording["link11.bending[1]"].values)
+
+
+@pytest.mark.slow
+def test_fmpy_plots_the_results(run: Run, tmp_path: Path) -> None:
+    """As many columns as the documentation says."""
+    table = fmpy.util.read_csv(run.recording.write_csv(tmp_path / "results.csv"))
     names = table.dtype.names[1:18]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # plotly's own

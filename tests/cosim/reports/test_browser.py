@@ -27,8 +27,6 @@ from flexfmu.cosim.studies.workprec.figures import html
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 
-sync_api = pytest.importorskip("playwright.sync_api")
-
 pytestmark = pytest.mark.slow
 
 MakeRun = Callable[..., Run]
@@ -93,7 +91,7 @@ def browser() -> Iterator[Any]:
     program = shutil.which("chromium")
     if program is None:
         pytest.skip("needs chromium")
-    with sync_api.sync_playwright() as playwright:
+    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
         yield browser
         browser.close()

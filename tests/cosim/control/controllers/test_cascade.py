@@ -381,7 +381,7 @@ def test_refused(make: Callable[[], SymbolicBlock], message: str) -> None:
 ANY = st.one_of(st.floats(), st.floats(0.0, 1e3), st.just(0.0))
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(st.lists(ANY, min_size=4, max_size=4), st.sampled_from([H, H, H, 0.0, -H, np.nan, np.inf]))
 def test_any_numbers_make_blocks_or_an_error(values: list[float], sample_time: float) -> None:
     """Gains that are finite and not negative and a positive sample time make a cascade, all others one sentence."""

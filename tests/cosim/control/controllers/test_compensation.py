@@ -210,7 +210,7 @@ def test_refused(make: Callable[[], Any], message: str) -> None:
 ANY = st.one_of(st.floats(), st.floats(0.0, 1e3), st.just(0.0))
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(st.lists(ANY, min_size=4, max_size=4), ANY)
 def test_any_numbers_make_blocks_or_an_error(values: list[float], velocity: float) -> None:
     """Coefficients that are finite and not negative make blocks, all others one sentence."""

@@ -209,7 +209,7 @@ def test_a_signal_that_there_isnt(robot: Scene) -> None:
 ANY = st.one_of(st.floats(), st.floats(-5.0, 5.0), st.sampled_from([-1.0, 0.0, 1.0, 2.0]))
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80)
 @given(st.lists(ANY, min_size=1, max_size=4), st.floats(-6.0, 6.0), st.data())
 def test_any_table_is_interpolated_or_refused(at: list[float], signal: float, data: st.DataObject) -> None:
     """`numpy.interp` for ascending values and factors that aren't negative, one sentence for all others."""

@@ -217,7 +217,7 @@ def test_wrong_input_is_named(make: Callable[[], Any], message: str) -> None:
 
 
 @seed(17)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.dictionaries(
         st.sampled_from(["stiffness", "damping", "offset", "x"]), st.one_of(st.floats(), st.text(max_size=3), st.none())

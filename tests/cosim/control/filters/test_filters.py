@@ -82,7 +82,7 @@ def test_chains_are_products() -> None:
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True), st.sampled_from(["frequency", "order", "damping", "depth"]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_bad_values_are_told_with_their_key(value: float, key: str) -> None:
     keys = {"kind": "low-pass" if key == "order" else "notch", "frequency": 50.0, "sample_time": H, key: value}
     good = value >= 1.0 and (key != "order" or value in range(1, 9)) and value != float("inf")

@@ -62,7 +62,7 @@ def test_linear_interpolation(run: Any) -> None:
     np.testing.assert_allclose(y, 0.7 * past[1:51] + 0.3 * past[:50], rtol=0, atol=4e-16 * np.ptp(past))
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(order=ORDERS, extra=EXTRA)
 def test_lagrange_is_exact_for_polynomials(run: Any, order: int, extra: float) -> None:
     """A polynomial of the filter's order comes out as the same polynomial, delayed, once the line is filled."""
@@ -75,7 +75,7 @@ def test_lagrange_is_exact_for_polynomials(run: Any, order: int, extra: float) -
     np.testing.assert_allclose(y[filled], polynomial(k - samples)[filled], rtol=0, atol=1e-12 * scale)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(order=ORDERS, extra=EXTRA)
 def test_lagrange_amplifies_nothing(order: int, extra: float) -> None:
     """In a control loop a delay that amplified some frequency would look like a loss of gain margin."""
@@ -84,7 +84,7 @@ def test_lagrange_amplifies_nothing(order: int, extra: float) -> None:
     assert response.max() <= 1.0 + 1e-12
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(order=ORDERS, extra=EXTRA)
 def test_thiran_passes_every_amplitude_and_is_stable(order: int, extra: float) -> None:
     """All-pass: the magnitude is 1 at every frequency; its poles lie inside the unit circle."""
@@ -94,7 +94,7 @@ def test_thiran_passes_every_amplitude_and_is_stable(order: int, extra: float) -
     assert (np.abs(np.roots(a)) < 1.0).all()
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(order=st.integers(1, 6), extra=EXTRA, thiran=st.booleans())
 def test_group_delay_is_flat_at_zero_frequency(order: int, extra: float, thiran: bool) -> None:
     """The group delay is the delay asked for."""

@@ -22,7 +22,7 @@ from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 TORQUE = Channel("joint1.torque", "N.m", 2.0)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(ratio=st.floats(0.01, 10.0), height=st.floats(-100.0, 100.0))
 def test_step_response(run: Any, ratio: float, height: float) -> None:
     """A step gives height + (initial - height) exp(-t / T) at the sample instants, however long the samples are."""
@@ -51,7 +51,7 @@ def test_time_constants_are_parameters_and_zero_is_one_sample_of_delay(run: Any)
     assert y[1, 1] == 3.0 + np.exp(-1.0) * (1.0 - 3.0)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(ratio=st.floats(1e-4, 30.0), seed=st.integers(0, 1000), first=st.sampled_from([1.0, 0.25]))
 def test_continuous_lag_is_exact_for_polynomials(ratio: float, seed: int, first: float) -> None:
     """A step over any part or multiple of the time constant, or two through which the polynomial goes on, give the closed form,

@@ -17,7 +17,7 @@ TORQUES = joint_channels("torque")
 SIGNALS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=25)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(signal=SIGNALS, lower=st.floats(-50, 50), width=st.floats(0, 100))
 def test_saturation_is_exact(run: Any, signal: list[float], lower: float, width: float) -> None:
     """Inside the limits nothing changes to the last bit; outside the limit itself comes out."""
@@ -49,7 +49,7 @@ def reference_rate_limit(u: np.ndarray, rising: float, falling: float, last: flo
     return np.array(y)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(signal=SIGNALS, rising=st.floats(0, 1e6), falling=st.floats(0, 1e6), initial=st.floats(-100, 100))
 def test_rate_limit(run: Any, signal: list[float], rising: float, falling: float, initial: float) -> None:
     """It equals the law in NumPy bit by bit, and its steps never exceed the rates by more than rounding."""

@@ -18,7 +18,7 @@ ANGLE = Channel("joint1.position", "rad")
 SIX_SIGMA = 6.0
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(signal=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=20), resolution=st.floats(1e-6, 1.0))
 def test_error_bound(run: Any, signal: list[float], resolution: float) -> None:
     """The output is a whole multiple of the resolution, at most half of it away, as NumPy's floor has it."""
@@ -62,7 +62,7 @@ def test_zero_resolution_switches_it_off(run: Any) -> None:
     np.testing.assert_array_equal(run(block, u, {"joint1.position.resolution": 0.0}), u)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(counts=st.floats(1.0, 1e6), window=st.integers(1, 6), joints=st.integers(1, 3), seed=st.integers(0, 99))
 def test_encoder_law(run: Any, counts: float, window: int, joints: int, seed: int) -> None:
     """Counts, angle and difference quotient as in plain NumPy, for any number of joints and any window."""

@@ -64,7 +64,7 @@ def sample() -> np.ndarray:
 
 
 @pytest.mark.slow
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=SEEDS, name=st.text(max_size=20))
 def test_seeding_is_exact(seed: int, name: str) -> None:
     """A seed jumps ahead by seed 2^40 numbers: compared with whole numbers of any length, for every seed."""

@@ -157,7 +157,7 @@ def test_all_trials_that_fail_are_an_error() -> None:
 
 
 @given(low=st.floats(1e-6, 1e6), ratio=st.floats(1.001, 1e6), share=st.floats(0.0, 1.0))
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=200)
 def test_shares_and_values_belong_to_each_other(low: float, ratio: float, share: float) -> None:
     """A value lies within its interval, and its share is the one it was made from, but for the rounding to five digits."""
     interval = Interval("x", low, low * ratio)

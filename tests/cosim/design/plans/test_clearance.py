@@ -39,7 +39,7 @@ def test_a_reflex_corner_belongs_to_the_right_side() -> None:
     assert ((Polygon.of(outline[::-1]).distance(POINTS)[0] < 0.0) == inside).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=3, max_size=3), st.integers(0, 1000))
 def test_gradient_is_the_slope_of_the_distance(corners: list[tuple[float, float]], seed: int) -> None:
     (x1, y1), (x2, y2), (x3, y3) = corners
@@ -91,7 +91,7 @@ def way_of(random: np.random.Generator) -> RealArray:
     return np.column_stack([x, sum(bend * np.cos((k + 1) * 9.0 * x) for k, bend in enumerate(bends))])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_the_depth_of_a_way_is_that_of_a_finely_sampled_one(seed: int) -> None:
     """Walls of 10 µm to 3 mm, wedges, stars and blocks, wherever points of the way lie."""
@@ -115,7 +115,7 @@ def test_the_depth_of_a_way_is_that_of_a_finely_sampled_one(seed: int) -> None:
     assert found >= exact - 1e-8
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10_000), st.floats(1e-6, 1e-3), st.floats(2e-3, 0.05), st.floats(-1.2, 1.2))
 def test_a_way_through_a_wall_is_as_far_off_as_the_walls_end(
     seed: int, thickness: float, beyond: float, slant: float

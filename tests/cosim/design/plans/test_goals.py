@@ -63,7 +63,7 @@ def test_a_torque_driven_scene_is_told_what_to_do() -> None:
         checked_goals(SCENE.replace({"cosimulation.drive": "torque"}))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(0.0, 0.9), st.floats(0.0, 0.5), st.floats(0.0, 0.9))
 def test_bands_hold_their_ends(payload: float, stiffness: float, damping: float) -> None:
     wishes = {"payload_band": payload, "stiffness_band": stiffness, "damping_band": damping}

@@ -248,7 +248,7 @@ def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float)
 
 
 @pytest.mark.slow
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @drawn(st.floats(-0.2, 0.2))
 def test_a_ratio_below_the_holding_torque_is_refused_at_once(shift: float) -> None:
     """Exactly those below what the FMU needs at rest, relative to the given motion's peak, for any payload and joint."""
@@ -281,7 +281,7 @@ def _resting_share() -> float:
     return max(shares)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @drawn(st.floats(-0.15, 0.15), st.floats(-5.5, -3.0), st.booleans())
 def test_a_thin_wall_across_the_path_is_not_kept(place: float, thickness: float, crossed: bool) -> None:
     """Whatever lies between two instants of a run: the end effector, 25 mm above its start, passes it or goes by."""

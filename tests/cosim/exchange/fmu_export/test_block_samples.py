@@ -20,7 +20,7 @@ from export_support.blocks import (
     saturation,
 )
 from export_support.instance import RefusedError, run
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 Export = Callable[..., Any]
@@ -45,7 +45,7 @@ def test_exported_block_is_its_functions(export: Export, make: Callable[[], Any]
     assert_rounding(found, expected(block, inputs))
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0.01, 1.0))
 def test_random_linear_systems(linear: Any, seed: int, scale: float) -> None:
     """Any stable or mildly unstable linear controller, its matrices given as parameters."""
@@ -66,7 +66,7 @@ def linear(export: Export) -> Any:
 
 
 @pytest.mark.slow
-@settings(max_examples=5, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=5)
 @given(sizes=st.tuples(st.integers(0, 5), st.integers(1, 3), st.integers(1, 3)), seed=st.integers(0, 1000))
 def test_blocks_of_any_size(export: Export, sizes: tuple[int, int, int], seed: int) -> None:
     """No states, one or several: the generated tables must fit each other."""

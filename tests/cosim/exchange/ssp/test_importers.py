@@ -49,6 +49,7 @@ def test_fmpy_as_it_is(motion_ssp: Path) -> None:
     assert result[f"plant.{SIGNAL}"][-1] == pytest.approx(0.175, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", ["libcosimpy", "ecospy", "OMSimulator"])
 def test_other_importers(tool: str, motion_ssp: Path, reference: float) -> None:
     """libcosim, ecos and OMSimulator read the file as it is."""
@@ -96,6 +97,7 @@ def test_torque_driven_loops(name: str, tools: list[str], tmp_path: Path) -> Non
             assert wide / narrow == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", ["libcosimpy", "OMSimulator"])
 def test_others_take_the_step_from_the_file(tool: str, motion_ssp: Path) -> None:
     """The annotations with the communication step are those that libcosim and OMSimulator read."""
@@ -103,6 +105,7 @@ def test_others_take_the_step_from_the_file(tool: str, motion_ssp: Path) -> None
     assert at_the_instant(tool, motion_ssp, 0.0) == own
 
 
+@pytest.mark.slow
 def test_omsimulator_agrees_with_ecos(motion_ssp: Path) -> None:
     """Two masters that read outputs after they have set inputs, with the tolerance that the file says: the same numbers."""
     ends = [at_the_instant(tool, motion_ssp, STEPS[0]) for tool in ("OMSimulator", "ecospy")]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fmpy.ssp.ssd import read_ssd, read_ssv
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from ssp_support.packages import package
 
@@ -118,12 +118,7 @@ def bare(value: Any) -> Any:
     return type(value), {name: bare(getattr(value, name)) for name in value.__dataclass_fields__ if name != "where"}
 
 
-@settings(
-    derandomize=True,
-    deadline=None,
-    max_examples=25,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=25)
 @given(structure=STRUCTURES)
 def test_round_trip(structure: Structure, tmp_path: Path) -> None:
     """Names with markup, numbers to the last bit, all kinds of bindings; fmpy holds the file to the standard's schema."""
@@ -132,7 +127,7 @@ def test_round_trip(structure: Structure, tmp_path: Path) -> None:
     assert read_ssd(path, validate=True).name == structure.name
 
 
-@settings(derandomize=True, deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30)
 @given(values=SETS)
 def test_external_sets(values: ParameterSet, tmp_path: Path) -> None:
     """A parameter set in a file of its own is valid too, and reads back."""

@@ -31,6 +31,7 @@ def test_errors_fall_with_the_steps_square(monkeypatch: pytest.MonkeyPatch) -> N
     assert fine.error < 2e-3
 
 
+@pytest.mark.slow
 def test_what_exudyn_lacks_is_told() -> None:
     """A scene with shear is a failed trial that names the key, not a run without shear."""
     pytest.importorskip("exudyn", reason="exudyn isn't installed: pip install flexfmu[peers]")

@@ -8,6 +8,7 @@ import signal
 import warnings
 from pathlib import Path
 from threading import Timer
+from typing import Any
 
 import pytest
 
@@ -15,18 +16,22 @@ import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.many import executor
 
-distributed = pytest.importorskip("distributed")
-
 SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
     {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "cosimulation.step": 1e-3, "cosimulation.tolerance": 1e-3}
 )
 CASES = {"trajectory.duration": "0.2:0.25:20", "payload.mass": [5.0, 6.0]}
 METRICS = ["end_position_error"]
 
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_a_lost_worker_costs_nothing(tmp_path: Path) -> None:
+
+@pytest.fixture(scope="module")
+def distributed() -> Any:
+    """Dask's package."""
+    return pytest.importorskip("distributed")
+
+
+def test_a_lost_worker_costs_nothing(distributed: Any, tmp_path: Path) -> None:
     """The same bytes as by own processes."""
     flexfmu.sweep(SCENE, CASES, metrics=METRICS, out=tmp_path / "here", processes=2)
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
@@ -46,10 +51,8 @@ def test_a_lost_worker_costs_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "there" / "sweep.csv").read_bytes() == (tmp_path / "here" / "sweep.csv").read_bytes()
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("small", [executor.SMALL, 0], ids=["small job", "large job"])
-def test_workers_come_and_leave(small: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_come_and_leave(distributed: Any, small: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """None is there at first; each that comes gets shares, and those that leave take nothing with them."""
     monkeypatch.setattr(executor, "INTERVAL", 0.0 if small else 0.01)
     monkeypatch.setattr(executor, "SMALL", small)
@@ -94,8 +97,7 @@ def test_workers_come_and_leave(small: int, tmp_path: Path, monkeypatch: pytest.
     assert (tmp_path / "there" / "sweep.csv").read_bytes() == (tmp_path / "here" / "sweep.csv").read_bytes()
 
 
-@pytest.mark.slow
-def test_no_scheduler_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_scheduler_is_an_error(distributed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """One line within seconds."""
     monkeypatch.setattr(executor, "PATIENCE", "1s")
     with warnings.catch_warnings():

@@ -6,6 +6,7 @@ import math
 from itertools import pairwise, product
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -148,7 +149,6 @@ def test_cases_from_files(tmp_path: Path) -> None:
 
 def test_cases_from_python() -> None:
     """Mappings, arrays and lists of changes."""
-    np = pytest.importorskip("numpy")
     assert len(as_cases({"a": np.linspace(0.0, 1.0, 3), "b": "1,2"})) == 6
     assert type(as_cases({"a": np.arange(2)})[1][0]) is int
     cases = as_cases([{"a": 1}, {"b": 2.0}])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import casadi
 import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.studies.workprec.equations import joint_motion, motion_polynomials
 from flexfmu.model.scene.file import load_scene
-
-casadi = pytest.importorskip("casadi")
 
 
 @pytest.mark.parametrize("profile", [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.125}])
