@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, print_rich, print_text, progress
+from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.text import to_json
 
 
@@ -60,8 +61,6 @@ def margins(
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
     from flexfmu.cosim.design.margins.pictures import margins_data, margins_table
     from flexfmu.cosim.design.margins.scene_margins import scene_margins
-    from flexfmu.cosim.engine.files import OutputFolder
-    from flexfmu.cosim.reports.text import to_json
 
     robot = load_changed(scene, settings)
     if out is not None:

@@ -1,5 +1,5 @@
 """Input and output of the commands: results on standard output, progress on standard error where that is a terminal, every error as
-one line with an exit status; and scenes whose effects are chosen where they are left open.
+one line with an exit status; scenes whose effects are chosen where they are left open; and files in a folder of results.
 
 Exit status 0: done. 1: it ran and failed. 2: wrong usage or input, nothing was done.
 """
@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from hashlib import sha256
 from io import StringIO
+from pathlib import Path
 from threading import Thread
 from time import sleep
 from typing import TYPE_CHECKING, Any, Never, TextIO
@@ -21,11 +24,13 @@ from typing import TYPE_CHECKING, Any, Never, TextIO
 import typer
 
 from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from flexfmu.cosim.design.effects.choice import ShowProgress
+    from flexfmu.cosim.engine.results import Recording
     from flexfmu.model.scene.schema import Scene
 
 
@@ -293,3 +298,52 @@ def load_resolved(source: str, settings: Sequence[str] | None = None) -> Scene:
     if scene.effects.select is not None:
         show_note(choice_sentence(chosen))
     return chosen
+
+
+LONGEST = 80
+"""Characters of a folder's name that are for changes of the scene."""
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Check formats before a run.
+
+    Raises:
+        InputError: there is no such format, or its library isn't installed.
+    """
+    from flexfmu.cosim.engine.results import check_format  # numpy, which help doesn't load
+
+    for name in formats:
+        check_format(name)
+
+
+def write_results(
+    folder: OutputFolder, recording: Recording, formats: Sequence[str], about: Mapping[str, str]
+) -> list[str]:
+    """Write the recording in these formats as ``results.<format>``, remove those of an earlier run in others; return their names.
+
+    Raises:
+        ResultsError: a file can't be written, with the system's reason.
+    """
+    from flexfmu.cosim.engine.results import FORMATS
+
+    for name in FORMATS:
+        if name in formats:
+            recording.write(folder.path / f"results.{name}", about)
+        else:
+            folder.remove(f"results.{name}")
+    return [f"results.{name}" for name in formats]
+
+
+def files_sentence(files: Sequence[str], folder: Path) -> str:
+    """Return where the files are."""
+    return f"{', '.join(files[:-1])} and {files[-1]} are in {folder}"
+
+
+def usual_folder(name: str, settings: Sequence[str] | None, ending: str = "") -> Path:
+    """Return the folder of a scene's results: ``results/<name>``; with changes by ``--set`` one of its own, which has them in its name."""
+    if not settings:
+        return RESULTS / f"{name}{ending}"
+    changes = re.sub(r"[^\w.+=-]+", "_", ",".join(settings)).strip("_")
+    if len(changes) > LONGEST:
+        changes = f"{changes[:LONGEST]}-{sha256(','.join(settings).encode()).hexdigest()[:8]}"
+    return RESULTS / f"{name}{ending}-{changes}"

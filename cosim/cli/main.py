@@ -1,6 +1,6 @@
 """The command line: puts the commands together.
 
-Each command has a file of its own, a function whose arguments are the options, whose docstring is the help text, and which
+Each command is a function whose arguments are the options, whose docstring is the help text, and which
 returns the exit status. It imports what it needs while it runs: CasADi, SciPy and Matplotlib are too slow to load for ``--help``.
 """
 
@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import typer
 
 from flexfmu.cosim.cli.analysis import effects, margins, modes
-from flexfmu.cosim.cli.compare import compare
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
@@ -27,16 +26,14 @@ from flexfmu.cosim.cli.console import (
     print_text,
     show_note,
 )
-from flexfmu.cosim.cli.export import build, export, fmus
+from flexfmu.cosim.cli.design import shaper, tune
+from flexfmu.cosim.cli.export import build, export, fmus, validate
 from flexfmu.cosim.cli.options import help_and_signature
 from flexfmu.cosim.cli.plan import plan
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.scenes import new, scenes, schema
-from flexfmu.cosim.cli.shaper import shaper
-from flexfmu.cosim.cli.studies import paper, workprec
+from flexfmu.cosim.cli.studies import compare, paper, workprec
 from flexfmu.cosim.cli.sweep import sweep
-from flexfmu.cosim.cli.tune import tune
-from flexfmu.cosim.cli.validate import validate
 
 app = typer.Typer(
     name="flexfmu",

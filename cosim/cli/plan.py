@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note, usual_folder
 from flexfmu.cosim.cli.options import ProcessesOption
-from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -76,8 +77,6 @@ def plan(
     from flexfmu.cosim.design.plans.baselines import file_candidate
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import plan_scene, usual_methods
-    from flexfmu.cosim.engine.files import OutputFolder
-    from flexfmu.cosim.reports.text import to_json
 
     if output is not None and output.suffix != ".toml":
         raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")

@@ -9,8 +9,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flexfmu.cosim.cli.console import FAILURE, load_changed, print_text, progress, show_note
-from flexfmu.cosim.cli.result_files import check_formats, usual_folder, write_results
+from flexfmu.cosim.cli.console import (
+    FAILURE,
+    check_formats,
+    load_changed,
+    print_text,
+    progress,
+    show_note,
+    usual_folder,
+    write_results,
+)
 from flexfmu.cosim.engine.errors import LoopWarning, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress

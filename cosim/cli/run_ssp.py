@@ -10,8 +10,16 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
-from flexfmu.cosim.cli.result_files import check_formats, files_sentence, write_results
+from flexfmu.cosim.cli.console import (
+    FAILURE,
+    check_formats,
+    files_sentence,
+    print_rich,
+    print_text,
+    progress,
+    show_note,
+    write_results,
+)
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.master import Simulation
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION

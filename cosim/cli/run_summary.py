@@ -11,8 +11,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.cli.console import print_rich
-from flexfmu.cosim.cli.result_files import files_sentence
+from flexfmu.cosim.cli.console import files_sentence, print_rich
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display, display_error
 from flexfmu.cosim.reports.motors import motor_rows, stress_rows
 from flexfmu.cosim.reports.summary import title_of

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.cli.console import print_rich, print_text, show_note
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
+from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +24,6 @@ def scenes(json: bool = False) -> int:
     """List the scenes that come with flexfmu, which every command takes by their names."""
     from rich.text import Text
 
-    from flexfmu.cosim.reports.text import to_json
     from flexfmu.model.scene.file import scene_path, shipped_scenes
 
     found = [_facts(name) for name in shipped_scenes()]
@@ -79,7 +79,6 @@ def new(
         origin (--from NAME): A shipped scene to start from; flexfmu scenes lists them.
         force: Overwrite the file if there is one. Default: refuse.
     """
-    from flexfmu.cosim.reports.text import to_json
     from flexfmu.model.scene.file import read_scene_text, scene_path, shipped_scenes
 
     # usage

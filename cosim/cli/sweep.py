@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note, usual_folder
 from flexfmu.cosim.cli.options import ProcessesOption
-from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
     from flexfmu.cosim.studies.sweep.cases import Cases
@@ -146,7 +146,6 @@ def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
     from rich.text import Text
 
     from flexfmu.cosim.reports.terminal import titled_table
-    from flexfmu.cosim.reports.text import to_json
 
     summary, failed = result.summary(), result.failed
     if as_json:

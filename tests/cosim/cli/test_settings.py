@@ -11,8 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
+from flexfmu.cosim.cli.console import usual_folder
 from flexfmu.cosim.cli.main import app
-from flexfmu.cosim.cli.result_files import usual_folder
 from flexfmu.cosim.design.shapers.recommendation import write_shaped
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
