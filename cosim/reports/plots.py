@@ -12,7 +12,7 @@ links bend about the straight line from elbow to end effector, the end effector 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import floor, log10
@@ -89,6 +89,17 @@ class BentRobot:
         wanted = VISIBLE * length / largest
         power = 10.0 ** floor(log10(wanted)) if wanted > 1.0 else 1.0
         return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= max(wanted, 1.0))
+
+    @property
+    def extent(self) -> RealArray:
+        """(2, 2) lowest and highest x and y of all drawn points at all instants [m].
+
+        A robot that runs away leaves the axes where it is more than a proximal link's length beyond all rigid poses.
+        """
+        length = float(np.linalg.norm(self.rigid[0, self.links[0][-1]] - self.rigid[0, self.links[0][0]]))
+        low, high = self.rigid.min(axis=(0, 1)) - length, self.rigid.max(axis=(0, 1)) + length
+        drawn = np.clip(self.rigid + self.magnification * np.nan_to_num(self.deviation), low, high)
+        return np.stack([drawn.min(axis=(0, 1)), drawn.max(axis=(0, 1))])
 
     def data(self) -> dict[str, str]:
         """Return what the page's script animates, as attributes of a panel."""
@@ -209,12 +220,17 @@ POSE = "pose"
 """Class of what is hidden while the mechanism moves."""
 
 
-def scene_panel(plan: MotionPlan, data: Mapping[str, str] | None = None) -> Panel:
-    """Return the path and the mechanism, to scale [m]; the poses are hidden where the page's script animates ``data``."""
+def scene_panel(plan: MotionPlan, robot: BentRobot | None = None) -> Panel:
+    """Return the path and the mechanism, to scale [m], with room for all of the robot's motion.
+
+    The poses are hidden where the page's script animates the robot.
+    """
     plan = plan.once
     path = plan.task.evaluate(np.linspace(0.0, plan.duration, PATH_POINTS), 0)[0]
     path_curve = Curve(path[:, 0], path[:, 1], colour=SECOND, width=1.8, opacity=0.6, is_read=False)
     curves, markers = [path_curve], list[Marker]()
+    if robot is not None:
+        curves.append(Curve(*robot.extent.T, width=0.0, is_read=False))
     markers += [Marker(*_point(path[i]), text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
     # links as lines, elbows and end effector as discs
     for fraction, opacity in POSES:
@@ -227,7 +243,14 @@ def scene_panel(plan: MotionPlan, data: Mapping[str, str] | None = None) -> Pane
     for leg, base in enumerate(bases(plan.scene.mechanism), start=1):
         below = Marker(*base, text=f"motor {leg}", offset=(0.0, 14.0), anchor="middle")
         markers += [Marker(*base, size=10.0, colour=GREY, shape="square"), below]
-    return Panel(label="y [m]", curves=curves, markers=markers, is_to_scale=True, is_function=False, data=data or {})
+    return Panel(
+        label="y [m]",
+        curves=curves,
+        markers=markers,
+        is_to_scale=True,
+        is_function=False,
+        data={} if robot is None else robot.data(),
+    )
 
 
 def _link(start: Point, end: Point, colour: str, width: float, opacity: float) -> Curve:
@@ -245,8 +268,11 @@ POINTS = 3000
 REFERENCES_HEIGHT = 280.8
 """Height of a plot [pt]."""
 
-BESIDE, BESIDES = 55.0, 70.0
-"""Space beside and above or below the panel of a plot to scale, about [pt]."""
+BESIDE, BESIDES, LEGEND = 58.0, 42.0, 22.0
+"""Space beside and above or below the panel of a plot to scale, and for a legend, about [pt]."""
+
+STRIP, USUAL_SHAPE = 0.4, 0.55
+"""Height of a panel relative to its width below which it isn't to scale, also the other way round, and what it has then."""
 
 COLOURS = (FIRST, SECOND)
 """Of the curves of joints and links 1 and 2."""
@@ -266,7 +292,7 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         return
     robot = bent_robot(run)
     caption += " With scripts it moves, its deviation from the rigid robot magnified."
-    yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot.data()))
+    yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot))
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
     caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot.magnification:g}."
     yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
@@ -299,9 +325,13 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
 
 
 def _to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
-    """Return a plot of a panel to scale [m], as high as that is."""
-    spans = [np.ptp(np.concatenate([getattr(curve, axis) for curve in panel.curves])) for axis in "xy"]
-    return Plot(key, title, caption, (panel,), "x [m]", BESIDES + (WIDTH - BESIDE) * float(spans[1] / spans[0]))
+    """Return a plot of a panel to scale [m], as high as that is; of one that would be a strip, with axes of their own scales."""
+    x, y = (float(np.ptp(np.concatenate([getattr(curve, axis) for curve in panel.curves]))) for axis in "xy")
+    beside = BESIDES + LEGEND * any(curve.label for curve in panel.curves)
+    if x * STRIP <= y <= x / STRIP:
+        return Plot(key, title, caption, (panel,), "x [m]", beside + (WIDTH - BESIDE) * y / x)
+    panel, caption = replace(panel, is_to_scale=False), f"{caption} x and y have different scales."
+    return Plot(key, title, caption, (panel,), "x [m]", beside + (WIDTH - BESIDE) * USUAL_SHAPE)
 
 
 def _references(run: Run) -> tuple[Panel, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ import pytest
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.reports.curve_data import unpacked
-from flexfmu.cosim.reports.plots import LONGEST, bent_robot, path_panel
+from flexfmu.cosim.reports.page import Plot
+from flexfmu.cosim.reports.plots import LONGEST, _to_scale, bent_robot, path_panel, scene_panel
 from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.scene.assembly import bases, elbows
 
@@ -115,3 +118,54 @@ def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
     assert robot.time[-1] == 3.43
     assert np.diff(robot.time).max() < 5e-3
     assert rigid.x.size == np.count_nonzero(run.recording.time >= 3.43 - LONGEST)
+
+
+def drawn_axes(plot: Plot) -> tuple[float, ...]:
+    """What a drawn plot's axes are: lowest and highest x, left and right end; the same of y, bottom and top."""
+    found = re.search(r'data-axes="([^"]+)"', plot.svg)
+    assert found is not None
+    numbers = [float(each) for each in found[1].split()]
+    return (*numbers[:4], *numbers[5:9])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_links_stay_within_the_axes(make_run: MakeRun, seed: int) -> None:
+    """Every point of every link, magnified, at every instant of the animation, however it bends."""
+    run, random = make_run(), np.random.default_rng(seed)
+    robot = bent_robot(run)
+    robot = replace(robot, deviation=robot.deviation + 1e-4 * seed * random.standard_normal(robot.deviation.shape))
+    x0, x1, *_, y0, y1, _, _ = drawn_axes(_to_scale("k", "Scene", "", scene_panel(run.plan, robot)))
+    points = robot.rigid + robot.magnification * robot.deviation
+    assert x0 < points[..., 0].min() < points[..., 0].max() < x1
+    assert y0 < points[..., 1].min() < points[..., 1].max() < y1
+    # they are about it: no more than 5 % of free space at a side, the bases, the path and equal scales aside
+    assert min(points[..., 0].min() - x0, points[..., 1].min() - y0) < 0.06 * (x1 - x0)
+
+
+def test_a_robot_that_runs_away_leaves_the_axes(make_run: MakeRun) -> None:
+    """Of an unstable run the mechanism stays visible."""
+    run = make_run()
+    robot = bent_robot(run)
+    deviation = robot.deviation.copy()
+    deviation[200:] = 1e6
+    deviation[-1] = np.nan
+    x0, x1, *_ = drawn_axes(_to_scale("k", "Scene", "", scene_panel(run.plan, replace(robot, deviation=deviation))))
+    assert x1 - x0 < 3.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_to_scale"),
+    [
+        ({}, False),  # 350 mm wide and 25 mm high
+        ({"trajectory.height": 0.12, "trajectory.width": 0.12, "trajectory.start": [-0.06, 0.40]}, True),
+        ({"trajectory.lift": [1.0, 0.0], "trajectory.width": 0.2, "trajectory.start": [0.0, 0.3]}, False),
+    ],
+)
+def test_a_path_has_a_shape_that_shows_it(make_run: MakeRun, changes: dict[str, Any], is_to_scale: bool) -> None:
+    """The height of its axes is between a third of their width and twice and a half of it; unequal scales are told."""
+    run = make_run(changes=changes)
+    plot = _to_scale("k", "Path", "", path_panel(still(run), 1.0))
+    x0, x1, left, right, y0, y1, bottom, top = drawn_axes(plot)
+    assert 1.0 / 3.0 < (bottom - top) / (right - left) < 2.5
+    equal = (right - left) / (x1 - x0) == pytest.approx((bottom - top) / (y1 - y0), rel=1e-3)
+    assert equal == is_to_scale == ("different scales" not in plot.caption)
