@@ -230,7 +230,7 @@ def scene_panel(plan: MotionPlan, robot: BentRobot | None = None) -> Panel:
     path_curve = Curve(path[:, 0], path[:, 1], colour=SECOND, width=1.8, opacity=0.6, is_read=False)
     curves, markers = [path_curve], list[Marker]()
     if robot is not None:
-        curves.append(Curve(*robot.extent.T, width=0.0, is_read=False))
+        curves.append(Curve(robot.extent[:, 0], robot.extent[:, 1], width=0.0, is_read=False))
     markers += [Marker(*_point(path[i]), text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
     # links as lines, elbows and end effector as discs
     for fraction, opacity in POSES:
