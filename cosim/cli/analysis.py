@@ -59,8 +59,7 @@ def margins(
         out (DIR): Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
-    from flexfmu.cosim.design.margins.pictures import margins_data, margins_table
-    from flexfmu.cosim.design.margins.scene_margins import scene_margins
+    from flexfmu.cosim.design.margins.scene_margins import margins_data, margins_table, scene_margins, write_margins
 
     robot = load_changed(scene, settings)
     if out is not None:
@@ -72,8 +71,6 @@ def margins(
         )
         files: list[Path] = []
         if out is not None:
-            from flexfmu.cosim.design.margins.pictures import write_margins
-
             show("drawing", None)
             files = write_margins(result, out)
     if json:

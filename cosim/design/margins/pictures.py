@@ -1,194 +1,385 @@
-"""Bode, Nyquist and root-locus pictures of a loop, by python-control, and a table of its margins as a file.
+"""Bode, Nyquist and root-locus diagrams of a sampled loop with its margins, as Matplotlib figures.
 
-Margins as a table and as plain data.
+The loops that are worst have colours and labels, all others are grey. A margin is the exact one of `LoopMargins`; it is marked at the
+curve's own crossing. With one sample time both agree; a curve of a loop with several sample times is the part of its response
+that keeps the frequency, from which exact margins differ by the part that doesn't.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import degrees, isfinite, log, pi
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import atan, degrees, inf, isfinite, isnan, log, log10, nan, pi
 from typing import Any
 
 import numpy as np
-from rich.console import RenderableType
-from rich.table import Table
-from rich.text import Text
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator
 
+from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop
 from flexfmu.cosim.design.margins.margins import ALL, LoopMargins, PoseMargins
-from flexfmu.cosim.design.margins.scene_margins import MarginsResult
-from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.engine.files import OutputFolder
-from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.cosim.reports.figure_style import GREY, INK, draw, style
 from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.trajectories.jets import RealArray
 
-HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
-"""Of the columns, short enough for 80 characters with all others."""
-
-SHOWN_POLES = 4
-"""Poles that the table's last line names: the slowest."""
-
-
-def margins_table(result: MarginsResult) -> list[RenderableType]:
-    """The margins of each pose and each cut, the worst ones, and what they say."""
-    tables, payloads = list[Table](), list(dict.fromkeys(each.payload for each in result.poses))
-    for payload in payloads:
-        several = f", {payload:.4g} kg" if len(payloads) > 1 else ""
-        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "s", "cut", numbers=HEADS, keys=2))
-        for pose in (each for each in result.poses if each.payload == payload):
-            for row in pose.loops:
-                # of an unstable loop the crossover alone means something
-                texts = _texts(row) if pose.is_stable else [*"-" * 7, _texts(row)[-1]]
-                tables[-1].add_row(f"{pose.s:.2f}", row.channel.removesuffix(".torque"), *texts)
-    tables[-1].add_row("", "worst", *_texts(result.worst))
-    warning = [Text(f"warning: {result.coarse_counts}", style="yellow")] if result.coarse_counts else []
-    return [*tables, Text(_verdict(result)), Text(_slowest(result)), *warning]
-
-
-def _where(result: MarginsResult, pose: PoseMargins) -> str:
-    """The share of the path, and the payload if there are several."""
-    several = len({each.payload for each in result.poses}) > 1
-    return f"{pose.s:.2f}, {pose.payload:.4g} kg" if several else f"{pose.s:.2f}"
-
-
-def _texts(row: LoopMargins) -> list[str]:
-    values = (
-        row.gain_margin, row.gain_reduction, degrees(row.phase_margin), 1e3 * row.delay_margin, row.disk_margin,
-        row.sensitivity_peak, row.bandwidth / (2 * pi), row.crossover / (2 * pi),
-    )  # fmt: skip
-    return ["∞" if value == float("inf") else "-" if value != value else f"{value:.3g}" for value in values]
-
-
-def _verdict(result: MarginsResult) -> str:
-    """What the margins say, in a sentence."""
-    if not result.is_stable:
-        where = "; ".join(_where(result, pose) for pose in result.poses if not pose.is_stable)
-        growth = max(pose.poles[0].real for pose in result.poses)
-        radius = max(pose.radius for pose in result.poses)
-        return (
-            f"The loop is unstable at s = {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
-            f"(eigenvalues over a period reach {radius:.4g})."
-        )
-    worst = result.worst
-    return (
-        f"The loop is stable: it stays so with torques up to {worst.gain_margin:.3g} times as large, down to "
-        f"{worst.gain_reduction:.3g} times, or {1e3 * worst.delay_margin:.3g} ms later."
-    )
-
-
-def _slowest(result: MarginsResult) -> str:
-    """The slowest poles at the last pose."""
-    poles = [pole for pole in result.poses[-1].poles if pole.imag >= 0.0][:SHOWN_POLES]
-    texts = [
-        f"{pole.real:.4g}"
-        if pole.imag == 0.0
-        else f"{pole.real:.4g} ± {pole.imag:.4g}j (damping ratio {-pole.real / abs(pole):.3g})"
-        for pole in poles
-    ]
-    return f"slowest poles at s = {result.poses[-1].s:.2f}, 1/s: " + "; ".join(texts)
-
-
-def margins_data(result: MarginsResult) -> dict[str, Any]:
-    """The margins as plain data, in SI units and rad; None for what is infinite or doesn't exist."""
-
-    def plain(value: Any) -> Any:
-        return None if isinstance(value, float) and not isfinite(value) else value
-
-    worst = {name: plain(getattr(result.worst, name)) for name in LoopMargins.__dataclass_fields__ if name != "channel"}
-    return {
-        "scene": result.scene.name,
-        "stable": result.is_stable,
-        "worst": worst,
-        "coarse_counts": result.coarse_counts,
-        "rows": [{name: plain(value) for name, value in row.items()} for row in result.rows()],
-        "poles": [
-            {
-                "s": pose.s,
-                "payload": pose.payload,
-                "real": np.real(pose.poles).tolist(),
-                "imaginary": np.imag(pose.poles).tolist(),
-            }
-            for pose in result.poses
-        ],
-    }
-
-
-POINTS = 2000
-"""Frequencies of a picture."""
+POINTS = 4000
+"""Frequencies of a curve."""
 
 GAINS = np.geomspace(0.05, 20.0, 160)
 """Factors of the torques of a root locus."""
 
+COLOURS, OTHERS, DISK = ("#0b5fa5", "#c7394f", "#1f8a5f"), "#c3cad1", "#f3c7cd"
+"""Of the worst loops, of all others, and of the disk."""
+
+FLOOR, WIDER, DECADE = -40.0, 1.2, 10.0
+"""Magnitude [dB] at which the diagram ends, and factors to the last and the first crossing that it shows at least."""
+
+NEAR = log(1.15)
+"""Logarithm of the ratio of a curve's margin and the exact one up to which a crossing is that of the margin."""
+
+ABOVE: Mapping[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.3, "fontsize": 7.5}
+"""Legends stand above their axes, where no curve is."""
+
+REAL = 1e-9
+"""Imaginary part relative to the magnitude below which a response is real."""
+
+WORSE = 0.95
+"""A loop whose margin is below this share of that of the one with the smallest disk margin has a colour of its own."""
+
+RATIOS = (0.1, 0.3, 0.5, 0.7)
+"""Damping ratios of the lines of a root locus."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCurve:
+    """The open loop at a place, cut at one torque.
+
+    Attributes:
+        label: cut and place.
+        margins: its margins.
+        is_stable: whether the closed loop is stable.
+        frequency: (N,) [Hz], ascending.
+        response: (N,) complex gain of the loop, for negative feedback.
+    """
+
+    label: str
+    margins: LoopMargins
+    is_stable: bool
+    frequency: RealArray
+    response: ComplexArray
+
+    @cached_property
+    def decibels(self) -> RealArray:
+        """Magnitude [dB], (N,)."""
+        return np.asarray(20.0 * np.log10(np.maximum(np.abs(self.response), 1e-15)))
+
+    @cached_property
+    def phase(self) -> RealArray:
+        """Phase [degrees], (N,), continuous; above -360 up to 0 degrees where the phase margin is, or a crossover."""
+        found = np.degrees(np.unwrap(np.angle(self.response)))
+        where = self.phase_crossover
+        if isnan(where):
+            where = float(np.append(self.gain_crossings, self.frequency[-1])[0])
+        at = float(np.interp(where, self.frequency, found))
+        return np.asarray(found - 360.0 * np.ceil(at / 360.0))
+
+    @cached_property
+    def gain_crossings(self) -> RealArray:
+        """Frequencies [Hz] at which the magnitude is 0 dB."""
+        return self._crossings(self.decibels)
+
+    @cached_property
+    def phase_crossings(self) -> RealArray:
+        """Frequencies [Hz] at which the phase is -180 degrees, turns aside."""
+        found = self._crossings(self.response.imag)
+        # with one sample time the response is real at half the sampling frequency
+        if abs(self.response[-1].imag) < REAL * abs(self.response[-1]):
+            found = np.append(found, self.frequency[-1])
+        return found[np.interp(found, self.frequency, self.response.real) < 0.0]
+
+    def _crossings(self, values: RealArray) -> RealArray:
+        """Where values change their sign, on logarithmic frequencies."""
+        k = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+        share, step = values[k] / (values[k] - values[k + 1]), np.log(self.frequency[k + 1] / self.frequency[k])
+        return np.asarray(self.frequency[k] * np.exp(share * step))
+
+    def decibels_at(self, frequency: float) -> float:
+        """Magnitude [dB] at a frequency [Hz]."""
+        return float(np.interp(log(frequency), np.log(self.frequency), self.decibels))
+
+    @cached_property
+    def gain_crossover(self) -> float:
+        """Frequency [Hz] of the gain margin, where the phase is -180 degrees; NaN if the curve doesn't have it."""
+        wanted = (
+            -20.0 * log10(self.margins.gain_margin) if self.is_stable and isfinite(self.margins.gain_margin) else nan
+        )
+        misses = {f: abs(self.decibels_at(f) - wanted) for f in self.phase_crossings.tolist()}
+        return _nearest(misses, 20.0 / log(10.0) * NEAR)
+
+    @cached_property
+    def phase_crossover(self) -> float:
+        """Frequency [Hz] of the phase margin, where the magnitude is 0 dB; NaN if the curve doesn't have it."""
+        if not self.is_stable:
+            return nan
+        angles = np.unwrap(np.angle(-self.response))
+        misses = {}
+        for f in self.gain_crossings.tolist():
+            angle = abs((float(np.interp(f, self.frequency, angles)) + pi) % (2.0 * pi) - pi)
+            misses[f] = abs(log(max(angle, 1e-12) / self.margins.phase_margin))
+        return _nearest(misses, NEAR)
+
+
+def _nearest(misses: Mapping[float, float], most: float) -> float:
+    """The key with the smallest value, NaN if that is above a limit."""
+    found = min(misses, key=misses.__getitem__, default=nan)
+    return found if misses.get(found, inf) <= most else nan
+
 
 @one_blas_thread()
-def responses(result: MarginsResult) -> list[Any]:
-    """Loop transfer functions at each pose and each single cut, as python-control's `FrequencyResponseData`.
-
-    Of loops with several samples a period they are the parts that keep the frequency.
-    """
-    import control
-
-    found = []
-    for pose in result.poses:
+def loop_curves(poses: Sequence[PoseMargins]) -> list[LoopCurve]:
+    """The open loops at all poses and single cuts, those with the smallest disk margin first."""
+    found, several = [], len({pose.payload for pose in poses}) > 1
+    for pose in poses:
         for row, cut in zip(pose.loops, pose.open, strict=True):
             if row.channel == ALL:
                 continue
-            highest = pi * cut.size / cut.period
-            frequencies = np.geomspace(1e-3 * highest, 0.999 * highest, POINTS)
-            name = f"{row.channel.removesuffix('.torque')} at {100.0 * pose.s:.0f} %"
-            found.append(control.frd(cut.fundamental(frequencies)[:, 0, 0], frequencies, name=name))
-    return found
+            place = f"s = {pose.s:.2f}" + (f", {pose.payload:.4g} kg" if several else "")
+            label = f"{row.channel.removesuffix('.torque')}, {place}"
+            found.append(LoopCurve(label, row, pose.is_stable, *_response(cut)))
+    return sorted(found, key=lambda each: each.margins.disk_margin)
 
 
-@one_blas_thread()
-def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
-    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and ``root-locus.png`` into a folder.
+def _response(cut: LiftedLoop) -> tuple[RealArray, ComplexArray]:
+    """Frequencies [Hz] up to half the sampling frequency, and the response there."""
+    highest = pi * cut.size / cut.period
+    frequency = np.geomspace(1e-5 * highest, highest, POINTS)
+    return frequency / (2.0 * pi), cut.fundamental(frequency)[:, 0, 0]
 
-    Raises:
-        ResultsError: a file can't be written.
-    """
-    out = OutputFolder(folder)
-    out.prepare()
-    import control
-    import matplotlib.pyplot as plt
 
-    plt.switch_backend("Agg")
-    loops, written = responses(result), [out.write("margins.csv", result.to_csv())]
-    pictures: dict[str, Callable[[], Any]] = {
-        "bode.png": lambda: control.bode_plot(loops, Hz=True, grid=True, initial_phase=0.0),
-        "nyquist.png": lambda: control.nyquist_plot(
-            loops, unit_circle=True, warn_encirclements=False, warn_nyquist=False
-        ),
-        "root-locus.png": lambda: _root_locus(result),
+def worst_curves(curves: Sequence[LoopCurve]) -> list[LoopCurve]:
+    """The loop with the smallest disk margin, and those that have the smallest gain or phase margin, if these are noticeably smaller."""
+    worst = [curves[0]]
+    measures: tuple[Callable[[LoopMargins], float], ...] = (lambda m: m.gain_margin, lambda m: m.phase_margin)
+    for measure in measures:
+        least = min(curves, key=lambda each: measure(each.margins))
+        if measure(least.margins) < WORSE * measure(curves[0].margins) and least not in worst:
+            worst.append(least)
+    return worst
+
+
+def draw_margins(poses: Sequence[PoseMargins], title: str) -> Figure:
+    """Bode diagram beside the Nyquist diagram about -1."""
+    with style():
+        figure, curves = draw(12.0, 5.6), loop_curves(poses)
+        places = figure.add_gridspec(2, 2, width_ratios=(1.3, 1.0))
+        gain = figure.add_subplot(places[0, 0])
+        _bode(gain, figure.add_subplot(places[1, 0], sharex=gain), curves)
+        _nyquist(figure.add_subplot(places[:, 1]), curves)
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def draw_bode(poses: Sequence[PoseMargins], title: str) -> Figure:
+    """Magnitude [dB] and phase [degrees] of the open loops over the frequency [Hz], with margins and crossovers."""
+    with style():
+        figure = draw(8.0, 6.0)
+        gain, phase = figure.subplots(2, 1, sharex=True)
+        _bode(gain, phase, loop_curves(poses))
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def draw_nyquist(poses: Sequence[PoseMargins], title: str) -> Figure:
+    """The open loops in the complex plane about -1, with the disk that the one with the smallest disk margin doesn't enter."""
+    with style():
+        figure = draw(6.4, 6.0)
+        _nyquist(figure.add_subplot(), loop_curves(poses))
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def _bode(gain: Axes, phase: Axes, curves: Sequence[LoopCurve]) -> None:
+    """Draw both axes of a Bode diagram."""
+    worst = worst_curves(curves)
+    first, last = _range(curves, worst)
+    lowest = FLOOR
+    for curve in reversed(curves):
+        place = worst.index(curve) if curve in worst else None
+        colour = OTHERS if place is None else COLOURS[place]
+        about: Mapping[str, Any] = {
+            "color": colour,
+            "linewidth": 1.0 if place is None else 1.6,
+            "zorder": 2.0 if place is None else 3.0,
+        }
+        # other curves by whole turns, so that they begin beside the worst one
+        begin = (float(np.interp(first, each.frequency, each.phase)) for each in (curve, worst[0]))
+        turns = 0.0 if curve is worst[0] else -360.0 * round((next(begin) - next(begin)) / 360.0)
+        gain.plot(curve.frequency, curve.decibels, **about)
+        phase.plot(curve.frequency, curve.phase + turns, **about)
+        if place is not None:
+            _mark(gain, phase, curve, colour, turns)
+            if isfinite(curve.margins.gain_margin):
+                lowest = min(lowest, -20.0 * log10(curve.margins.gain_margin) - 5.0)
+    # labels of the worst ones, and of the others as one
+    for axes, text in ((gain, _gain_text), (phase, _phase_text)):
+        handles = [axes.plot([], [], color=COLOURS[k])[0] for k in range(len(worst))]
+        labels = [f"{each.label}: {text(each)}" for each in worst]
+        if len(curves) > len(worst) and axes is gain:
+            handles.append(axes.plot([], [], color=OTHERS)[0])
+            labels.append("other places and cuts")
+        axes.legend(handles, labels, **ABOVE)
+    inside = [each.decibels[(each.frequency >= first) & (each.frequency <= last)] for each in curves]
+    gain.set(xscale="log", xlim=(first, last), ylabel="magnitude [dB]")
+    gain.set_ylim(lowest, min(max(float(np.max(each)) for each in inside) + 5.0, 80.0))
+    gain.tick_params(labelbottom=False)
+    gain.yaxis.set_major_locator(MultipleLocator(20.0))
+    gain.axhline(0.0, color=INK, linewidth=0.8)
+    phase.axhline(-180.0, color=INK, linewidth=0.8)
+    phase.yaxis.set_major_locator(MultipleLocator(90.0))
+    low, high = phase_limits(worst, first, last)
+    phase.set(ylabel="phase [°]", xlabel="frequency [Hz]", ylim=(low, high))
+    phase.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    phase.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def phase_limits(worst: Sequence[LoopCurve], first: float, last: float) -> tuple[float, float]:
+    """Multiples of 90 degrees about the phases between two frequencies, -180 degrees among them, two turns at most."""
+    found = [each.phase[(each.frequency >= first) & (each.frequency <= last)] for each in worst]
+    low, high = (float(pick([pick(each) for each in found])) for pick in (np.min, np.max))
+    high = max(90.0 * np.ceil((high + 10.0) / 90.0), -90.0)
+    return max(min(90.0 * np.floor((low - 10.0) / 90.0), -270.0), high - 720.0), high
+
+
+def _range(curves: Sequence[LoopCurve], worst: Sequence[LoopCurve]) -> tuple[float, float]:
+    """The frequencies [Hz] of the diagram: from a decade below the first crossing to where the magnitude stays below `FLOOR`."""
+    frequency = curves[0].frequency
+    crossings = np.concatenate([each.gain_crossings for each in curves])
+    marked = [f for each in worst for f in (each.gain_crossover, each.phase_crossover) if not isnan(f)]
+    first = max(float(crossings.min()) / DECADE, frequency[0]) if crossings.size else frequency[0]
+    above = max(np.flatnonzero(each.decibels > FLOOR).max(initial=0) for each in curves)
+    last = max(float(frequency[above]), *(WIDER * f for f in [first * DECADE, *marked]))
+    return first, min(last, 1.1 * float(frequency[-1]))
+
+
+def _mark(gain: Axes, phase: Axes, curve: LoopCurve, colour: str, turns: float) -> None:
+    """Draw margins as lines between a curve and 0 dB or -180 degrees, and crossovers as dotted lines through both axes."""
+    marking: Mapping[str, Any] = {
+        "color": colour,
+        "linewidth": 2.4,
+        "solid_capstyle": "butt",
+        "marker": "o",
+        "markersize": 3.5,
+        "zorder": 4.0,
     }
-    for name, draw in pictures.items():
-        figure = plt.figure(figsize=(9.0, 6.5))
-        try:
-            draw()
-            figure.savefig(folder / name, dpi=110, bbox_inches="tight")
-        except OSError as error:
-            raise ResultsError(f"can't write {folder / name}: {error.strerror or error}") from None
-        finally:
-            plt.close("all")
-        written.append(folder / name)
-    return written
+    if not isnan(f := curve.gain_crossover):
+        gain.plot([f, f], [0.0, -20.0 * log10(curve.margins.gain_margin)], **marking)
+    if not isnan(f := curve.phase_crossover):
+        # to the line of -180 degrees that is next to it
+        at = float(np.interp(f, curve.frequency, curve.phase)) + turns
+        line = -180.0 + 360.0 * round((at + 180.0) / 360.0)
+        margin = degrees(curve.margins.phase_margin)
+        phase.plot([f, f], [line, line + (margin if at > line else -margin)], **marking)
+    for f in (curve.gain_crossover, curve.phase_crossover):
+        for axes in (gain, phase) if not isnan(f) else ():
+            axes.axvline(f, color=colour, linewidth=0.9, linestyle=":", zorder=1.5)
 
 
-def _root_locus(result: MarginsResult) -> None:
+def _gain_text(curve: LoopCurve) -> str:
+    """The gain margin in words, with where it is."""
+    if not curve.is_stable:
+        return "unstable"
+    margin = curve.margins.gain_margin
+    if not isfinite(margin):
+        return "gain margin ∞"
+    where = f" at {curve.gain_crossover:.3g} Hz" if not isnan(curve.gain_crossover) else ""
+    return f"gain margin {20.0 * log10(margin):.3g} dB (× {margin:.3g}){where}"
+
+
+def _phase_text(curve: LoopCurve) -> str:
+    """The phase and delay margins in words, with where the former is."""
+    if not curve.is_stable:
+        return "unstable"
+    where = f" at {curve.phase_crossover:.3g} Hz" if not isnan(curve.phase_crossover) else ""
+    delay = curve.margins.delay_margin
+    late = f"{1e3 * delay:.3g} ms" if isfinite(delay) else "∞"
+    return f"phase margin {degrees(curve.margins.phase_margin):.3g}°{where}, delay margin {late}"
+
+
+def disk_of(margin: float) -> tuple[float, float]:
+    """The disk that a loop with a disk margin below 2 doesn't enter: its middle on the real axis, and its radius.
+
+    Its diameter lies between the inverses of the gains (2 + margin) / (2 - margin) and (2 - margin) / (2 + margin).
+    """
+    left, right = -(2.0 + margin) / (2.0 - margin), -(2.0 - margin) / (2.0 + margin)
+    return 0.5 * (left + right), 0.5 * (right - left)
+
+
+def _nyquist(axes: Axes, curves: Sequence[LoopCurve]) -> None:
+    """Draw the plane about -1."""
+    worst, margin = curves[0], curves[0].margins.disk_margin
+    shown = 1.8
+    if 0.0 < margin < 2.0:
+        middle, radius = disk_of(margin)
+        shown = float(np.clip(1.3 * (radius - middle - 0.6), shown, 4.0))
+        turn = degrees(2.0 * atan(0.5 * margin))
+        label = f"disk margin {margin:.3g}:\ngains × {(2 - margin) / (2 + margin):.3g} to {(2 + margin) / (2 - margin):.3g}, phases ± {turn:.3g}°"
+        axes.add_patch(Circle((middle, 0.0), radius, color=DISK, linewidth=0.0, label=label, zorder=1.0))
+    elif margin >= 2.0:
+        # any gain, and phases up to a right angle: half the plane
+        axes.add_patch(Rectangle((-1e3, -1e3), 1e3, 2e3, color=DISK, linewidth=0.0, label="disk margin 2", zorder=1.0))
+    circle = Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.9, linestyle="--", zorder=1.5)
+    axes.add_patch(circle)
+    for curve in reversed(curves):
+        colour, width = (COLOURS[0], 1.6) if curve is worst else (OTHERS, 1.0)
+        label = "" if curve is not worst else curve.label + ("" if curve.is_stable else ": unstable")
+        z = curve.response
+        axes.plot(z.real, z.imag, color=colour, linewidth=width, label=label, zorder=3.0 if curve is worst else 2.0)
+        if curve is worst:
+            axes.plot(z.real, -z.imag, color=colour, linewidth=0.8, linestyle=(0, (4, 3)), label="negative frequencies")
+    if len(curves) > 1:
+        axes.plot([], [], color=OTHERS, label="other places and cuts")
+    axes.plot(-1.0, 0.0, "+", color="#a3212f", markersize=11, markeredgewidth=2.0, zorder=5.0)
+    axes.annotate(
+        "-1".replace("-", "−"),
+        (-1.0, 0.0),
+        (-4, 5),
+        textcoords="offset points",
+        ha="right",
+        fontsize=9,
+        color="#a3212f",
+    )
+    axes.set(xlim=(-0.6 - shown, -0.6 + shown), ylim=(-shown, shown), xlabel="real part", ylabel="imaginary part")
+    axes.set_aspect("equal", adjustable="box")
+    axes.legend(**ABOVE, ncols=2)
+
+
+def draw_root_locus(poses: Sequence[PoseMargins], linear: Sequence[LinearLoop], title: str) -> Figure:
     """Eigenvalues over a period, in the z-plane, as all torques grow from a twentieth to twenty times their size."""
-    import control
-    import matplotlib.pyplot as plt
-
-    draw_grid: Any = control.grid.zgrid
-    draw_grid()
-    for pose, loop in zip(result.poses, result.linear, strict=True):
-        factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
-        now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
-        points = np.concatenate(values)
-        (line,) = plt.plot(points.real, points.imag, ".", markersize=1.5, label=f"s = {pose.s:.2f}")
-        plt.plot(now.real, now.imag, "x", color=line.get_color())
-    plt.gca().set_aspect("equal", adjustable="box")
-    plt.xlim(-1.3, 1.3)
-    plt.ylim(-1.3, 1.3)
-    plt.legend(markerscale=6.0)
-    plt.title("Eigenvalues over a period, torques times 0.05 to 20 (x: times 1)")
+    with style():
+        figure = draw(6.4, 6.6)
+        axes = figure.add_subplot()
+        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=INK, linewidth=1.0))
+        # lines of equal damping ratio: spirals into the origin
+        turn = np.linspace(0.0, pi, 200)
+        for ratio in RATIOS:
+            z = np.exp(turn * (1j - ratio / np.sqrt(1.0 - ratio**2)))
+            for way in (z, z.conj()):
+                axes.plot(way.real, way.imag, color=OTHERS, linewidth=0.8, zorder=1.0)
+            axes.annotate(f"{ratio:g}", (z[60].real, z[60].imag), fontsize=7, color=GREY, ha="center", va="center")
+        for k, (pose, loop) in enumerate(zip(poses, linear, strict=True)):
+            factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
+            now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
+            points, colour = np.concatenate(values), f"C{k % 10}"
+            axes.plot(points.real, points.imag, ".", markersize=1.5, color=colour)
+            axes.plot(now.real, now.imag, "x", color=colour, label=f"s = {pose.s:.2f}")
+        axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part", ylabel="imaginary part")
+        axes.set_aspect("equal", adjustable="box")
+        axes.set_title(
+            "torques × 0.05 to 20 (crosses: × 1), lines of equal damping ratio", fontsize=8.5, fontweight="normal"
+        )
+        axes.legend(fontsize=7.5, loc="lower right")
+        figure.suptitle(title, fontsize=10)
+    return figure

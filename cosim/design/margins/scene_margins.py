@@ -1,13 +1,17 @@
-"""Margins of a scene's loop at poses along its path."""
+"""Margins of a scene's loop at poses along its path; as a table for the terminal, as plain data, and as files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from math import isnan, nan
-from typing import Any
+from math import degrees, isfinite, isnan, log, nan, pi
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
 
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.margins.course import PathLoop, Place, least_places, worst_places
@@ -15,11 +19,16 @@ from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
 from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_margins
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.reports.rows import Rows
+from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 POSES = 5
 """Usual number of poses."""
@@ -67,6 +76,33 @@ class MarginsResult(Rows):
         if not all(pose.is_stable for pose in self.poses):
             found |= {"sensitivity_peak": nan, "bandwidth": nan}
         return LoopMargins(**found)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the loop is stable, and the worst margins, in a sentence."""
+        if self.is_stable:
+            worst = self.worst
+            return (
+                f"The loop is stable: gain margin {worst.gain_reduction:.3g} to {worst.gain_margin:.3g}, phase margin "
+                f"{degrees(worst.phase_margin):.3g}°, delay margin {1e3 * worst.delay_margin:.3g} ms."
+            )
+        several = len({each.payload for each in self.poses}) > 1
+        where = "; ".join(
+            f"{pose.s:.2f}, {pose.payload:.4g} kg" if several else f"{pose.s:.2f}"
+            for pose in self.poses
+            if not pose.is_stable
+        )
+        growth = max(pose.poles[0].real for pose in self.poses)
+        return (
+            f"The loop is unstable at s = {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
+            f"(eigenvalues over a period reach {max(pose.radius for pose in self.poses):.4g})."
+        )
+
+    def plot(self) -> Figure:
+        """Bode diagram of the open loops with their margins, and Nyquist diagram about -1 with the disk of the disk margin."""
+        from flexfmu.cosim.design.margins.pictures import draw_margins  # Matplotlib takes longer than most commands
+
+        return draw_margins(self.poses, f"{self.scene.name}. {self.verdict}")
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each pose and each cut, in SI units."""
@@ -137,3 +173,97 @@ def scene_margins(
     results = [found[each] for each in chosen]
     counts = coarse_counts(scene, loop, wired)
     return MarginsResult(scene, tuple(pose for pose, _ in results), tuple(linear for _, linear in results), counts)
+
+
+HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
+"""Of the columns, short enough for 80 characters with all others."""
+
+SHOWN_POLES = 4
+"""Poles that the table's last line names: the slowest."""
+
+
+def margins_table(result: MarginsResult) -> list[RenderableType]:
+    """The margins of each pose and each cut, the worst ones, and what they say."""
+    tables, payloads = list[Table](), list(dict.fromkeys(each.payload for each in result.poses))
+    for payload in payloads:
+        several = f", {payload:.4g} kg" if len(payloads) > 1 else ""
+        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "s", "cut", numbers=HEADS, keys=2))
+        for pose in (each for each in result.poses if each.payload == payload):
+            for row in pose.loops:
+                # of an unstable loop the crossover alone means something
+                texts = _texts(row) if pose.is_stable else [*"-" * 7, _texts(row)[-1]]
+                tables[-1].add_row(f"{pose.s:.2f}", row.channel.removesuffix(".torque"), *texts)
+    tables[-1].add_row("", "worst", *_texts(result.worst))
+    warning = [Text(f"warning: {result.coarse_counts}", style="yellow")] if result.coarse_counts else []
+    return [*tables, Text(result.verdict), Text(_slowest(result)), *warning]
+
+
+def _texts(row: LoopMargins) -> list[str]:
+    values = (
+        row.gain_margin, row.gain_reduction, degrees(row.phase_margin), 1e3 * row.delay_margin, row.disk_margin,
+        row.sensitivity_peak, row.bandwidth / (2 * pi), row.crossover / (2 * pi),
+    )  # fmt: skip
+    return ["∞" if value == float("inf") else "-" if value != value else f"{value:.3g}" for value in values]
+
+
+def _slowest(result: MarginsResult) -> str:
+    """The slowest poles at the last pose."""
+    poles = [pole for pole in result.poses[-1].poles if pole.imag >= 0.0][:SHOWN_POLES]
+    texts = [
+        f"{pole.real:.4g}"
+        if pole.imag == 0.0
+        else f"{pole.real:.4g} ± {pole.imag:.4g}j (damping ratio {-pole.real / abs(pole):.3g})"
+        for pole in poles
+    ]
+    return f"slowest poles at s = {result.poses[-1].s:.2f}, 1/s: " + "; ".join(texts)
+
+
+def margins_data(result: MarginsResult) -> dict[str, Any]:
+    """The margins as plain data, in SI units and rad; None for what is infinite or doesn't exist."""
+
+    def plain(value: Any) -> Any:
+        return None if isinstance(value, float) and not isfinite(value) else value
+
+    worst = {name: plain(getattr(result.worst, name)) for name in LoopMargins.__dataclass_fields__ if name != "channel"}
+    return {
+        "scene": result.scene.name,
+        "stable": result.is_stable,
+        "worst": worst,
+        "coarse_counts": result.coarse_counts,
+        "rows": [{name: plain(value) for name, value in row.items()} for row in result.rows()],
+        "poles": [
+            {
+                "s": pose.s,
+                "payload": pose.payload,
+                "real": np.real(pose.poles).tolist(),
+                "imaginary": np.imag(pose.poles).tolist(),
+            }
+            for pose in result.poses
+        ],
+    }
+
+
+@one_blas_thread()
+def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
+    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and ``root-locus.png`` into a folder.
+
+    Raises:
+        ResultsError: a file can't be written.
+    """
+    from flexfmu.cosim.design.margins.pictures import draw_bode, draw_nyquist, draw_root_locus
+
+    out = OutputFolder(folder)
+    out.prepare()
+    written, name = [out.write("margins.csv", result.to_csv())], result.scene.name
+    pictures = {
+        "bode.png": draw_bode(result.poses, f"{name}. {result.verdict}"),
+        "nyquist.png": draw_nyquist(result.poses, f"{name}: open loops about −1"),
+        "root-locus.png": draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period"),
+    }
+    for file, figure in pictures.items():
+        try:
+            figure.savefig(folder / file, dpi=130)
+        except OSError as error:
+            raise ResultsError(f"can't write {folder / file}: {error.strerror or error}") from None
+        written.append(folder / file)
+    return written

@@ -1,0 +1,159 @@
+"""Diagrams of margins: what one reads from a drawn curve is the number, and texts are beside curves and each other."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from flexfmu.cosim.design.margins.margins import ALL
+from flexfmu.cosim.design.margins.pictures import disk_of, draw_bode, draw_nyquist, loop_curves, worst_curves
+from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins, write_margins
+from flexfmu.model.scene.file import load_scene
+from flexfmu.trajectories.jets import RealArray
+
+PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 60.0, "sample_time": 1e-3}
+
+
+def margins_of(*imperfections: dict[str, Any], **controller: float) -> MarginsResult:
+    """Those of the paper's robot with few modes and a PD."""
+    scene = load_scene("barnard2012-6kg").replace(
+        {
+            "cosimulation.drive": "torque",
+            "effects.motor_inertia": 0.1,
+            "effects.proximal_bending": 1,
+            "effects.distal_axial": 1,
+            "trajectory.dwell": 0.0,
+            "controller": [{**PD, **controller}],
+            "imperfection": list(imperfections),
+        }
+    )
+    return scene_margins(scene, poses=2)
+
+
+@pytest.fixture(scope="module")
+def single() -> MarginsResult:
+    """One sample time: curves are exact."""
+    return margins_of({"kind": "delay", "time": 1e-3, "sample_time": 1e-3}, proportional=2e3, derivative=15.0)
+
+
+@pytest.fixture(scope="module")
+def several() -> MarginsResult:
+    """Several sample times."""
+    return margins_of({"kind": "lag", "time_constant": 2e-4}, {"kind": "delay", "time": 3e-4, "sample_time": 2.5e-4})
+
+
+@pytest.fixture(scope="module")
+def unstable() -> MarginsResult:
+    """A delay that the gains don't bear."""
+    result = margins_of({"kind": "delay", "time": 5e-3, "sample_time": 1e-3}, proportional=3e4, derivative=300.0)
+    assert not result.is_stable
+    return result
+
+
+def curve_of(axes: Axes) -> tuple[RealArray, RealArray]:
+    """The drawn curve of the worst loop: the last one with a colour and many points."""
+    lines = [line for line in axes.lines if np.size(line.get_xdata()) > 100 and line.get_zorder() == 3.0]
+    assert len(lines) >= 1
+    return np.asarray(lines[-1].get_xdata(), float), np.asarray(lines[-1].get_ydata(), float)
+
+
+def test_margins_are_read_from_the_drawn_curves(single: MarginsResult) -> None:
+    """Magnitude where the phase passes -180 degrees, and phase where the magnitude passes 0 dB."""
+    worst = loop_curves(single.poses)[0].margins
+    gain, phase = draw_bode(single.poses, "").axes[:2]
+    frequency, decibels = curve_of(gain)
+    _, degrees = curve_of(phase)
+    expected = 20.0 * np.log10(worst.gain_margin)
+    assert np.abs(-_read(decibels, (degrees + 180.0) / 360.0) - expected).min() < 0.01 * expected
+    margins = 180.0 - np.abs(_read(degrees, 1e-4 * decibels) % 360.0)
+    assert np.abs(margins).min() == pytest.approx(np.degrees(worst.phase_margin), rel=0.01)
+    # and marked there, to scale
+    ends = {line.get_zorder(): line for line in gain.lines if np.size(line.get_xdata()) == 2}[4.0]
+    (f, _), (top, bottom) = ends.get_data()
+    assert (top, bottom) == (0.0, pytest.approx(-expected))
+    assert np.interp(f, frequency, decibels) == pytest.approx(-expected, rel=0.01)
+
+
+def _read(values: RealArray, turns: RealArray) -> RealArray:
+    """Values where another curve passes a whole number, linearly between points."""
+    k = np.flatnonzero(np.diff(np.floor(turns)))
+    share = (np.maximum(np.floor(turns[k]), np.floor(turns[k + 1])) - turns[k]) / (turns[k + 1] - turns[k])
+    return np.asarray(values[k] + share * (values[k + 1] - values[k]))
+
+
+def test_curves_touch_the_disk_and_stay_outside(single: MarginsResult, several: MarginsResult) -> None:
+    """Each loop's own disk; with several sample times the margin is a bound, which the curve needn't reach."""
+    for result, reached in ((single, True), (several, False)):
+        for curve in loop_curves(result.poses):
+            middle, radius = disk_of(curve.margins.disk_margin)
+            least = np.abs(curve.response - middle).min()
+            assert least > (1.0 - 1e-3) * radius
+            assert not reached or least < (1.0 + 1e-2) * radius
+        # the drawn one is that of the worst
+        axes = draw_nyquist(result.poses, "").axes[0]
+        disk = next(each for each in axes.patches if isinstance(each, Circle) and each.get_fill())
+        assert (disk.center[0], disk.radius) == pytest.approx(
+            disk_of(min(row.disk_margin for p in result.poses for row in p.loops if row.channel != ALL))
+        )
+        (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+        assert left < -1.0 < right
+        assert low < 0.0 < high
+
+
+def test_phases_are_continuous_and_near(single: MarginsResult, several: MarginsResult) -> None:
+    """No jump by a turn, two turns on the axis at most, and -180 degrees among them."""
+    for result in (single, several):
+        _, phase = draw_bode(result.poses, "").axes[:2]
+        low, high = phase.get_ylim()
+        assert high - low <= 720.0
+        assert low < -180.0 < high
+        for line in phase.lines:
+            if np.size(line.get_xdata()) > 100:
+                assert np.abs(np.diff(np.asarray(line.get_ydata(), float))).max() < 180.0
+
+
+@pytest.mark.parametrize("name", ["single", "several", "unstable"])
+def test_few_labels_apart_from_all_else(name: str, request: pytest.FixtureRequest) -> None:
+    """At most three loops have a label; legends lie outside the axes, and no text covers another one."""
+    result: MarginsResult = request.getfixturevalue(name)
+    assert len(worst_curves(loop_curves(result.poses))) <= 3
+    figure = result.plot()
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        assert legend is not None
+        assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+        assert 1 <= len(legend.get_texts()) <= 5
+    boxes = [text.get_window_extent() for text in _texts(figure)]
+    assert len(boxes) > 20
+    assert not [1 for one, other in combinations(boxes, 2) if one.overlaps(other)]
+    assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
+    assert ("unstable" in " ".join(text.get_text() for text in _texts(figure))) == (name == "unstable")
+
+
+def _texts(figure: Figure) -> list[Any]:
+    """All drawn texts: title, labels, legends, and labels of ticks within the axes."""
+    found: list[Any] = [figure._suptitle]  # type: ignore[attr-defined]
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        found += [axes.xaxis.label, axes.yaxis.label, *axes.texts, *(legend.get_texts() if legend else ())]
+        found += [tick.label1 for axis in (axes.xaxis, axes.yaxis) for tick in axis._update_ticks()]  # type: ignore[attr-defined]
+    return [each for each in found if each.get_visible() and each.get_text().strip()]
+
+
+def test_files_have_pictures(unstable: MarginsResult, tmp_path: Path) -> None:
+    """A table and three pictures, of unstable loops too."""
+    assert [path.name for path in write_margins(unstable, tmp_path)] == [
+        "margins.csv",
+        "bode.png",
+        "nyquist.png",
+        "root-locus.png",
+    ]
+    assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in ("bode.png", "nyquist.png"))
