@@ -19,13 +19,12 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import COINCIDENT, RealArray
 from flexfmu.cosim.experiment.convergence import companion_share, companion_step
-from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.loop import Loop, make_loop
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
 from flexfmu.cosim.experiment.recording import VELOCITIES, RigidMotion, SceneRecording, slave_facts
+from flexfmu.cosim.experiment.run_checks import check_size, check_step, divergence, recorded_bytes
 from flexfmu.cosim.experiment.run_options import RunOptions, SceneOptions
-from flexfmu.cosim.experiment.run_size import check_size, check_step, recorded_bytes
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Companion, Health, RestPositions, Run, StaticEquilibria, Timing
@@ -284,7 +283,7 @@ class PreparedScene:
         """Refuse a run whose recording is too large, by default with its companion's.
 
         Raises:
-            InputError: they have more than 2 GB; see `flexfmu.cosim.experiment.run_size.check_size`.
+            InputError: they have more than 2 GB; see `flexfmu.cosim.experiment.run_checks.check_size`.
         """
         steps = [self._step]
         steps += [companion_step(self._parts, self._loop.motion, self._step)] if companion else []

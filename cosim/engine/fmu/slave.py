@@ -29,8 +29,7 @@ from flexfmu.cosim.engine.fmu.instance import (
     StatusCall,
     load_calls,
 )
-from flexfmu.cosim.engine.fmu.start_values import StartValues
-from flexfmu.cosim.engine.fmu.transfers import Statistics, Transfers
+from flexfmu.cosim.engine.fmu.transfers import StartValues, Statistics, Transfers
 from flexfmu.cosim.engine.fmu.variables import (
     FmuVariables,
     Handle,

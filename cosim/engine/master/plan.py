@@ -5,7 +5,7 @@ there prepares the next step: slaves that predict their outputs announce them, s
 direct feedthrough while sampled slaves sample, and where signals jump, derivatives are passed round closed loops again.
 
 The plan is data. `flexfmu.cosim.engine.master.schedule` binds each operation to a Python call;
-`flexfmu.cosim.engine.master.program` translates the same operations into instructions for the loop in C.
+`flexfmu.cosim.engine.master.compiled_loop` translates the same operations into instructions for the loop in C.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.c_library import load
-from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
+from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, can_compile
 from flexfmu.cosim.engine.master.coupling_error import CouplingError
 from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
@@ -32,7 +32,6 @@ from flexfmu.cosim.engine.master.dependencies import Connection
 from flexfmu.cosim.engine.master.grid import NO_POINTS
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
-from flexfmu.cosim.engine.master.program import can_compile
 from flexfmu.cosim.engine.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.simulation_loop import Progress, SimulationLoop, StepStatistics

@@ -11,7 +11,7 @@ from flexfmu.cosim.engine.fmu.file import UnpackedFmu
 from flexfmu.cosim.engine.fmu.variables import items
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.engine.slave import Type
-from flexfmu.cosim.exchange.ssp.parameter_reading import BASE_UNITS, NUMBERS
+from flexfmu.cosim.exchange.ssp.reading import BASE_UNITS, NUMBERS
 from flexfmu.cosim.exchange.ssp.structure import Component, Connector, SspError, SspUnit
 
 _DIMENSIONLESS = ("", "1")

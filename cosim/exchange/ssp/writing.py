@@ -9,8 +9,7 @@ from lxml import etree
 
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.exchange.ssp.parameter_reading import BASE_UNITS
-from flexfmu.cosim.exchange.ssp.reading import ANNOTATION, FMU, OMS_STEPS, OSP_STEP
+from flexfmu.cosim.exchange.ssp.reading import ANNOTATION, BASE_UNITS, FMU, OMS_STEPS, OSP_STEP
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,

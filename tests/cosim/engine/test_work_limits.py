@@ -14,7 +14,7 @@ import pytest
 from flexfmu.cosim.cli.console import one_line_errors
 from flexfmu.cosim.engine.child_process import AVAILABLE
 from flexfmu.cosim.engine.errors import CostWarning, InputError
-from flexfmu.cosim.engine.master import controlled_steps, simulator
+from flexfmu.cosim.engine.master import simulation_loop, simulator
 from flexfmu.cosim.engine.master.master import simulate
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.recorder import Recorder
@@ -29,8 +29,8 @@ Factory = Callable[..., Any]
 def test_step_control_gives_up(split_oscillator: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
     """A tolerance that takes far more steps than the first one's length would ends the run where it is, with the numbers
     and the remedy; the limit grows with the run's length."""
-    monkeypatch.setattr(controlled_steps, "WORK_AT_START", 10.0)
-    monkeypatch.setattr(controlled_steps, "WORK", 2.0)
+    monkeypatch.setattr(simulation_loop, "WORK_AT_START", 10.0)
+    monkeypatch.setattr(simulation_loop, "WORK", 2.0)
     for stop in (1.0, 2.0):
         result = simulate(split_oscillator(0).system(), stop, 0.02, step_control=StepDoubling(tolerance=1e-5))
         assert result.outcome is Outcome.TOO_MUCH_WORK

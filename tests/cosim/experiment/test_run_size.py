@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.convergence import companion_step
 from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
-from flexfmu.cosim.experiment.run_size import LARGEST_SIZE, recorded_bytes
+from flexfmu.cosim.experiment.run_checks import LARGEST_SIZE, recorded_bytes
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
 from flexfmu.model.scene.file import load_scene
@@ -76,7 +76,7 @@ def test_values_in_milliseconds_are_asked_about(setting: str, hint: str, tmp_pat
 
 def test_python_asks_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """The keyword accepts it."""
-    monkeypatch.setattr("flexfmu.cosim.experiment.run_size.LARGEST_SIZE", 1e6)
+    monkeypatch.setattr("flexfmu.cosim.experiment.run_checks.LARGEST_SIZE", 1e6)
     with pytest.raises(InputError, match=r"record about .* GB for its companion, .*--yes`, in Python accept_size=True"):
         flexfmu.run("barnard2012-6kg")
     assert flexfmu.run("barnard2012-6kg", accept_size=True).completed

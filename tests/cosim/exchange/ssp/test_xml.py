@@ -12,8 +12,7 @@ from ssp_support.packages import package
 
 from flexfmu.cosim.engine.master.linear_map import LinearMap
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
-from flexfmu.cosim.exchange.ssp.parameter_reading import BASE_UNITS
-from flexfmu.cosim.exchange.ssp.reading import read_structure
+from flexfmu.cosim.exchange.ssp.reading import BASE_UNITS, read_structure
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
