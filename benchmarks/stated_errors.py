@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 
 from flexfmu import load_scene
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.cosim.metrics.metric_table import Measurement
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.schema import Scene
 
@@ -263,7 +263,7 @@ def judge(
 
 def measured(
     scene: Scene, tolerance: float, step: float, *, companions: int
-) -> tuple[Mapping[str, Measurement], float, float]:
+) -> tuple[Mapping[str, Metric], float, float]:
     """The metrics of one run; processor times of the run with its metrics and of the companions [s]."""
     begin = process_time()
     run = run_scene(scene, tolerance=tolerance, communication_step=step)
@@ -277,7 +277,7 @@ def measured(
 
 
 def compare(
-    found: Mapping[str, Measurement], exact: Mapping[str, Measurement], other: Mapping[str, Measurement]
+    found: Mapping[str, Metric], exact: Mapping[str, Metric], other: Mapping[str, Metric]
 ) -> Iterator[tuple[str, float, float, float, float, float] | None]:
     """Name, value, true and stated errors of each metric that has these; None where the reference can't tell."""
     for name, one in found.items():

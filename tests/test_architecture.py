@@ -72,7 +72,7 @@ SELDOM = (
     "cosim.experiment.cycles",
     "cosim.experiment.own_motion",
     "cosim.experiment.table_motion",
-    "cosim.metrics.run_metrics",
+    "cosim.metrics.metrics",
     "trajectories.table_file",
     "model.reference_design",
     "model.symbolic",

@@ -16,10 +16,11 @@ from typer.main import get_command
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import parameter_names
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, display, display_error
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display, display_error
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
@@ -72,7 +73,7 @@ def run() -> Run:
 
 
 @pytest.fixture(scope="module")
-def metrics(run: Run) -> dict[str, Measurement]:
+def metrics(run: Run) -> dict[str, Metric]:
     """Its metrics."""
     return dict(measure_run(run))
 
@@ -144,7 +145,7 @@ def test_scene_file_is_the_shipped_one() -> None:
     assert parse_scene(tomllib.loads(text), "README.md") == load_scene("barnard2012-6kg")
 
 
-def test_metrics_and_summary_are_complete(run: Run, metrics: dict[str, Measurement]) -> None:
+def test_metrics_and_summary_are_complete(run: Run, metrics: dict[str, Metric]) -> None:
     """The tables name every metric with its unit, and every key of summary.json."""
     for name, info in ALL_METRICS.items():
         row = next(row for row in rows(page("metrics")) if f"`{name}`" in row[0])
@@ -165,7 +166,7 @@ def test_variables_of_the_fmu(run: Run) -> None:
         assert f"`{variable.name}`" in text or f"`{kind}`" in text, variable.name
 
 
-def test_metrics_of_the_quick_start(metrics: dict[str, Measurement]) -> None:
+def test_metrics_of_the_quick_start(metrics: dict[str, Metric]) -> None:
     """What `flexfmu run` is shown to print is what it prints."""
     shown = blocks("console")[0]
     named = {name: info.label for name, info in METRICS.items() if info.label in shown}
@@ -208,11 +209,11 @@ def test_paper_figures_of_the_trajectories_and_frequencies() -> None:
 
 
 @pytest.mark.slow
-def test_paper_figures_of_the_simulations(metrics: dict[str, Measurement]) -> None:
+def test_paper_figures_of_the_simulations(metrics: dict[str, Metric]) -> None:
     """Figures of Tables 7, 8, 9 and 11, each with its difference from the printed one."""
     text = page("references")
 
-    def measured(scene: str, profile: str, curve: str) -> dict[str, Measurement]:
+    def measured(scene: str, profile: str, curve: str) -> dict[str, Metric]:
         return dict(measure_run(run_scene(case_scene(scene, profile, curve))))
 
     light = measured("barnard2012-0.1kg", POLYNOMIAL, "Lamé")

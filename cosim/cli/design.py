@@ -140,6 +140,7 @@ def _at_end(result: TuneResult) -> list[str]:
 
 def _values(result: TuneResult) -> Table:
     """The keys, given and tuned."""
+    from flexfmu.cosim.engine.showing import shown_unit
     from flexfmu.cosim.reports.terminal import titled_table
     from flexfmu.model.scene.keys import location, value_at
     from flexfmu.model.scene.messages import unit_of
@@ -149,7 +150,7 @@ def _values(result: TuneResult) -> Table:
     table = titled_table(f"{result.study.scene.name}, tuned", "key", numbers=heads)
     data = result.study.scene.model_dump()
     for each, own in zip(result.study.over, result.study.given(), strict=True):
-        unit = unit_of(location(data, each.key), Scene)
+        unit = shown_unit(unit_of(location(data, each.key), Scene))
         # both joints may have values of their own
         both = value_at(data, each.key, result.study.scene.name)
         given = ", ".join(f"{one:.5g}" for one in both) if own is None and isinstance(both, tuple) else own
@@ -167,12 +168,14 @@ def _figures(result: TuneResult) -> Table:
 
     study, pair = result.study, (result.given.figures, result.best.figures)
     band = "" if study.band is None else ", worst over the payloads"
-    table = titled_table(f"Figures{band}", "figure", numbers=("given", "tuned", "limit"))
+    table = titled_table(f"Figures{band}", "figure", "name", numbers=("given", "tuned", "limit"), stacks=True)
     goal = study.minimise
-    table.add_row(goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
+    table.add_row(goal.label, goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
     for each in study.conditions:
         limit = f"{'<' if each.limit.is_upper else '>'} {each.goal.shown(each.limit.limit)}"
-        table.add_row(each.goal.name, *(each.goal.shown(each.closest(figures)) for figures in pair), limit)
+        table.add_row(
+            each.goal.label, each.goal.name, *(each.goal.shown(each.closest(figures)) for figures in pair), limit
+        )
     return table
 
 

@@ -23,9 +23,10 @@ from flexfmu.cosim.engine.errors import LoopWarning, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.run_options import RunOptions
-from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
 from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.cosim.reports.summary import summarise
@@ -126,9 +127,9 @@ def run_command(
 
 def _measure(
     run: Run, companions: int | None, progress: Progress
-) -> tuple[Settings | None, Mapping[str, Measurement], str | None]:
+) -> tuple[Settings | None, Mapping[str, Metric], str | None]:
     """What the metrics depend on, the metrics, and why there are none where that is so; without ``companions`` none are wanted."""
-    none = dict.fromkeys(COMMON_METRICS, Measurement(None))
+    none = dict.fromkeys(COMMON_METRICS, Metric(None))
     if companions is None or not run.completed:
         return None, none, run.message if run.outcome.is_failure else None
     try:

@@ -61,11 +61,11 @@ def _late(delays: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:
-    heads = ["Value", *(["Numerical error"] if any(error is not None for error in errors.values()) else [])]
-    table = titled_table(title, "Metric", numbers=heads)
+    heads = ["Value", *(["±"] if any(error is not None for error in errors.values()) else [])]
+    table = titled_table(title, "Metric", "Name", numbers=heads, stacks=True)
     for name, value in metrics.items():
         cells = display(name, value, error=errors[name]), display_error(name, value, errors[name])
-        table.add_row(ALL_METRICS[name].label, *cells[: len(heads)])
+        table.add_row(ALL_METRICS[name].label, name, *cells[: len(heads)])
     return table
 
 

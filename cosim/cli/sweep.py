@@ -143,8 +143,11 @@ def _duration(seconds: float) -> str:
 
 def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
     """The extremes of each metric, failed cases and files."""
+    from rich.table import Column
     from rich.text import Text
 
+    from flexfmu.cosim.engine.showing import shown_unit
+    from flexfmu.cosim.metrics.metric_table import ALL_METRICS
     from flexfmu.cosim.reports.terminal import titled_table
 
     summary, failed = result.summary(), result.failed
@@ -161,14 +164,20 @@ def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
             )
         )
         return
-    table = titled_table(f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}")
-    table.add_column("metric")
-    for head in ("unit", "smallest", "at", "median", "largest", "at"):
-        table.add_column(head, justify="left" if head in ("unit", "at") else "right")
+    heads = ("smallest", "at", "median", "largest", "at")
+    table = titled_table(
+        f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}",
+        "metric",
+        "name",
+        "unit",
+        *(each if each == "at" else Column(each, justify="right") for each in heads),
+        stacks=True,
+    )
     for name, each in summary.items():
         low, median, high = (f"{each[part]:.4g}" for part in ("min", "median", "max"))
         at_low, at_high = (result.case_text(each[part]) for part in ("min_case", "max_case"))
-        table.add_row(name, each["unit"], low, at_low, median, high, at_high)
+        label = ALL_METRICS[name].label if name in ALL_METRICS else ""
+        table.add_row(label, name, shown_unit(each["unit"]), low, at_low, median, high, at_high)
     print_rich(table)
     if failed:
         print_rich(

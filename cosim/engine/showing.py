@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
@@ -31,6 +32,15 @@ def shorten(text: str, most: int) -> str:
     """Return a text in one line of at most this many characters; what is cut off is an ellipsis."""
     line = " ".join(text.split())
     return line if len(line) <= most else line[: most - 1].rstrip() + "…"
+
+
+SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def shown_unit(unit: str) -> str:
+    """Return a unit as people read it, from its name in files: ``N·m`` of ``N.m``, ``m/s²`` of ``m/s2``, nothing of ``1``."""
+    powers = re.sub(r"(?<=[a-zA-Z])\d+", lambda digits: digits[0].translate(SUPERSCRIPTS), unit.replace(".", "·"))
+    return "" if unit == "1" else powers
 
 
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

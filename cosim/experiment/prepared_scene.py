@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
 from flexfmu.cosim.engine.master.delays import SignalDelay
@@ -20,6 +20,7 @@ from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import COINCIDENT, RealArray
 from flexfmu.cosim.experiment.convergence import companion_share, companion_step
 from flexfmu.cosim.experiment.loop import Loop, make_loop
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
 from flexfmu.cosim.experiment.recording import VELOCITIES, RigidMotion, SceneRecording, slave_facts
@@ -32,9 +33,6 @@ from flexfmu.cosim.experiment.system import PLANT, TORQUES, coupling_of, scene_s
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.schema import Scene
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.metrics.run_metrics import RunMetrics
 
 __all__ = ["Health", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
 
@@ -379,11 +377,11 @@ class PreparedScene:
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, caller_owned=False)
 
 
-def _measured(run: Run) -> RunMetrics:
+def _measured(run: Run, companions: int, names: Collection[str] | None) -> Mapping[str, Metric]:
     """The metrics of a run."""
-    from flexfmu.cosim.metrics.run_metrics import RunMetrics  # which runs whose metrics aren't asked for do without
+    from flexfmu.cosim.metrics.metrics import measure_run  # which runs whose metrics aren't asked for do without
 
-    return RunMetrics(run)
+    return measure_run(run, companions, names)
 
 
 def _with_keys(message: str) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Names, Recording
 from flexfmu.cosim.engine.showing import shorten
 from flexfmu.cosim.experiment.convergence import NO_ORDER
+from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.parameters import parameters_for, scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import SlaveFacts
@@ -110,7 +111,8 @@ class Run:
         parameters: parameters of the robot that differ from the scene's.
         companion: more accurate repetition, run only to estimate errors; None if there is none.
         rests: rest positions after the motion, shared by runs of the same motion; None if there are none to share.
-        measure: function from the run to its `metrics`; None for a run that is only recorded.
+        measure: function from a run, a number of companions and names to its metrics, `flexfmu.measure_run`; None for a run
+            that is only recorded.
     """
 
     plan: MotionPlan
@@ -128,7 +130,9 @@ class Run:
     parameters: Mapping[str, float] = field(default_factory=dict)
     companion: Companion | None = field(default=None, repr=False, compare=False)
     rests: RestPositions | None = field(default=None, repr=False, compare=False)
-    measure: Callable[[Run], Any] | None = field(default=None, repr=False, compare=False)
+    measure: Callable[[Run, int, Collection[str] | None], Mapping[str, Metric]] | None = field(
+        default=None, repr=False, compare=False
+    )
 
     @property
     def scene(self) -> Scene:
@@ -146,15 +150,15 @@ class Run:
         return self.outcome is Outcome.COMPLETED
 
     @cached_property
-    def metrics(self) -> Any:
-        """The metrics as numbers with units and errors: ``run.metrics.peak_torque_1``; see `flexfmu.RunMetrics`.
+    def metrics(self) -> RunMetrics:
+        """The metrics as numbers with units and errors: ``run.metrics.peak_torque_1`` is a `flexfmu.Metric`.
 
         Raises:
             ResultsError: nothing measures this run.
         """
         if self.measure is None:
             raise ResultsError("this run has no metrics of its own: take flexfmu.measure_run(run)")
-        return self.measure(self)
+        return RunMetrics(self.scene.name, partial(self.measure, self))
 
     def to_pandas(self, names: Names = None) -> pandas.DataFrame:
         """Return recorded signals as a data frame; see `flexfmu.cosim.engine.results.Recording.to_pandas`."""

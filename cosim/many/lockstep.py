@@ -23,7 +23,7 @@ from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Health, RestPositions, Run, StaticEquilibria, Timing
 from flexfmu.cosim.experiment.system import REFERENCES, scene_system
-from flexfmu.cosim.metrics.run_metrics import RunMetrics
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.fmu_build.choices import FIXED_STEP, INTEGRATOR
 from flexfmu.model.scene.schema import Scene
 
@@ -127,7 +127,7 @@ class SideBySide:
             health=Health({}, ()),
             timing=Timing(0.0, 0.0, 0.0, 0.0),
             rests=RestPositions(loop.motion, StaticEquilibria(scene, fmu_path)),
-            measure=RunMetrics,
+            measure=measure_run,
         )
 
     def peaks(

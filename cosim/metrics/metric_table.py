@@ -9,9 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from math import ceil, floor, isfinite, isnan, log10
+from math import degrees, log10
 from operator import methodcaller
+from typing import Any
 
+from flexfmu.cosim.engine.showing import shown_unit
+from flexfmu.cosim.experiment.metric import Metric, printed
 from flexfmu.cosim.metrics.signals import (
     ACCELERATION,
     FIRST_BENDING,
@@ -21,41 +24,40 @@ from flexfmu.cosim.metrics.signals import (
     TORQUES,
     VELOCITY,
 )
-from flexfmu.cosim.metrics.solution import Measurement as Measurement
-from flexfmu.cosim.metrics.solution import Solution as Solution
-from flexfmu.cosim.metrics.solution import TimeSignal
+from flexfmu.cosim.metrics.solution import Solution, TimeSignal
 
-Computation = Callable[[Solution], Measurement]
+Computation = Callable[[Solution], Metric]
 """Signals of a motion → value of a metric."""
 
 
 @dataclass(frozen=True)
-class Metric:
-    """Label, unit, description and computation of a metric.
+class MetricDefinition:
+    """What a metric is: label, unit, description and computation.
 
     Attributes:
         label: short name for tables.
-        unit: SI unit of the value in ``summary.json``.
+        unit: SI unit of the value, as in files.
         description: one sentence.
         computation: its value from the signals of a motion.
         columns: recorded signals that it is computed from, whose magnitude bounds its rounding error.
+        display: unit in tables and function from the SI unit to it; None for what the unit has in all tables.
     """
 
     label: str
     unit: str
     description: str
-    computation: Computation
+    computation: Computation = lambda solution: Metric(None)
     columns: tuple[str, ...] = POSITION
+    display: tuple[str, Callable[[float], float]] | None = None
 
     @property
     def display_unit(self) -> str:
         """Unit in tables and reports."""
-        return _DISPLAY[self.unit][0]
+        return shown_unit(_DISPLAY[self.unit][0] if self.display is None else self.display[0])
 
-    @property
-    def display_factor(self) -> float:
-        """Factor from the SI unit to the display unit."""
-        return _DISPLAY[self.unit][1]
+    def displayed(self, value: float) -> float:
+        """The value in the display unit."""
+        return _DISPLAY[self.unit][1] * value if self.display is None else self.display[1](value)
 
     @property
     def negligible(self) -> float:
@@ -66,44 +68,44 @@ class Metric:
 _DISPLAY: Mapping[str, tuple[str, float, float]] = {
     "m": ("mm", 1e3, 1e-12),
     "m/s": ("m/s", 1.0, 1e-9),
-    "m/s2": ("m/s²", 1.0, 1e-5),
-    "N.m": ("N·m", 1.0, 1e-9),
+    "m/s2": ("m/s2", 1.0, 1e-5),
+    "N.m": ("N.m", 1.0, 1e-9),
     "s": ("s", 1.0, 1e-9),
     "rad": ("mrad", 1e3, 1e-12),
     "rad/s": ("rad/s", 1.0, 1e-9),
     "W": ("W", 1.0, 1e-5),
     "J": ("J", 1.0, 1e-6),
-    "1": ("", 1.0, 1e-12),
+    "1": ("1", 1.0, 1e-12),
 }
 """SI unit → display unit, factor to it, and negligible error in the SI unit."""
 
 
 def _peak(signal: Callable[[Solution], TimeSignal | None]) -> Computation:
     """Return the computation of a signal's largest norm; no value without the signal."""
-    return lambda solution: found.peak() if (found := signal(solution)) else Measurement(None)
+    return lambda solution: found.peak() if (found := signal(solution)) else Metric(None)
 
 
 def _root_mean_square(signal: Callable[[Solution], TimeSignal | None], order: int = 0) -> Computation:
     """Return the computation of the root mean square of a signal's time derivative; no value without the signal."""
-    return lambda solution: found.root_mean_square(order) if (found := signal(solution)) else Measurement(None)
+    return lambda solution: found.root_mean_square(order) if (found := signal(solution)) else Metric(None)
 
 
 def _final(signal: Callable[[Solution], TimeSignal | None], order: int) -> Computation:
     """Return the computation of the norm of a signal's time derivative at its end; no value without the signal."""
-    return lambda solution: found.final(order) if (found := signal(solution)) else Measurement(None)
+    return lambda solution: found.final(order) if (found := signal(solution)) else Metric(None)
 
 
 def _of_power(joint: int, method: str, *arguments: int) -> Computation:
     """Return the computation of a value of a motor's power; no value without it."""
     value = methodcaller(method, *arguments)
-    return lambda solution: value(found) if (found := solution.duty_power(joint)) else Measurement(None)
+    return lambda solution: value(found) if (found := solution.duty_power(joint)) else Metric(None)
 
 
 _BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
 
-METRICS: Mapping[str, Metric] = {
+METRICS: Mapping[str, MetricDefinition] = {
     **{
-        f"peak_torque_{joint}": Metric(
+        f"peak_torque_{joint}": MetricDefinition(
             f"Peak torque, joint {joint}",
             "N.m",
             f"Largest |torque| of motor {joint} {_BOTH_SIDES}.",
@@ -112,16 +114,16 @@ METRICS: Mapping[str, Metric] = {
         )
         for joint in (1, 2)
     },
-    "peak_modal_deflection_1": Metric(
-        "Peak modal deflection, link 1",
+    "peak_modal_deflection_1": MetricDefinition(
+        "Modal deflection, link 1",
         "m",
         "Largest |first bending coordinate| of proximal link 1 over the motion.",
         _peak(lambda solution: solution.modal_deflection()),
         (FIRST_BENDING,),
     ),
     **{
-        f"peak_tip_deflection_{leg}": Metric(
-            f"Peak tip deflection, link {leg}",
+        f"peak_tip_deflection_{leg}": MetricDefinition(
+            f"Tip deflection, link {leg}",
             "m",
             f"Largest |transverse displacement| of the tip of proximal link {leg} over the motion.",
             _peak(methodcaller("tip_deflection", leg)),
@@ -129,52 +131,52 @@ METRICS: Mapping[str, Metric] = {
         )
         for leg in (1, 2)
     },
-    "peak_position_error": Metric(
+    "peak_position_error": MetricDefinition(
         "Peak position error",
         "m",
         "Largest distance from the rigid robot's end effector over motion and dwell.",
         _peak(lambda solution: solution.path_error()),
     ),
-    "rms_acceleration_error": Metric(
+    "rms_acceleration_error": MetricDefinition(
         "RMS acceleration error",
         "m/s2",
         "Root mean square over the motion of the distance from the rigid acceleration.",
         _root_mean_square(lambda solution: solution.path_error_in_motion(), order=2),
         ACCELERATION,
     ),
-    "end_position_error": Metric(
+    "end_position_error": MetricDefinition(
         "End position error",
         "m",
         "Distance from the rigid robot's end effector at the end of the motion.",
         _final(lambda solution: solution.path_error_in_motion(), order=0),
     ),
-    "end_velocity_error": Metric(
+    "end_velocity_error": MetricDefinition(
         "End velocity error",
         "m/s",
         "Norm of the velocity's deviation from the rigid robot's at the end of the motion.",
         _final(lambda solution: solution.path_error_in_motion(), order=1),
         VELOCITY,
     ),
-    "end_acceleration_error": Metric(
+    "end_acceleration_error": MetricDefinition(
         "End acceleration error",
         "m/s2",
         "Norm of the acceleration's deviation at the end of the motion, before the acceleration's last jump.",
         _final(lambda solution: solution.path_error_in_motion(), order=2),
         ACCELERATION,
     ),
-    "residual_vibration_amplitude": Metric(
-        "Residual vibration, amplitude",
+    "residual_vibration_amplitude": MetricDefinition(
+        "Residual vibration, peak",
         "m",
         "Largest distance from the equilibrium at the end pose during the dwell.",
         _peak(lambda solution: solution.residual_vibration()),
     ),
-    "residual_vibration_rms": Metric(
+    "residual_vibration_rms": MetricDefinition(
         "Residual vibration, RMS",
         "m",
         "Root mean square during the dwell of the distance from that equilibrium.",
         _root_mean_square(lambda solution: solution.residual_vibration()),
     ),
-    "settling_time": Metric(
+    "settling_time": MetricDefinition(
         "Settling time",
         "s",
         "Time after the motion's end from which the end effector stays within the settling band around that equilibrium.",
@@ -184,7 +186,7 @@ METRICS: Mapping[str, Metric] = {
 }
 
 
-def _drive_metrics(joint: int) -> Iterator[tuple[str, Metric]]:
+def _drive_metrics(joint: int) -> Iterator[tuple[str, MetricDefinition]]:
     """Yield name and metric of what a motor has to do."""
     torque, speed = methodcaller("duty_torque", joint), methodcaller("duty_speed", joint)
     for name, label, unit, what, computation in (
@@ -194,7 +196,7 @@ def _drive_metrics(joint: int) -> Iterator[tuple[str, Metric]]:
         ("peak_power", "Peak power", "W", "Largest power into the robot", _of_power(joint, "peak", 1)),
         (
             "peak_regenerated_power",
-            "Peak regenerated power",
+            "Regenerated power",
             "W",
             "Largest power from the robot into the shaft",
             _of_power(joint, "peak", -1),
@@ -211,14 +213,19 @@ def _drive_metrics(joint: int) -> Iterator[tuple[str, Metric]]:
         ("net_energy", "Net energy", "J", "Positive minus regenerated energy", _of_power(joint, "energy", 0)),
     ):
         text = f"{what} of motor {joint} over motions and standstills."
-        yield f"{name}_{joint}", Metric(f"{label}, joint {joint}", unit, text, computation, TORQUES[joint - 1 : joint])
+        yield (
+            f"{name}_{joint}",
+            MetricDefinition(f"{label}, joint {joint}", unit, text, computation, TORQUES[joint - 1 : joint]),
+        )
 
 
-DRIVE_METRICS: Mapping[str, Metric] = {name: metric for joint in (1, 2) for name, metric in _drive_metrics(joint)}
+DRIVE_METRICS: Mapping[str, MetricDefinition] = {
+    name: metric for joint in (1, 2) for name, metric in _drive_metrics(joint)
+}
 """What each motor has to do over the duty cycle; tables show them for scenes with motors."""
 
-MOTOR_METRICS: Mapping[str, Metric] = {
-    f"inertia_ratio_{joint}": Metric(
+MOTOR_METRICS: Mapping[str, MetricDefinition] = {
+    f"inertia_ratio_{joint}": MetricDefinition(
         f"Inertia ratio, joint {joint}",
         "1",
         f"Largest inertia of the load, reflected to the shaft, over that of the rotor of motor {joint}.",
@@ -228,13 +235,13 @@ MOTOR_METRICS: Mapping[str, Metric] = {
 }
 """Additional metrics of a scene with motors."""
 
-COMMON_METRICS: Mapping[str, Metric] = {**METRICS, **DRIVE_METRICS}
+COMMON_METRICS: Mapping[str, MetricDefinition] = {**METRICS, **DRIVE_METRICS}
 """The metrics of every robot."""
 
-LOOP_METRICS: Mapping[str, Metric] = {
+LOOP_METRICS: Mapping[str, MetricDefinition] = {
     **{
-        f"peak_tracking_error_{joint}": Metric(
-            f"Peak tracking error, joint {joint}",
+        f"peak_tracking_error_{joint}": MetricDefinition(
+            f"Tracking error, joint {joint}",
             "rad",
             f"Largest |angle of motor {joint} - planned angle| over motion and dwell.",
             _peak(methodcaller("tracking_error", joint)),
@@ -243,7 +250,7 @@ LOOP_METRICS: Mapping[str, Metric] = {
         for joint in (1, 2)
     },
     **{
-        f"rms_tracking_error_{joint}": Metric(
+        f"rms_tracking_error_{joint}": MetricDefinition(
             f"RMS tracking error, joint {joint}",
             "rad",
             f"Root mean square over the motion of the angle of motor {joint} - planned angle.",
@@ -255,40 +262,71 @@ LOOP_METRICS: Mapping[str, Metric] = {
 }
 """Additional metrics of a torque-driven robot."""
 
-ALL_METRICS: Mapping[str, Metric] = {**COMMON_METRICS, **MOTOR_METRICS, **LOOP_METRICS}
+ALL_METRICS: Mapping[str, MetricDefinition] = {**COMMON_METRICS, **MOTOR_METRICS, **LOOP_METRICS}
+"""The metrics of runs."""
+
+LOOP_FIGURES: Mapping[str, MetricDefinition] = {
+    name: MetricDefinition(label, unit, text, display=(shown, convert))
+    for name, label, unit, shown, convert, text in (
+        (
+            "gain_margin",
+            "Gain margin",
+            "1",
+            "dB",
+            lambda value: 20.0 * log10(value),
+            "Least factor on the torques above 1 with which the loop is unstable.",
+        ),
+        ("phase_margin", "Phase margin", "rad", "deg", degrees, "Phase lag with which the loop is unstable."),
+        (
+            "delay_margin",
+            "Delay margin",
+            "s",
+            "ms",
+            lambda value: 1e3 * value,
+            "Delay with which the loop is unstable.",
+        ),
+        ("disk_margin", "Disk margin", "1", "1", float, "Size of the disk of changes of gain and phase, 0 to 2."),
+        (
+            "sensitivity_peak",
+            "Sensitivity peak",
+            "1",
+            "1",
+            float,
+            "Largest gain from disturbances to what remains of them.",
+        ),
+        (
+            "cpu_time",
+            "Processor time of the simulation",
+            "s",
+            "ms",
+            lambda value: 1e3 * value,
+            "Processor time that the simulation took.",
+        ),
+    )
+}
+"""Figures of a loop beside the metrics of its run: the worst margins along the path, and what it costs."""
 
 
-DIGITS, DIGITS_WITHOUT_ERROR = 10, 6
-"""Largest numbers of significant digits of a value with an error, and of one whose error isn't known."""
-
-SMALLEST, NOISE = -15, -12
-"""Powers of ten below which nothing is printed, and up to which the error of a zero isn't worth a word: both are rounding."""
-
-
-def printed(value: float | None, error: float | None = None, digits: int | None = None) -> tuple[str, str]:
-    """Return a value with the digits that its error allows and no others, and a bound of the printed number's error.
-
-    The bound is the power of ten of the last digit; it covers the error and the rounding to that digit. An error of 0.3 and a
-    value of 73.6046 are ``74`` and ``1``, an error of 4e-7 makes ``73.604601`` and ``1e-6``.
+def metric(name: str, value: float | None, **known: Any) -> Metric:
+    """Return a metric by name, with unit, label and description.
 
     Args:
-        value: None or NaN where there is none, a dash.
-        error: in the unit of the value; None where it isn't known, which leaves the bound empty.
-        digits: largest number of significant digits; None for `DIGITS`, or `DIGITS_WITHOUT_ERROR`.
+        name: of `ALL_METRICS` or `LOOP_FIGURES`.
+        value: in the SI unit, or a metric without name and unit.
+        known: further arguments of `Metric`, ``error`` for example.
     """
-    if value is None or isnan(value):
-        return "–", ""
-    if error is None or not isfinite(error):
-        return f"{value:.{digits or DIGITS_WITHOUT_ERROR}g}", ""
-    # the last digit: that of twice the error, or the last one that there may be
-    size = floor(log10(abs(value))) if value else SMALLEST
-    last = max(size + 1 - (digits or DIGITS), SMALLEST, ceil(log10(2.0 * error) - 1e-12) if error > 0.0 else SMALLEST)
-    bound = f"1e{last}" if not -4 < last < 4 else f"{10.0**last:g}"
-    rounded = round(value, -last)
-    if rounded == 0.0:
-        return "0", bound if last > NOISE else ""
-    size = floor(log10(abs(rounded)) + 1e-12)
-    return (f"{rounded:.{max(-last, 0)}f}" if -5 < size < DIGITS else f"{rounded:.{size - last}e}"), bound
+    info = definition(name)
+    found = value if isinstance(value, Metric) else Metric(value)
+    return found.changed(unit=info.unit, name=name, label=info.label, description=info.description, **known)
+
+
+def definition(name: str) -> MetricDefinition:
+    """Return what a metric of `ALL_METRICS` or a figure of `LOOP_FIGURES` is.
+
+    Raises:
+        KeyError: there is none of this name.
+    """
+    return ALL_METRICS[name] if name in ALL_METRICS else LOOP_FIGURES[name]
 
 
 def display(name: str, value: float | None, digits: int | None = None, error: float | None = None) -> str:
@@ -303,17 +341,20 @@ def display(name: str, value: float | None, digits: int | None = None, error: fl
     Raises:
         KeyError: there is no such metric.
     """
-    info = ALL_METRICS[name]
+    info = definition(name)
     text, _ = _printed(info, value, error, digits)
     return text if text == "–" else f"{text} {info.display_unit}".rstrip()
 
 
 def display_error(name: str, value: float | None, error: float | None) -> str:
-    """Format the bound of a metric's numerical error, in its display unit like `display`: ``below 1e-6``; empty where unknown."""
-    _, bound = _printed(ALL_METRICS[name], value, error)
-    return f"below {bound}" if bound else ""
+    """Format the bound of a metric's numerical error, in its display unit like `display`: ``1e-6``; empty where unknown."""
+    _, bound = _printed(definition(name), value, error)
+    return bound
 
 
-def _printed(info: Metric, value: float | None, error: float | None, digits: int | None = None) -> tuple[str, str]:
-    factor = info.display_factor
-    return printed(None if value is None else value * factor, None if error is None else error * factor, digits)
+def _printed(
+    info: MetricDefinition, value: float | None, error: float | None, digits: int | None = None
+) -> tuple[str, str]:
+    # an error is a small change of the value
+    shown = None if value is None else info.displayed(value)
+    return printed(shown, None if error is None else info.displayed(error), digits)

@@ -12,25 +12,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Companion, Run, rest_position
-from flexfmu.cosim.metrics.metric_table import (
-    ALL_METRICS,
-    COMMON_METRICS,
-    LOOP_METRICS,
-    MOTOR_METRICS,
-    Measurement,
-    printed,
-)
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, LOOP_METRICS, MOTOR_METRICS, metric
 from flexfmu.cosim.metrics.motors import inertia_ratios
 from flexfmu.cosim.metrics.recorded_solution import RecordedSolution, Settings
 from flexfmu.cosim.metrics.signals import ROUNDING
@@ -38,10 +31,8 @@ from flexfmu.cosim.metrics.signals import ROUNDING
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.simulation_loop import Progress
 
-T = TypeVar("T")
 
-
-class Metrics(dict[str, T]):
+class Metrics(dict[str, Metric]):
     """The metrics of a run by name; for an unknown name a KeyError lists the known ones.
 
     Attributes:
@@ -54,18 +45,12 @@ class Metrics(dict[str, T]):
 
     def __repr__(self) -> str:
         """Return at most five lines, with as many metrics as fit; `dict` has all."""
-        return few_lines(f"Metrics ({self.basis}):", [f"{name}: {_shown(each)}" for name, each in self.items()])
+        return few_lines(f"Metrics ({self.basis}):", [f"{name}: {each!r}" for name, each in self.items()])
 
-    def __missing__(self, name: str) -> T:
+    def __missing__(self, name: str) -> Metric:
         if self.failure:
             raise KeyError(f"there is no metric {name!r}, since the run failed: {self.failure}")
         raise KeyError(f"this run has no metric {name!r}; there are: {', '.join(self)}")
-
-
-def _shown(metric: object) -> str:
-    """Return a metric as a short text, with the digits that its error allows."""
-    value, error = (metric.value, metric.error) if isinstance(metric, Measurement) else (metric, None)
-    return printed(value, error)[0] if isinstance(value, float) else str(value)
 
 
 SAFETY = 4.0
@@ -75,7 +60,7 @@ LEAST_SHARE = 0.3
 """Least error of a companion, in terms of its tolerance and of the metric: a change may be small by chance."""
 
 
-def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = None) -> Metrics[Measurement]:
+def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = None) -> Metrics:
     """Compute metrics of a run with their errors, in the order of `ALL_METRICS`: of those that the robot has.
 
     A failed run has metrics without values.
@@ -95,7 +80,7 @@ def measure_run(run: Run, companions: int = 1, names: Collection[str] | None = N
         check_names(names)
     if not run.completed:
         failed = Metrics(
-            dict.fromkeys(COMMON_METRICS if names is None else names, Measurement(None, reason=run.message))
+            {name: metric(name, None, reason=run.message) for name in (COMMON_METRICS if names is None else names)}
         )
         failed.failure = run.message
         return failed
@@ -115,7 +100,7 @@ def metrics_of(run: Run, names: Collection[str] | None = None) -> dict[str, floa
 
     Arguments and errors: as for `measure_run`.
     """
-    return Metrics({name: each.value for name, each in measure_run(run, 0, names).items()})
+    return {name: each.value for name, each in measure_run(run, 0, names).items()}
 
 
 def check_names(names: Collection[str]) -> None:
@@ -134,11 +119,11 @@ def check_names(names: Collection[str]) -> None:
 
 def with_errors(
     run: Run,
-    measured: Mapping[str, Measurement],
+    measured: Mapping[str, Metric],
     settings: Settings,
     companions: int = 1,
     progress: Progress | None = None,
-) -> Metrics[Measurement]:
+) -> Metrics:
     """Add errors from companions to the metrics of a completed run.
 
     Args:
@@ -179,16 +164,16 @@ def with_errors(
     return _based(stated, f"errors are verified by companion runs with {' and '.join(how)}{verdict}")
 
 
-def _based(measured: Mapping[str, Measurement], basis: str) -> Metrics[Measurement]:
+def _based(measured: Mapping[str, Metric], basis: str) -> Metrics:
     """Return the metrics with the basis of their errors."""
     found = Metrics(measured)
     found.basis = basis
     return found
 
 
-def _stated(results: Sequence[Measurement | None], rounding: float, finest: Companion) -> Measurement:
+def _stated(results: Sequence[Metric | None], rounding: float, finest: Companion) -> Metric:
     """Return a metric from its values in the run and in ever finer companions: the finest one, and the run's own."""
-    first = results[0] or Measurement(None)
+    first = Metric(None) if results[0] is None else results[0]
     values = [each.value for each in results if each is not None and each.value is not None]
     if first.value is None or len(values) < len(results):
         return first
@@ -196,8 +181,7 @@ def _stated(results: Sequence[Measurement | None], rounding: float, finest: Comp
     change, last = abs(first.value - values[-1]), abs(values[-2] - values[-1])
     own_error = rounding + (SAFETY * change if len(values) == 2 else change + last)
     least = LEAST_SHARE * finest.tolerance * abs(values[-1])
-    return replace(
-        first,
+    return first.changed(
         value=values[-1],
         error=rounding + max(finest.share * last, least),
         own=first.value,
@@ -206,7 +190,7 @@ def _stated(results: Sequence[Measurement | None], rounding: float, finest: Comp
     )
 
 
-def _settle(stated: dict[str, Measurement], recordings: Sequence[Recording], settings: Settings) -> None:
+def _settle(stated: dict[str, Metric], recordings: Sequence[Recording], settings: Settings) -> None:
     """Increase the settling time's errors to its change when the vibration grows or shrinks by its own error.
 
     A settling time jumps by half a period where a crest just touches the settling band.
@@ -226,7 +210,7 @@ def _settle(stated: dict[str, Measurement], recordings: Sequence[Recording], set
     own_error, error = (
         max(one or 0.0, other) for one, other in zip((settled.own_error, settled.error), moved, strict=True)
     )
-    stated["settling_time"] = replace(settled, own_error=own_error, error=error)
+    stated["settling_time"] = settled.changed(own_error=own_error, error=error)
 
 
 def _magnitude(run: Run, name: str) -> float:
@@ -248,7 +232,7 @@ def settings_for(run: Run) -> Settings:
     return Settings(task, partial(rest_position, run), run.scene.trajectory.dwell, band, joints, cycles, ratios)
 
 
-def measure(recording: Recording, settings: Settings, names: Collection[str] | None = None) -> Metrics[Measurement]:
+def measure(recording: Recording, settings: Settings, names: Collection[str] | None = None) -> Metrics:
     """Compute metrics of a complete recording without their errors, in the order of `ALL_METRICS`.
 
     Args:
@@ -271,8 +255,8 @@ def measure(recording: Recording, settings: Settings, names: Collection[str] | N
         if name in needs:
             raise InputError(f"there is no metric {name!r} of this run: it needs {needs[name]}")
     wanted = [name for name in available if names is None or name in names]
-    found = Metrics({name: available[name].computation(solution) for name in wanted})
-    for name, measurement in found.items():
-        if measurement.value is not None and not math.isfinite(measurement.value):
-            raise ResultsError(f"metric `{name}` is {measurement.value}: the recorded signals are not finite")
+    found = Metrics({name: metric(name, available[name].computation(solution)) for name in wanted})
+    for name, each in found.items():
+        if each.value is not None and not math.isfinite(each):
+            raise ResultsError(f"metric `{name}` is {each.value}: the recorded signals are not finite")
     return found

@@ -17,6 +17,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.analysis import CompiledAnalysis, NumpyAnalysis, analyse
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
@@ -32,7 +33,7 @@ from flexfmu.cosim.metrics.signals import (
     position_rounding,
     segments,
 )
-from flexfmu.cosim.metrics.solution import Measurement, Solution
+from flexfmu.cosim.metrics.solution import Solution
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
@@ -81,25 +82,26 @@ class RecordedPower:
     def _parts(self) -> tuple[float, ...]:
         return analyse(self.segments).parts()
 
-    def peak(self, sign: int) -> Measurement:
+    def peak(self, sign: int) -> Metric:
         """Largest positive or negated negative power."""
-        return Measurement(self._parts[0 if sign > 0 else 1], self._parts[4])
+        return Metric(self._parts[0 if sign > 0 else 1], interpolation_error=self._parts[4])
 
-    def energy(self, sign: int) -> Measurement:
+    def energy(self, sign: int) -> Metric:
         """Energy a cycle of the positive part, of the negated negative part, or the sum of both."""
         positive, negative = (
-            Measurement(self._parts[2 + k] / self.cycles, SHAPE * self._parts[5 + k] / self.cycles) for k in (0, 1)
+            Metric(self._parts[2 + k] / self.cycles, interpolation_error=SHAPE * self._parts[5 + k] / self.cycles)
+            for k in (0, 1)
         )
         return self._difference(self.cycles) if sign == 0 else positive if sign > 0 else negative
 
-    def mean(self) -> Measurement:
+    def mean(self) -> Metric:
         """Mean over time."""
         return self._difference(float(self.segments.duration.sum()))
 
-    def _difference(self, divisor: float) -> Measurement:
+    def _difference(self, divisor: float) -> Metric:
         """Return the integral of both parts over a divisor."""
         _, _, positive, negative, _, first, second = self._parts
-        return Measurement((positive - negative) / divisor, SHAPE * (first + second) / divisor)
+        return Metric((positive - negative) / divisor, interpolation_error=SHAPE * (first + second) / divisor)
 
 
 @dataclass(frozen=True)
@@ -155,11 +157,12 @@ class RecordedSignal:
     def _analysis(self) -> CompiledAnalysis | NumpyAnalysis:
         return analyse(self.segments)
 
-    def peak(self) -> Measurement:
+    def peak(self) -> Metric:
         """Largest norm; its error is how far another segment may exceed it, at least the peak segment's error."""
-        return Measurement(*self._analysis.peak())
+        value, exceeded = self._analysis.peak()
+        return Metric(value, interpolation_error=exceeded)
 
-    def root_mean_square(self, order: int = 0) -> Measurement:
+    def root_mean_square(self, order: int = 0) -> Metric:
         """Root mean square of the norm of a time derivative p; its error follows from the estimated deviation e of p.
 
         To second order e changes the root mean square by (mean of p e + half the mean of e²) / root mean square.
@@ -171,14 +174,14 @@ class RecordedSignal:
         squares, common, deviation = analysis.mean_products(order)
         root, bound, change = math.sqrt(squares), math.sqrt(deviation), abs(common) + 0.5 * deviation
         if root == 0.0:
-            return Measurement(root, bound, rounding=noise)
-        return Measurement(root, min(change / root, bound), rounding=min(noise, 0.5 * noise**2 / root))
+            return Metric(root, interpolation_error=bound, rounding=noise)
+        return Metric(root, interpolation_error=min(change / root, bound), rounding=min(noise, 0.5 * noise**2 / root))
 
-    def final(self, order: int = 0) -> Measurement:
+    def final(self, order: int = 0) -> Metric:
         """Norm of a time derivative at the last communication point, without interpolation error."""
-        return Measurement(float(np.linalg.norm(self.segments.right[order, -1])))
+        return Metric(float(np.linalg.norm(self.segments.right[order, -1])))
 
-    def settling(self, band: float, uncertainty: float = 0.0) -> Measurement:
+    def settling(self, band: float, uncertainty: float = 0.0) -> Metric:
         """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
 
         Its error is the shift of the last crossing when the amplitude changes by the interpolation error or the
@@ -188,29 +191,29 @@ class RecordedSignal:
         begin, stop = float(vibration.start[0]), float(vibration.end[-1])
         crossing = analysis.last_time_above(band)
         if crossing is None:
-            return Measurement(0.0)
+            return Metric(0.0)
         # last crossings of a band that is wider and narrower by the error
         near = int(np.searchsorted(vibration.end, crossing))
         error = max(float(analysis.errors[min(near, len(vibration.end) - 1)]), uncertainty)
         spread = [analysis.last_time_above(level) for level in (band + error, max(band - error, 0.0))]
         early, late = (begin if time is None else time for time in spread)
-        return Measurement(crossing - begin if crossing < stop else None, late - early)
+        return Metric(crossing - begin if crossing < stop else None, interpolation_error=late - early)
 
 
 class NoSignal:
     """Deflection of a rigid link, exactly zero; see `flexfmu.cosim.metrics.solution.TimeSignal`."""
 
-    def peak(self) -> Measurement:
+    def peak(self) -> Metric:
         """Zero."""
-        return Measurement(0.0)
+        return Metric(0.0)
 
-    def root_mean_square(self, order: int = 0) -> Measurement:
+    def root_mean_square(self, order: int = 0) -> Metric:
         """Zero."""
-        return Measurement(0.0)
+        return Metric(0.0)
 
-    def final(self, order: int = 0) -> Measurement:
+    def final(self, order: int = 0) -> Metric:
         """Zero."""
-        return Measurement(0.0)
+        return Metric(0.0)
 
 
 class RecordedSolution(Solution):
@@ -260,10 +263,10 @@ class RecordedSolution(Solution):
         error = self._tracking_error(joint)
         return None if error is None else self._in_motion(error)
 
-    def settling_time(self, uncertainty: float = 0.0) -> Measurement:
+    def settling_time(self, uncertainty: float = 0.0) -> Metric:
         """As in `Solution`; ``uncertainty`` as for `RecordedSignal.settling`."""
         vibration = self.residual_vibration()
-        return Measurement(None) if vibration is None else vibration.settling(self._settings.settling_band, uncertainty)
+        return Metric(None) if vibration is None else vibration.settling(self._settings.settling_band, uncertainty)
 
     def duty_torque(self, joint: int) -> RecordedSignal:
         if joint not in self._torques:
@@ -282,8 +285,8 @@ class RecordedSolution(Solution):
             self._powers[joint] = RecordedPower(product(torque.segments, speed.segments), self._settings.cycles)
         return self._powers.get(joint)
 
-    def inertia_ratio(self, joint: int) -> Measurement:
-        return Measurement(self._settings.largest_inertia_ratios[joint - 1])
+    def inertia_ratio(self, joint: int) -> Metric:
+        return Metric(self._settings.largest_inertia_ratios[joint - 1])
 
     def _in_motion(self, signal: HermiteSegments) -> RecordedSignal:
         return RecordedSignal(signal.within(0.0, self._end))

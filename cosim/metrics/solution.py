@@ -2,44 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
-
-@dataclass(frozen=True)
-class Measurement:
-    """The value of one metric, in its SI unit: with a companion run the companion's, which is the more accurate one.
-
-    Attributes:
-        value: the value; None where the metric doesn't exist (no dwell, not settled, run cut short).
-        interpolation_error: estimated error of the interpolation between the run's communication points, a part of its error.
-        error: estimated error of the value; None where it isn't known.
-        own, own_error: value and error of the run itself; None without a companion, when ``value`` is the run's.
-        rounding: rounding error that exceeds that of the signals themselves, a part of the error.
-        reason: the run's message where the run failed and the metric has no value; otherwise empty.
-    """
-
-    value: float | None
-    interpolation_error: float = 0.0
-    error: float | None = None
-    own: float | None = None
-    own_error: float | None = None
-    rounding: float = 0.0
-    reason: str = ""
+from flexfmu.cosim.experiment.metric import Metric
 
 
 class TimeSignal(Protocol):
     """A quantity over a span of time, with one or more channels and its time derivatives."""
 
-    def peak(self) -> Measurement:
+    def peak(self) -> Metric:
         """Largest Euclidean norm over the channels."""
         ...
 
-    def root_mean_square(self, order: int = 0) -> Measurement:
+    def root_mean_square(self, order: int = 0) -> Metric:
         """Root mean square over time of the norm of the time derivative of this order."""
         ...
 
-    def final(self, order: int = 0) -> Measurement:
+    def final(self, order: int = 0) -> Metric:
         """Norm of the time derivative of this order at the end of the span, as the left-hand limit."""
         ...
 
@@ -47,15 +26,15 @@ class TimeSignal(Protocol):
 class PowerSignal(Protocol):
     """A power over a span of time, positive or negative."""
 
-    def peak(self, sign: int) -> Measurement:
+    def peak(self, sign: int) -> Metric:
         """Largest positive (sign 1) or negated negative (sign -1) power [W]; 0 where there is none."""
         ...
 
-    def energy(self, sign: int) -> Measurement:
+    def energy(self, sign: int) -> Metric:
         """Energy a cycle [J]: of the positive part (sign 1), of the negated negative part (-1), or the sum of both (0)."""
         ...
 
-    def mean(self) -> Measurement:
+    def mean(self) -> Metric:
         """Mean over time [W]."""
         ...
 
@@ -99,10 +78,10 @@ class Solution:
     def duty_power(self, joint: int) -> PowerSignal | None:
         """Mechanical power of motor 1 or 2 over the duty cycle, positive into the robot [W]."""
 
-    def inertia_ratio(self, joint: int) -> Measurement:
+    def inertia_ratio(self, joint: int) -> Metric:
         """Largest inertia of the load over the rotor's, both seen by motor 1 or 2."""
-        return Measurement(None)
+        return Metric(None)
 
-    def settling_time(self) -> Measurement:
+    def settling_time(self) -> Metric:
         """Time after the motion from which the residual vibration stays within the settling band [s]."""
-        return Measurement(None)
+        return Metric(None)

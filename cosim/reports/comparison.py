@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import degrees, log10
 
 import numpy as np
 
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement, display
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display, metric
 from flexfmu.cosim.reports.chart import Curve, Panel
 from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table, render_page
@@ -39,16 +39,6 @@ POINTS, FEWEST = 4000, 40
 DASHED = "5,3"
 """Of curves that repeat a colour."""
 
-
-LOOP_FIGURES: Mapping[str, tuple[str, str, str, Callable[[float], float]]] = {
-    "gain_margin": ("Gain margin", "1", "dB", lambda value: 20.0 * log10(value)),
-    "phase_margin": ("Phase margin", "rad", "deg", degrees),
-    "delay_margin": ("Delay margin", "s", "ms", lambda value: 1e3 * value),
-    "disk_margin": ("Disk margin", "1", "", lambda value: value),
-    "sensitivity_peak": ("Sensitivity peak", "1", "", lambda value: value),
-    "cpu_time": ("Processor time of the simulation", "s", "ms", lambda value: 1e3 * value),
-}
-"""Figure of a loop beside its metrics → label, SI unit, unit in tables, and function from the SI unit to that."""
 
 BAND_METRICS = (
     "peak_torque_1",
@@ -86,18 +76,18 @@ class ComparedRun:
     Attributes:
         name: short, unique.
         recording: its signals; what isn't recorded isn't compared.
-        metrics: name → measurement, as `flexfmu.cosim.metrics.metrics.measure_run` has them; none for a measurement.
+        metrics: name → metric, as `flexfmu.cosim.metrics.metrics.measure_run` has them; none for a measurement.
         duration: end of the motion [s], from which spectra are taken; None if unknown.
-        loop: further figures in SI units, of `LOOP_FIGURES`.
+        loop: further figures, of `LOOP_FIGURES`.
         band: the same loop with other payloads; None if it wasn't run with them.
         failure: why the run failed or its loop diverged; empty otherwise.
     """
 
     name: str
     recording: Recording = field(repr=False)
-    metrics: Mapping[str, Measurement] = field(default_factory=dict, repr=False)
+    metrics: Mapping[str, Metric] = field(default_factory=dict, repr=False)
     duration: float | None = None
-    loop: Mapping[str, float | None] = field(default_factory=dict, repr=False)
+    loop: Mapping[str, Metric] = field(default_factory=dict, repr=False)
     band: OverBand | None = field(default=None, repr=False)
     failure: str = ""
 
@@ -134,54 +124,59 @@ def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
 
 def _figures_table(names: Sequence[str], runs: Sequence[ComparedRun]) -> Table:
     """Return further figures of the loops."""
-    rows = []
-    for name in names:
-        label, _, unit, shown = LOOP_FIGURES[name]
-        cells = [run.loop.get(name) for run in runs]
-        rows.append([f"{label} [{unit}]" if unit else label, *("–" if v is None else f"{shown(v):.3g}" for v in cells)])
-    return Table("Loops", ["", *(run.name for run in runs)], rows)
+    rows = [
+        [*_heads(name), *("–" if (found := run.loop.get(name)) is None else _rounded(found, 3) for run in runs)]
+        for name in names
+    ]
+    return Table("Loops", ["Figure", "Name", *(run.name for run in runs)], rows)
+
+
+def _heads(name: str) -> list[str]:
+    """Return the words of a metric with its unit in tables, and its name."""
+    info = definition(name)
+    return [f"{info.label} [{info.display_unit}]" if info.display_unit else info.label, name]
+
+
+def _rounded(found: Metric, digits: int) -> str:
+    """Return a metric in the unit of tables, without it."""
+    return "–" if found.value is None else f"{definition(found.name).displayed(found):.{digits}g}"
 
 
 def _band_table(runs: Sequence[ComparedRun]) -> Table:
     """Return the worst metrics over a band of payloads; a run that failed in it says so."""
     shown = [(run.band, run.name) for run in runs if run.band]
     rows = [
-        [
-            f"{ALL_METRICS[name].label} [{ALL_METRICS[name].display_unit}]",
-            *(_worst(name, band) for band, _ in shown),
-        ]
+        [*_heads(name), *(_worst(name, band) for band, _ in shown)]
         for name in BAND_METRICS
         if any(name in band.worst for band, _ in shown)
     ]
-    rows.append(["Payloads [kg]", *(f"{band.masses[0]:g}, {band.masses[1]:g}" for band, _ in shown)])
+    rows.append(["Payloads [kg]", "", *(f"{band.masses[0]:g}, {band.masses[1]:g}" for band, _ in shown)])
     note = "The largest value with both payloads; controllers, shapers and motion are those for the scene's."
-    return Table("Worst with other payloads", ["Metric", *(name for _, name in shown)], rows, note)
+    return Table("Worst with other payloads", ["Metric", "Name", *(name for _, name in shown)], rows, note)
 
 
 def _worst(name: str, band: OverBand) -> str:
-    value = band.worst.get(name)
-    if value is None:
-        return "unstable" if band.failures else "–"
-    return f"{value * ALL_METRICS[name].display_factor:.5g}"
+    found = metric(name, band.worst.get(name))
+    return "unstable" if found.value is None and band.failures else _rounded(found, 5)
 
 
 def metrics_table(runs: Sequence[ComparedRun]) -> Table:
     """Return the metrics of runs side by side, each with its difference from the first run's."""
     names = [name for name in ALL_METRICS if any(name in run.metrics for run in runs)]
-    none = Measurement(None)
+    none = Metric(None)
     rows = []
     for name in names:
         found = [run.metrics.get(name, none) for run in runs]
-        rows.append([ALL_METRICS[name].label, *(_cell(name, each, found[0]) for each in found)])
+        rows.append([ALL_METRICS[name].label, name, *(_cell(name, each, found[0]) for each in found)])
     return Table(
         "Metrics",
-        ["Metric", *(run.name for run in runs)],
+        ["Metric", "Name", *(run.name for run in runs)],
         rows,
         "Values have the digits that their numerical errors allow. In brackets: difference from the first run.",
     )
 
 
-def _cell(name: str, measured: Measurement, first: Measurement) -> str:
+def _cell(name: str, measured: Metric, first: Metric) -> str:
     """Return a value, with its difference from the first run's in percent."""
     text = display(name, measured.value, error=measured.error)
     if measured is first or measured.value is None or not first.value:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES, MotorLoad, motor_loads
 from flexfmu.cosim.reports.chart import Curve, Panel
@@ -19,13 +20,14 @@ def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]
     rows = {}
     for margins in zip(*(motor["margins"] for motor in motors), strict=True):
         texts = (
-            f"{each['value']:.4g} of {each['limit']:g} {each['unit']}, {100 * each['use']:.0f} %" for each in margins
+            f"{each['value']:.4g} of {each['limit']:g} {shown_unit(each['unit'])}, {100 * each['use']:.0f} %"
+            for each in margins
         )
-        rows[margins[0]["name"]] = tuple(text.replace("N.m", "N·m") for text in texts)
+        rows[margins[0]["name"]] = tuple(texts)
     for key, name, unit in MOTOR_VALUES:
         values = [motor[key] for motor in motors]
         if any(value is not None for value in values):
-            rows[name] = tuple("–" if value is None else f"{value:.4g} {unit}".rstrip() for value in values)
+            rows[name] = tuple("–" if value is None else f"{value:.4g} {shown_unit(unit)}".rstrip() for value in values)
     return rows
 
 

@@ -100,6 +100,7 @@ def _metric_row(name: str, value: float | None, error: float | None) -> dict[str
     info = ALL_METRICS[name]
     return {
         "label": info.label,
+        "name": name,
         "value": display(name, value, error=error),
         "error": display_error(name, value, error),
         "description": info.description,

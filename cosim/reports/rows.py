@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from pydantic_core import to_json
 
 from flexfmu.cosim.engine.errors import extra
-from flexfmu.cosim.engine.showing import html_table
+from flexfmu.cosim.engine.showing import html_table, shown_unit
 
 if TYPE_CHECKING:
     import pandas
@@ -63,7 +63,7 @@ class Rows(ABC):
     def _repr_html_(self) -> str:
         units, rows = self.row_units(), self.rows()
         names = [*rows[0]] if rows else []
-        header = [f"{name} [{units[name]}]" if units.get(name) else name for name in names]
+        header = [f"{name} [{shown_unit(units[name])}]" if units.get(name) else name for name in names]
         table = html_table(header, ([_cell(row[name]) for name in names] for row in rows[:SHOWN]))
         return table + (f"<p>{len(rows) - SHOWN} more</p>" if len(rows) > SHOWN else "")
 

@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.feedforwards import counted_twice
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import MotionPlan, deviation
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import Metrics
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
@@ -89,7 +91,7 @@ _LAST = ("gravity", "payload.inertia")
 """Loads that `describe_effects` lists last."""
 
 
-def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
     """Return the content of ``summary.json`` as plain data in SI units.
 
     Keys:
@@ -168,7 +170,7 @@ def describe_effects(scene: Scene) -> dict[str, str]:
     return found or {"rigid": "Rigid links without gravity and payload"}
 
 
-def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
+def coarse_metrics(measurements: Mapping[str, Metric]) -> Iterator[str]:
     """Yield the names of the metrics for which the communication step is too coarse."""
     for name, measurement in measurements.items():
         value, error = measurement.value, measurement.interpolation_error
@@ -176,7 +178,7 @@ def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
             yield name
 
 
-def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+def _health(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
     time = run.recording.time
     return {
         "outcome": run.outcome.name.lower().replace("_", " "),
@@ -198,7 +200,7 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
     }
 
 
-def _beyond_tolerance(run: Run, measurements: Mapping[str, Measurement]) -> Iterator[str]:
+def _beyond_tolerance(run: Run, measurements: Mapping[str, Metric]) -> Iterator[str]:
     """Yield a sentence for each metric of an automatic choice whose numerical error is larger than what was asked for."""
     choice = run.scene.effects.choice
     for name in () if choice is None else choice.of:
@@ -209,17 +211,17 @@ def _beyond_tolerance(run: Run, measurements: Mapping[str, Measurement]) -> Iter
         scale = max(abs(found.value), NAMED_FLOOR * (peak or 0.0) if ALL_METRICS[name].unit == "m" else 0.0)
         if error > choice.tolerance * scale:
             yield (
-                f"{ALL_METRICS[name].label}: the run's own numerical error of {error:.2g} {ALL_METRICS[name].unit} is more than the "
+                f"{ALL_METRICS[name].label}: the run's own numerical error of {error:.2g} {shown_unit(ALL_METRICS[name].unit)} is more than the "
                 f"{100.0 * choice.tolerance:g} % that the choice of effects was asked for; reduce `cosimulation.step`, now "
                 f"{run.communication_step:g} s, or `cosimulation.tolerance`, now {run.tolerance:g}"
             )
 
 
-def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
+def _warning(run: Run, name: str, measurement: Metric) -> dict[str, Any]:
     info, error, value = ALL_METRICS[name], measurement.interpolation_error, measurement.value
     relative = f" ({error / abs(value):.1g} of its value)" if value else ""
     sentence = (
-        f"{info.label} may be off by about {error:.1g} {info.unit}{relative}: the communication step of "
+        f"{info.label} may be off by about {error:.1g} {shown_unit(info.unit)}{relative}: the communication step of "
         f"{run.communication_step:g} s is too coarse for the highest frequency in this signal; reduce `cosimulation.step`"
     )
     return {"metric": name, "estimated_error": error, "message": sentence}

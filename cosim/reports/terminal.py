@@ -25,11 +25,16 @@ GAP = 2
 TEXT_WIDTH = 12
 """Wrapped texts get at least this width, if their words are short."""
 
+NARROW = 80
+"""Columns of the narrowest terminals."""
+
 UNLIMITED = 10_000
 """A width that holds everything."""
 
 
-def titled_table(title: str, *columns: Column | str, numbers: Iterable[str] = (), keys: int = 1) -> Table:
+def titled_table(
+    title: str, *columns: Column | str, numbers: Iterable[str] = (), keys: int = 1, stacks: bool = False
+) -> Table:
     """Return an empty table for the terminal, with a bold title at the left.
 
     Cells of right-aligned columns never wrap: these are numbers. In a narrow terminal the other columns wrap, and then the table
@@ -40,20 +45,22 @@ def titled_table(title: str, *columns: Column | str, numbers: Iterable[str] = ()
         columns: their headings, or columns; more may be added.
         numbers: headings of right-aligned columns behind these.
         keys: number of first columns that name a row, and are there again where the table goes on.
+        stacks: whether the second column, of names, goes below the words of the first where space is short.
     """
     heads = [each if isinstance(each, Column) else Column(each) for each in columns]
     heads += [Column(each, justify="right") for each in numbers]
     # no markup here either
     for head in heads:
         head.header = Text(head.header) if isinstance(head.header, str) else head.header
-    return FittingTable(*heads, title=Text(title), keys=keys)
+    return FittingTable(*heads, title=Text(title), keys=keys, stacks=stacks)
 
 
 def as_terminal_table(table: PageTable, texts: Collection[str] = ()) -> Table:
-    """Return a table of a page for the terminal: the first column and those of ``texts`` are texts, the others numbers."""
+    """Return a table of a page for the terminal: the first column, names and those of ``texts`` are texts, the others numbers."""
     first, *others = table.header
-    heads = (each if each in texts else Column(each, justify="right") for each in others)
-    found = titled_table(table.title, first or " ", *heads)
+    named = others[:1] == ["Name"]
+    heads = (each if each in (*texts, "Name") else Column(each, justify="right") for each in others)
+    found = titled_table(table.title, first or " ", *heads, stacks=named)
     for row in table.rows:
         found.add_row(*row)
     return found
@@ -62,12 +69,12 @@ def as_terminal_table(table: PageTable, texts: Collection[str] = ()) -> Table:
 class FittingTable(Table):
     """The table of `titled_table`: fits the width that it is printed in."""
 
-    def __init__(self, *columns: Column | str, title: Text, keys: int) -> None:
+    def __init__(self, *columns: Column | str, title: Text, keys: int, stacks: bool = False) -> None:
         # an empty title would be a blank line
         super().__init__(
             *columns, box=box.SIMPLE_HEAD, title=title or None, title_justify="left", title_style="bold", pad_edge=False
         )
-        self.keys = keys
+        self.keys, self.stacks = keys, stacks
 
     def add_row(
         self, *renderables: RenderableType | None, style: StyleType | None = None, end_section: bool = False
@@ -77,16 +84,32 @@ class FittingTable(Table):
         super().add_row(*cells, style=style, end_section=end_section)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Render the table as it is where it fits, else in parts."""
-        if self.__rich_measure__(console, options.update(max_width=UNLIMITED)).maximum <= options.max_width:
+        """Render the table as it is where it fits, else in parts; files that the output goes to have 80 columns for names."""
+        width = options.max_width if console.is_terminal or not self.stacks else min(options.max_width, NARROW)
+        if self.__rich_measure__(console, options.update(max_width=UNLIMITED)).maximum <= width:
             yield from super().__rich_console__(console, options)
             return
         if self.title:
             yield Text.assemble((str(self.title), "bold"))
         limits = [_limits(column, console, options) for column in self.columns]
-        for places in _parts(limits, self.keys, options.max_width):
-            yield self._part(places, _widths([limits[place] for place in places], options.max_width))
+        if self.stacks and sum(each.narrowest + GAP for each in limits) - GAP > width:
+            yield from self._stacked().__rich_console__(console, options)
+            return
+        for places in _parts(limits, self.keys, width):
+            yield self._part(places, _widths([limits[place] for place in places], width))
             yield ""
+
+    def _stacked(self) -> FittingTable:
+        """Return the table with the second column below the first."""
+        words, names, *others = self.columns
+        cells: list[RenderableType] = [
+            Text(f"{word}\n{name}".rstrip()) for word, name in zip(words.cells, names.cells, strict=True)
+        ]
+        heads = [replace(words, _cells=cells), *others]
+        found = FittingTable(*(replace(each, _cells=[]) for each in heads), title=Text(), keys=1)
+        for row, texts in zip(self.rows, zip(*(head.cells for head in heads), strict=True), strict=True):
+            found.add_row(*texts, style=row.style, end_section=row.end_section)
+        return found
 
     def _part(self, places: Sequence[int], widths: Sequence[int]) -> Table:
         """Return some columns as a table, each with its width."""

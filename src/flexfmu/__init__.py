@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from flexfmu.cosim.exchange.slave_export import export_slaves
     from flexfmu.cosim.exchange.ssp.export import export_ssp
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
+    from flexfmu.cosim.experiment.metric import Metric, RunMetrics
     from flexfmu.cosim.many.variants import run_variants
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.motors import motor_loads
-    from flexfmu.cosim.metrics.run_metrics import RunMetrics
     from flexfmu.cosim.metrics.stress import link_stresses
     from flexfmu.errors import Error
     from flexfmu.fmu_build.errors import BuildError
@@ -64,10 +64,10 @@ _NAMES = {
     "cosim.exchange.ssp.export": "export_ssp",
     "cosim.exchange.ssp.loading": "load_ssp",
     "cosim.many.variants": "run_variants",
+    "cosim.experiment.metric": "Metric RunMetrics",
     "cosim.metrics.metric_table": "display",
     "cosim.metrics.metrics": "measure_run",
     "cosim.metrics.motors": "motor_loads",
-    "cosim.metrics.run_metrics": "RunMetrics",
     "cosim.metrics.stress": "link_stresses",
     "errors": "Error",
     "fmu_build.errors": "BuildError",
@@ -91,6 +91,7 @@ __all__ = [
     "Error",
     "InputError",
     "LoopWarning",
+    "Metric",
     "Motor",
     "ResultsError",
     "RunMetrics",
@@ -130,6 +131,20 @@ __all__ = [
     "sweep",
     "tune",
 ]
+
+_HOMES = dict.fromkeys(__all__, "flexfmu.api") | {
+    "Metric": "flexfmu.cosim.experiment.metric",
+    "Motor": "flexfmu.model.scene.motor",
+    "RunMetrics": "flexfmu.cosim.experiment.metric",
+    "Scene": "flexfmu.model.scene.schema",
+    "controller": "flexfmu.cosim.control.controllers.own_function",
+    "display": "flexfmu.cosim.metrics.metric_table",
+    "link_stresses": "flexfmu.cosim.metrics.stress",
+    "load_scene": "flexfmu.model.scene.file",
+    "measure_run": "flexfmu.cosim.metrics.metrics",
+    "motor_loads": "flexfmu.cosim.metrics.motors",
+}
+"""Public name → module that it is imported from at its first use."""
 
 # in a wheel the packages are in this folder; in a clone (editable installs) they are in the clone's top folder
 if not os.path.isdir(os.path.join(__path__[0], "model")):

@@ -13,7 +13,7 @@ from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.prepared_scene import Health, Run, Timing
-from flexfmu.cosim.metrics.run_metrics import RunMetrics
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import static_equilibrium
 
@@ -93,7 +93,7 @@ def make_run() -> MakeRun:
             input_order=9,
             health=Health({"steps": 1234, "rejections": 5}, ()),
             timing=Timing(plan=0.1, build=0.2, load=0.05, simulate=0.02),
-            measure=RunMetrics,
+            measure=measure_run,
         )
 
     return make

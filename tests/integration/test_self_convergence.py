@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
-from flexfmu.cosim.metrics.metric_table import Measurement
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
@@ -25,7 +25,7 @@ ABRUPT = {
 }
 
 
-def measurements(scene: Scene, tolerance: float, step: float) -> Mapping[str, Measurement]:
+def measurements(scene: Scene, tolerance: float, step: float) -> Mapping[str, Metric]:
     return measure_run(run_scene(scene, tolerance=tolerance, communication_step=step))
 
 

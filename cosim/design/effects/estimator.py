@@ -18,7 +18,9 @@ from typing import Any, get_args
 import numpy as np
 from scipy.integrate import trapezoid
 
-from flexfmu.cosim.metrics.metric_table import METRICS, Measurement, Solution
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.metrics.solution import Solution
 from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
@@ -75,18 +77,18 @@ class SampledSignal:
     time: RealArray
     derivatives: Mapping[int, RealArray]
 
-    def peak(self) -> Measurement:
+    def peak(self) -> Metric:
         """Largest norm at the instants."""
-        return Measurement(float(np.linalg.norm(self.derivatives[0], axis=1).max()))
+        return Metric(float(np.linalg.norm(self.derivatives[0], axis=1).max()))
 
-    def root_mean_square(self, order: int = 0) -> Measurement:
+    def root_mean_square(self, order: int = 0) -> Metric:
         """Root mean square by the trapezoidal rule."""
         squares = np.sum(self.derivatives[order] ** 2, axis=1)
-        return Measurement(float(np.sqrt(trapezoid(squares, self.time) / (self.time[-1] - self.time[0]))))
+        return Metric(float(np.sqrt(trapezoid(squares, self.time) / (self.time[-1] - self.time[0]))))
 
-    def final(self, order: int = 0) -> Measurement:
+    def final(self, order: int = 0) -> Metric:
         """Norm at the last instant."""
-        return Measurement(float(np.linalg.norm(self.derivatives[order], axis=1)[-1]))
+        return Metric(float(np.linalg.norm(self.derivatives[order], axis=1)[-1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.engine.errors import InputError, suggestion
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS
-from flexfmu.cosim.reports.comparison import LOOP_FIGURES
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
 
 MARGINS = ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak")
 """Figures of the linear loop, the worst along the path; see `flexfmu.margins`."""
@@ -69,7 +68,13 @@ class Goal:
     @property
     def unit(self) -> str:
         """SI unit."""
-        return LOOP_FIGURES[self.parts[0]][1] if self.is_margin else ALL_METRICS[self.parts[0]].unit
+        return definition(self.parts[0]).unit
+
+    @property
+    def label(self) -> str:
+        """Words for tables."""
+        label = definition(self.parts[0]).label
+        return label if len(self.parts) == 1 else f"{label.partition(',')[0]}, both joints"
 
     def of(self, figures: Mapping[str, float | None], *, largest: bool = True) -> float | None:
         """The figure, from those of a loop: the larger of both joints, or the smaller; None where one is missing."""
@@ -83,11 +88,8 @@ class Goal:
         """The value in the unit of tables."""
         if value is None:
             return "–"
-        if self.is_margin:
-            _, _, unit, convert = LOOP_FIGURES[self.parts[0]]
-            return f"{convert(value):.4g} {unit}".rstrip()
-        info = ALL_METRICS[self.parts[0]]
-        return f"{value * info.display_factor:.4g} {info.display_unit}".rstrip()
+        info = definition(self.parts[0])
+        return f"{info.displayed(value):.4g} {info.display_unit}".rstrip()
 
 
 @dataclass(frozen=True)

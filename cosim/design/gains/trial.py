@@ -11,7 +11,9 @@ from flexfmu.cosim.design.gains.goals import MARGINS, Condition, Goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -177,9 +179,9 @@ def loop_margins(scene: Scene, band: PayloadBand | None = None) -> MarginsResult
     return found
 
 
-def margin_figures(found: MarginsResult) -> dict[str, float | None]:
+def margin_figures(found: MarginsResult) -> dict[str, Metric]:
     """Return the worst of each margin."""
-    return {name: float(getattr(found.worst, name)) for name in MARGINS}
+    return {name: metric(name, getattr(found.worst, name)) for name in MARGINS}
 
 
 def _single(value: Any) -> float | None:

@@ -14,13 +14,13 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.engine.showing import few_lines, html_table
+from flexfmu.cosim.engine.showing import few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
 from flexfmu.cosim.reports.chart import Curve, Panel
 from flexfmu.cosim.reports.comparison import (
     BAND_METRICS,
-    LOOP_FIGURES,
     ComparedRun,
     OverBand,
     loop_tables,
@@ -102,7 +102,7 @@ class Comparison(Rows):
                 "duration": run.duration,
                 "metrics": {name: each.value for name, each in run.metrics.items()},
                 "errors": {name: each.error for name, each in run.metrics.items()},
-                **({"loop": dict(run.loop)} if run.loop else {}),
+                **({"loop": {name: each.value for name, each in run.loop.items()}} if run.loop else {}),
                 **({"failure": run.failure} if run.failure else {}),
                 **({} if run.band is None else {"payload_band": _band_data(run.band)}),
             }
@@ -115,10 +115,10 @@ class Comparison(Rows):
 
         Below them ``cpu_time`` and margins of scenes that were run, and ``worst.<metric>`` over a band of payloads.
         """
-        none = Measurement(None)
+        none = Metric(None)
         found = {name: [run.metrics.get(name, none).value for run in self.runs] for name in self.metric_names}
         found |= {
-            name: [run.loop.get(name) for run in self.runs]
+            name: [run.loop.get(name, none).value for run in self.runs]
             for name in LOOP_FIGURES
             if any(name in run.loop for run in self.runs)
         }
@@ -137,10 +137,7 @@ class Comparison(Rows):
     def row_units(self) -> Mapping[str, str]:
         """Metric → unit."""
         units = {row["metric"]: row["metric"].removeprefix("worst.") for row in self.rows()}
-        return {
-            row: LOOP_FIGURES[name][1] if name in LOOP_FIGURES else ALL_METRICS[name].unit
-            for row, name in units.items()
-        }
+        return {row: definition(name).unit for row, name in units.items()}
 
     def page(self) -> str:
         """Return the page of the comparison as HTML: metrics, signals over each other, spectra."""
@@ -238,7 +235,7 @@ def difference_table(measured: Measured) -> Table:
         ]
         for run, signals in measured.differences.items()
         for signal, each in signals.items()
-        for unit in [measured.recording[signal].unit]
+        for unit in [shown_unit(measured.recording[signal].unit)]
     ]
     note = f"{measured.name} is {delay_text(measured.delay)}. In the last column: RMS relative to the measured range."
     return Table(f"{measured.name} minus simulation", ["Signal", "Run", "RMS", "Mean", "Largest", "Range"], rows, note)
@@ -289,7 +286,8 @@ def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator
     spectra = []
     most = max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST)
     for number, name in enumerate(measured.recording.columns):
-        unit, values, differing, amplitudes = measured.recording[name].unit, list[Curve](), list[Curve](), list[Curve]()
+        unit = shown_unit(measured.recording[name].unit)
+        values, differing, amplitudes = list[Curve](), list[Curve](), list[Curve]()
         for run, colour in zip(runs, _colours(len(runs)), strict=True):
             each = measured.differences[run.name].get(name)
             if each is None:

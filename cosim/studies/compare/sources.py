@@ -13,9 +13,10 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, fail
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
 from flexfmu.cosim.experiment.timing import processor_time
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun
 from flexfmu.model.scene.errors import EquilibriumError
@@ -156,7 +157,7 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
         begin = processor_time()
         run = prepared.run()
         taken = min(taken, processor_time() - begin)
-    loop: dict[str, float | None] = {"cpu_time": taken}
+    loop: dict[str, Metric] = {"cpu_time": metric("cpu_time", taken)}
     if reason := failure_of(run):
         return ComparedRun(scene.name, run.recording, {}, run.plan.duration, loop=loop, failure=reason)
     margins, reason = _margins(scene, band)
@@ -169,7 +170,7 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
     return replace(found, band=worst)
 
 
-def _margins(scene: Scene, band: PayloadBand | None) -> tuple[dict[str, float | None], str]:
+def _margins(scene: Scene, band: PayloadBand | None) -> tuple[dict[str, Metric], str]:
     """The worst margins of a scene's loop with its own payload, and a message if it is unstable about a pose, be it with another one; none
     without a loop, and where it can't be linearised."""
     if scene.cosimulation.drive != "torque" or not scene.controller:
@@ -180,7 +181,7 @@ def _margins(scene: Scene, band: PayloadBand | None) -> tuple[dict[str, float | 
         return {}, str(error)
     except (CosimError, TrajectoryError, EquilibriumError):
         return {}, ""
-    return {name: value if value is not None and isfinite(value) else None for name, value in found.items()}, ""
+    return {name: each if isfinite(each) else metric(name, None) for name, each in found.items()}, ""
 
 
 def _measured(run: Run) -> ComparedRun:
@@ -192,7 +193,7 @@ def _measured(run: Run) -> ComparedRun:
     if not run.completed:
         raise ResultsError(f"{run.scene.name} can't be compared, since its run failed: {run.message}")
     try:
-        metrics: Mapping[str, Measurement] = measure_run(run)
+        metrics: Mapping[str, Metric] = measure_run(run)
     except (ResultsError, EquilibriumError):
         metrics = {}
     return ComparedRun(run.scene.name, run.recording, metrics, run.plan.duration)
@@ -210,7 +211,7 @@ def _read(file: Path, name: str) -> ComparedRun:
         recording = Recording(recording.time, columns)
     errors = summary.get("errors", {})
     metrics = {
-        name: Measurement(value, error=errors.get(name))
+        name: metric(name, value, error=errors.get(name))
         for name, value in summary.get("metrics", {}).items()
         if name in ALL_METRICS
     }

@@ -19,9 +19,9 @@ from flexfmu.cosim.design.effects.search import SAFETY
 from flexfmu.cosim.design.effects.study import EVERYTHING, check_choice, comparisons, study_effects
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
-from flexfmu.cosim.metrics.metric_table import Measurement
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.summary import _beyond_tolerance
 from flexfmu.model.choice_text import choice_sentence
@@ -182,9 +182,9 @@ def test_numerical_errors_beyond_what_was_asked_are_warned_of() -> None:
     scene = with_set(OPEN, {}).replace({"effects.choice": choice})
     run: Any = SimpleNamespace(scene=scene, communication_step=1e-3, tolerance=1e-6)
     found = {
-        "peak_position_error": Measurement(1e-3),
-        "peak_torque_1": Measurement(100.0, error=1.5, own=100.0, own_error=1.5),
-        "residual_vibration_amplitude": Measurement(1e-8, error=9e-11, own=1e-8, own_error=9e-11),
+        "peak_position_error": Metric(1e-3),
+        "peak_torque_1": Metric(100.0, error=1.5, own=100.0, own_error=1.5),
+        "residual_vibration_amplitude": Metric(1e-8, error=9e-11, own=1e-8, own_error=9e-11),
     }
     (sentence,) = _beyond_tolerance(run, found)
     assert sentence.startswith("Peak torque, joint 1: the run's own numerical error of 1.5 N.m is more than the 0.1 %")

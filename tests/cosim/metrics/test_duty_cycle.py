@@ -10,10 +10,10 @@ import pytest
 
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
 from flexfmu.cosim.metrics.metrics import measure
 from flexfmu.cosim.metrics.recorded_solution import Settings
-from flexfmu.cosim.metrics.solution import Measurement
 from flexfmu.trajectories.trajectory import Trajectory
 
 OMEGA = 2.0 * math.pi
@@ -91,7 +91,7 @@ def test_constant_power() -> None:
     assert found["regenerated_energy"] == found["peak_regenerated_power"] == 0.0
 
 
-def coarse(torque: Signal, speed: Signal, steps: int, names: Iterable[str], cycles: int = 1) -> dict[str, Measurement]:
+def coarse(torque: Signal, speed: Signal, steps: int, names: Iterable[str], cycles: int = 1) -> dict[str, Metric]:
     """Metrics of joint 1, by name without the number, over one second in a few steps."""
     time = np.linspace(0.0, 1.0, steps + 1)
     signals = {"joint1.torque": torque, "joint1.velocity": speed}

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import math
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from copy import copy, deepcopy
 from dataclasses import replace
 
 import pandas
 import pytest
 
 from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Companion, Run
-from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.metrics.run_metrics import Quantity
 
 MakeRun = Callable[..., Run]
 
@@ -36,13 +37,15 @@ def test_values_and_errors_are_those_of_measure_run(run: Run) -> None:
     assert list(run.metrics) == list(COMMON_METRICS)
 
 
-def test_one_metric_is_computed_alone(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_metric_is_computed_alone(make_run: MakeRun) -> None:
     """One doesn't wait for all others, and is computed once."""
     asked = []
-    monkeypatch.setattr(
-        "flexfmu.cosim.metrics.run_metrics.measure_run",
-        lambda run, companions, names=None: asked.append(names) or measure_run(run, companions, names),
-    )
+
+    def measure(run: Run, companions: int, names: Collection[str] | None) -> Mapping[str, Metric]:
+        asked.append(names)
+        return measure_run(run, companions, names)
+
+    run = replace(make_run(), measure=measure)
     first = run.metrics.peak_torque_1
     assert run.metrics["peak_torque_1"] is first
     assert dict(run.metrics)["peak_torque_1"] is first
@@ -63,17 +66,21 @@ def test_errors_are_estimated_only_when_asked_for(make_run: MakeRun) -> None:
     assert not runs
     assert all(number.error is not None for number in run.metrics.values())
     assert len(runs) == 1
-    assert "numerical error below 1e-" in repr(run.metrics)
+    assert " ± 1e-" in repr(run.metrics)
     assert make_run().metrics.peak_torque_1.error is None
 
 
-def test_a_quantity_is_a_number(run: Run) -> None:
-    """It calculates, is formatted and written like the float that it is; `repr` alone has the unit."""
-    number = Quantity(2.5, "N.m", error=0.1)
+def test_a_metric_is_a_number(run: Run) -> None:
+    """It calculates, is formatted and written like the float that it is; `repr` alone has error and unit."""
+    number = metric("peak_torque_1", 2.5, error=0.1)
     assert (number * 2, number == 2.5, f"{number:.2f} {number}", json.dumps(number)) == (5.0, True, "2.50 2.5", "2.5")
-    assert repr(number) == "2.5 N.m"
-    again = pickle.loads(pickle.dumps(number))
-    assert (again, again.unit, again.error) == (2.5, "N.m", 0.1)
+    assert repr(number) == "2 ± 1 N·m"
+    assert repr(number.changed(error=None)) == "2.5 N·m"
+    assert number._repr_html_() == "Peak torque, joint 1 (<code>peak_torque_1</code>): 2 ± 1 N·m"
+    for again in (pickle.loads(pickle.dumps(number)), copy(number), deepcopy(number)):
+        assert (again, again.value, again.error) == (2.5, 2.5, 0.1)
+        assert (again.unit, again.name, again.label) == ("N.m", "peak_torque_1", "Peak torque, joint 1")
+    assert (metric("settling_time", None).value, math.isnan(metric("settling_time", None))) == (None, True)
     assert pandas.DataFrame([run.metrics, run.metrics]).dtypes["peak_torque_1"] == "float64"
 
 
@@ -81,7 +88,7 @@ def test_no_value(make_run: MakeRun) -> None:
     """A metric without a value is NaN; a failed run says why."""
     failed = make_run(outcome=Outcome.STEP_FAILED, end=0.2)
     assert math.isnan(failed.metrics.peak_torque_1)
-    assert repr(failed.metrics.peak_torque_1) == "nan N.m (step failed at 0.2 s)"
+    assert repr(failed.metrics.peak_torque_1) == "– N·m (step failed at 0.2 s)"
     still = make_run(changes={"trajectory.dwell": 0.0})
     assert math.isnan(still.metrics.settling_time)
 

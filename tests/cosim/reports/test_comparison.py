@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.metrics.metric_table import Measurement
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, render_comparison
 from flexfmu.cosim.reports.curve_data import unpacked
 from flexfmu.cosim.reports.page import Table
@@ -22,7 +22,7 @@ def compared(name: str, amplitude: float, count: int = 1) -> ComparedRun:
     ringing = amplitude * np.sin(2.0 * np.pi * 50.0 * TIME)
     columns = {f"end_effector.position.{axis}": Column("m", 0.2 + 1e-5 * ringing) for axis in "xy"}
     columns["joint1.torque"] = Column("N.m", 10.0 * ringing)
-    metrics = {"peak_torque_1": Measurement(10.0 * amplitude), "settling_time": Measurement(None)}
+    metrics = {"peak_torque_1": Metric(10.0 * amplitude), "settling_time": Metric(None)}
     return ComparedRun(name, Recording(TIME, columns), metrics, 0.3)
 
 

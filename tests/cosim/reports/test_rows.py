@@ -32,5 +32,5 @@ def test_rows_are_told_in_every_form() -> None:
     assert json.loads(found.to_json()) == [{"run": "a", "torque": 1.5}, {"run": "b", "torque": None}]
     assert found.to_csv().splitlines() == ["run,torque", "a,1.5", "b,nan"]
     html = found._repr_html_()
-    assert "<th>torque [N.m]</th>" in html
+    assert "<th>torque [N·m]</th>" in html
     assert "<td>1.5</td>" in html

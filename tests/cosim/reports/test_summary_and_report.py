@@ -13,8 +13,9 @@ import pytest
 
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Column
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, Measurement
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports.curve_data import unpacked
@@ -267,7 +268,7 @@ def test_report_without_any_recorded_step(make_run: MakeRun) -> None:
 def test_report_escapes_what_it_shows(make_run: MakeRun) -> None:
     """A message of the FMU is text, not markup."""
     run = make_run()
-    summary = summarise(run, dict.fromkeys(COMMON_METRICS, Measurement(None)))
+    summary = summarise(run, dict.fromkeys(COMMON_METRICS, Metric(None)))
     summary["health"]["messages"] = ["<b>solver & state</b>"]
     assert "&lt;b&gt;solver &amp; state&lt;/b&gt;" in render_report(summary, [])
 

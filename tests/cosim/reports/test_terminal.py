@@ -21,7 +21,8 @@ from flexfmu.cosim.cli.scenes import _table as scenes_table
 from flexfmu.cosim.design.effects.study import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.design.shapers.table import terminal_table as shaper_table
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES
 from flexfmu.cosim.reports.comparison import ComparedRun
 from flexfmu.cosim.reports.comparison import metrics_table as compare_table
@@ -112,7 +113,7 @@ def compared() -> Table:
         ComparedRun(
             f"results/variant-{i}",
             Recording(np.zeros(0), {}),
-            {name: Measurement(1.2345e3 / (i + 1.0)) for name in METRICS},
+            {name: Metric(1.2345e3 / (i + 1.0)) for name in METRICS},
         )
         for i in range(4)
     ]
