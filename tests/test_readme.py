@@ -174,7 +174,7 @@ def test_metrics_of_the_quick_start(metrics: dict[str, Metric]) -> None:
     for name, label in named.items():
         found = metrics[name]
         assert re.search(
-            rf"{label} +{re.escape(display(name, found.value, error=found.error))} +"
+            rf"{label} +{name} +{re.escape(display(name, found.value, error=found.error))} +"
             rf"{display_error(name, found.value, found.error)}\n",
             shown,
         ), label

@@ -63,8 +63,8 @@ _NAMES = {
     "cosim.exchange.slave_export": "export_slaves",
     "cosim.exchange.ssp.export": "export_ssp",
     "cosim.exchange.ssp.loading": "load_ssp",
-    "cosim.many.variants": "run_variants",
     "cosim.experiment.metric": "Metric RunMetrics",
+    "cosim.many.variants": "run_variants",
     "cosim.metrics.metric_table": "display",
     "cosim.metrics.metrics": "measure_run",
     "cosim.metrics.motors": "motor_loads",
@@ -131,20 +131,6 @@ __all__ = [
     "sweep",
     "tune",
 ]
-
-_HOMES = dict.fromkeys(__all__, "flexfmu.api") | {
-    "Metric": "flexfmu.cosim.experiment.metric",
-    "Motor": "flexfmu.model.scene.motor",
-    "RunMetrics": "flexfmu.cosim.experiment.metric",
-    "Scene": "flexfmu.model.scene.schema",
-    "controller": "flexfmu.cosim.control.controllers.own_function",
-    "display": "flexfmu.cosim.metrics.metric_table",
-    "link_stresses": "flexfmu.cosim.metrics.stress",
-    "load_scene": "flexfmu.model.scene.file",
-    "measure_run": "flexfmu.cosim.metrics.metrics",
-    "motor_loads": "flexfmu.cosim.metrics.motors",
-}
-"""Public name → module that it is imported from at its first use."""
 
 # in a wheel the packages are in this folder; in a clone (editable installs) they are in the clone's top folder
 if not os.path.isdir(os.path.join(__path__[0], "model")):

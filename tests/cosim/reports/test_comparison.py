@@ -29,9 +29,9 @@ def compared(name: str, amplitude: float, count: int = 1) -> ComparedRun:
 def test_metrics_stand_beside_each_other_with_differences() -> None:
     """Relative to the first run; no value is a dash."""
     table = metrics_table([compared("slow", 1.0), compared("fast", 1.25), ComparedRun("measured", Recording(TIME, {}))])
-    assert table.header == ["Metric", "slow", "fast", "measured"]
-    assert table.rows[0] == ["Peak torque, joint 1", "10 N·m", "12.5 N·m (+25 %)", "–"]
-    assert table.rows[1][1:] == ["–", "–", "–"]
+    assert table.header == ["Metric", "Name", "slow", "fast", "measured"]
+    assert table.rows[0] == ["Peak torque, joint 1", "peak_torque_1", "10 N·m", "12.5 N·m (+25 %)", "–"]
+    assert table.rows[1][2:] == ["–", "–", "–"]
 
 
 def test_curves_are_the_recordings() -> None:

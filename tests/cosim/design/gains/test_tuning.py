@@ -300,5 +300,5 @@ def test_a_tuned_loop_is_the_scenes_own_run(tmp_path: Path) -> None:
     # again, from the journal alone: the same bytes
     before = (tmp_path / "out" / "tune.csv").read_bytes()
     shown = command(source, *[each for each in options if each != "--json"])
-    assert "pd.kp [N.m/rad]" in shown.stdout
+    assert "pd.kp [N·m/rad]" in shown.stdout
     assert (tmp_path / "out" / "tune.csv").read_bytes() == before

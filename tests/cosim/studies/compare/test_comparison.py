@@ -116,7 +116,7 @@ def test_the_command_prints_tables_json_and_a_page(folder: Path, log: Path, tmp_
     signal = data["measured"]["signals"]["stored"]["joint1.torque"]
     assert f"{signal['rms']:.4g}" in shown.stdout
     page = (tmp_path / "page" / "comparison.html").read_text(encoding="utf-8")
-    assert f"{signal['rms']:.4g} N.m" in page
+    assert f"{signal['rms']:.4g} N·m" in page
     assert "Spectra of measured signals" in page
     assert len(page.encode()) < 1.5e6
 
