@@ -14,9 +14,9 @@ from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.studies.paper import computed, figures, spectra
-from flexfmu.cosim.studies.paper.comparison import compare, printed_table, printed_tables, source
+from flexfmu.cosim.studies.paper.comparison import compare, printed_table, printed_tables
 from flexfmu.cosim.studies.paper.computed import PaperCase, SimulatedCase, simulate, write_simulations
-from flexfmu.cosim.studies.paper.report import PaperFigure, PaperReport, write_report
+from flexfmu.cosim.studies.paper.report import PaperFigure, PaperReport, source, write_report
 
 DrawFigure = Callable[[], Figure]
 

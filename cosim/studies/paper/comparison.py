@@ -50,24 +50,6 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class PaperSource:
-    """Bibliographic data of the paper, and what holds for the reproduction as a whole."""
-
-    authors: tuple[str, ...]
-    title: str
-    event: str
-    number: str
-    doi: str
-    url: str
-    remarks: tuple[str, ...]
-
-    @property
-    def citation(self) -> str:
-        """The source in one line."""
-        return f"{', '.join(self.authors)}: {self.title}. {self.event}, paper {self.number}, doi:{self.doi}"
-
-
-@dataclass(frozen=True)
 class Remark:
     """A remark on some cells of a quantity; empty ``rows`` or ``columns`` mean all of them."""
 
@@ -132,12 +114,6 @@ def read_data(name: str) -> dict[str, Any]:
 
 
 @cache
-def source() -> PaperSource:
-    """The paper itself."""
-    return TypeAdapter(PaperSource).validate_python(read_data("source"))
-
-
-@cache
 def printed_table(key: str) -> PrintedTable:
     """Read one table of `TABLES`."""
     data = read_data(key)
@@ -151,6 +127,21 @@ def printed_table(key: str) -> PrintedTable:
 def printed_tables() -> tuple[PrintedTable, ...]:
     """All tables, in the order of the report."""
     return tuple(printed_table(key) for key in TABLES)
+
+
+CLOSE, NEAR = 0.005, 0.035
+"""Relative errors up to which a cell is graded close (the bound of torque and deflection) and near (RMS errors)."""
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class Grade(Enum):
+    """How a cell is coloured."""
+
+    CLOSE = "close"
+    NEAR = "near"
+    FAR = "far"
+    MISPRINT = "misprint"
 
 
 EvaluateCell = Callable[[str, str], float]
@@ -194,9 +185,22 @@ class Cell:
         """Whether the printed figure can be right."""
         return all(remark.verdict is not Verdict.MISPRINT for remark in self.remarks)
 
+    @property
+    def grade(self) -> Grade:
+        """How near the computed figure is to the printed one."""
+        if not self.believable:
+            return Grade.MISPRINT
+        if abs(self.relative_error) <= CLOSE or self.agrees_to_the_digits:
+            return Grade.CLOSE
+        return Grade.NEAR if abs(self.relative_error) <= NEAR else Grade.FAR
+
     def rounded(self) -> str:
         """The computed figure with one more decimal than printed."""
         return f"{self.computed:.{self.decimals + 1}f}"
+
+    def difference(self) -> str:
+        """The relative error as text."""
+        return percentage(self.relative_error)
 
     def to_dict(self) -> dict[str, Any]:
         """The cell for JSON; ``paper`` and ``computed`` in the quantity's unit."""
@@ -213,12 +217,24 @@ class Cell:
         }
 
 
+def percentage(relative: float) -> str:
+    """A relative error as text with sign: two decimals below 10 %, none above 1000 %."""
+    value = 100 * relative
+    decimals = 2 if abs(value) < 9.995 else 1 if abs(value) < 999.5 else 0
+    return f"{value:+.{decimals}f}\N{NO-BREAK SPACE}%".replace("-", "\N{MINUS SIGN}")
+
+
 @dataclass(frozen=True)
 class QuantityComparison:
     """A printed quantity with its cells, row by row."""
 
     quantity: PrintedQuantity
     cells: tuple[Cell, ...]
+
+    def rows(self) -> list[tuple[str, list[Cell]]]:
+        """Label and cells of each row."""
+        columns = self.quantity.columns
+        return [(row, [self.cell(row, column) for column in columns]) for row in self.quantity.rows]
 
     def cell(self, row: str, column: str) -> Cell:
         """The cell of a row and a column.
@@ -250,6 +266,28 @@ class ComparisonTable:
     def cells(self) -> tuple[Cell, ...]:
         """The cells of all quantities."""
         return tuple(cell for comparison in self.comparisons for cell in comparison.cells)
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        """The remarks on all quantities, numbered from 1 in this order."""
+        return tuple(remark for comparison in self.comparisons for remark in comparison.quantity.remarks)
+
+    def footnotes(self) -> list[tuple[str, str]]:
+        """Mark and text of each remark."""
+        texts = (f"{remark.verdict.value.capitalize()}: {remark.text}" for remark in self.remarks)
+        return [(str(number).translate(_SUPERSCRIPTS), text) for number, text in enumerate(texts, 1)]
+
+    def marks(self, of: PrintedQuantity | Cell) -> str:
+        """The numbers of the remarks on a cell; those on all cells of a quantity stand at its heading alone."""
+        # by identity, since two quantities may have remarks of the same wording
+        general = isinstance(of, PrintedQuantity)
+        wanted = {id(remark) for remark in of.remarks if (not remark.rows and not remark.columns) == general}
+        numbers = (str(number) for number, remark in enumerate(self.remarks, 1) if id(remark) in wanted)
+        return " ".join(numbers).translate(_SUPERSCRIPTS)
+
+    def summary(self) -> str:
+        """The agreement in one sentence."""
+        return count_agreement(self.cells).sentence()
 
     def comparison(self, metric: str) -> QuantityComparison:
         """The comparison of a quantity by its metric's name.

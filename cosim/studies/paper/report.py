@@ -1,17 +1,15 @@
-"""The result of `flexfmu paper`: tables beside the printed ones, and figures; as files, one offline page, and on a terminal.
-
-A comparison as a page of texts, marks and footnotes; and that page as Markdown, on a terminal, and as CSV.
-"""
+"""The result of `flexfmu paper`: tables beside the printed ones, and figures; as files, one offline page, and on a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from pydantic import TypeAdapter
 from rich.console import Console
 from rich.text import Text
 
@@ -24,176 +22,66 @@ from flexfmu.cosim.studies.paper.comparison import (
     Agreement,
     Cell,
     ComparisonTable,
-    PaperSource,
-    QuantityComparison,
-    Remark,
+    Grade,
     count_agreement,
+    read_data,
 )
 
-CLOSE, NEAR = 0.005, 0.035
-"""Relative errors up to which a cell is graded close (the bound of torque and deflection) and near (RMS errors)."""
 
-_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-class Grade(Enum):
-    """How a cell is coloured."""
-
-    CLOSE = "close"
-    NEAR = "near"
-    FAR = "far"
-    MISPRINT = "misprint"
-
-
-@dataclass(frozen=True)
-class CellText:
-    """A cell as texts: the paper's figure, the computed one, the relative error, the footnotes' marks."""
-
-    paper: str
-    computed: str
-    difference: str
-    marks: str
-    grade: Grade
-
-
-@dataclass(frozen=True)
-class QuantityBlock:
-    """A quantity: heading with unit and marks, meaning, columns, rows of label and cells."""
-
-    name: str
-    unit: str
-    marks: str
-    meaning: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[CellText, ...]], ...]
-
-
-@dataclass(frozen=True)
-class TablePage:
-    """A table of the paper, ready to be laid out.
-
-    Attributes:
-        key, label, title: as in `PrintedTable`.
-        remarks: what holds for the whole table.
-        blocks: its quantities.
-        footnotes: mark and text, in the order of the marks.
-        summary: the agreement in one sentence.
-    """
-
-    key: str
-    label: str
-    title: str
-    remarks: tuple[str, ...]
-    blocks: tuple[QuantityBlock, ...]
-    footnotes: tuple[tuple[str, str], ...]
-    summary: str
-
-
-def lay_out(table: ComparisonTable) -> TablePage:
-    """Turn a comparison into texts with numbered footnotes."""
-    remarks = tuple(remark for comparison in table.comparisons for remark in comparison.quantity.remarks)
-    footnotes = (f"{remark.verdict.value.capitalize()}: {remark.text}" for remark in remarks)
-    return TablePage(
-        key=table.printed.key,
-        label=table.printed.label,
-        title=table.printed.title,
-        remarks=table.printed.remarks,
-        blocks=tuple(_block(comparison, remarks) for comparison in table.comparisons),
-        footnotes=tuple((str(n).translate(_SUPERSCRIPTS), text) for n, text in enumerate(footnotes, 1)),
-        summary=count_agreement(table.cells).sentence(),
-    )
-
-
-def percentage(relative: float) -> str:
-    """A relative error as text with sign: two decimals below 10 %, none above 1000 %."""
-    value = 100 * relative
-    decimals = 2 if abs(value) < 9.995 else 1 if abs(value) < 999.5 else 0
-    return f"{value:+.{decimals}f}\N{NO-BREAK SPACE}%".replace("-", "\N{MINUS SIGN}")
-
-
-def _block(comparison: QuantityComparison, remarks: tuple[Remark, ...]) -> QuantityBlock:
-    """A quantity's texts; a remark on all of its cells is marked at the heading, the others at their cells."""
-    quantity = comparison.quantity
-
-    def marks(chosen: Iterable[Remark], general: bool) -> str:
-        # by identity, since two quantities may have remarks of the same wording
-        wanted = {id(remark) for remark in chosen if (not remark.rows and not remark.columns) == general}
-        numbers = (str(number) for number, remark in enumerate(remarks, 1) if id(remark) in wanted)
-        return " ".join(numbers).translate(_SUPERSCRIPTS)
-
-    def text(cell: Cell) -> CellText:
-        difference = percentage(cell.relative_error)
-        return CellText(cell.printed, cell.rounded(), difference, marks(cell.remarks, general=False), _grade(cell))
-
-    return QuantityBlock(
-        name=quantity.name,
-        unit=quantity.unit,
-        marks=marks(quantity.remarks, general=True),
-        meaning=quantity.meaning,
-        columns=quantity.columns,
-        rows=tuple(
-            (row, tuple(text(comparison.cell(row, column)) for column in quantity.columns)) for row in quantity.rows
-        ),
-    )
-
-
-def _grade(cell: Cell) -> Grade:
-    if not cell.believable:
-        return Grade.MISPRINT
-    if abs(cell.relative_error) <= CLOSE or cell.agrees_to_the_digits:
-        return Grade.CLOSE
-    return Grade.NEAR if abs(cell.relative_error) <= NEAR else Grade.FAR
-
-
-def table_to_markdown(page: TablePage) -> str:
+def table_to_markdown(table: ComparisonTable) -> str:
     """One table of the paper: every cell as paper → computed (relative error)."""
-    parts = [f"## {page.label}. {page.title}", *page.remarks]
-    for block in page.blocks:
-        heading = f"**{block.name}** [{block.unit}]{block.marks}: {block.meaning}; paper → computed (relative error)"
-        rule = ["---", *("---:" for _ in block.columns)]
-        rows = [[label, *map(_markdown_cell, cells)] for label, cells in block.rows]
-        parts.append(f"{heading}\n\n{markdown_table(['', *block.columns], rule, rows)}")
-    if page.footnotes:
-        parts.append("\n".join(f"- {mark} {text}" for mark, text in page.footnotes))
-    return "\n\n".join([*parts, f"**{page.summary}**"]) + "\n"
+    parts = [f"## {table.printed.label}. {table.printed.title}", *table.printed.remarks]
+    for comparison in table.comparisons:
+        quantity = comparison.quantity
+        name = f"**{quantity.name}** [{quantity.unit}]{table.marks(quantity)}"
+        heading = f"{name}: {quantity.meaning}; paper → computed (relative error)"
+        rule = ["---", *("---:" for _ in quantity.columns)]
+        rows = [
+            [label, *(_markdown_cell(cell, table.marks(cell)) for cell in cells)] for label, cells in comparison.rows()
+        ]
+        parts.append(f"{heading}\n\n{markdown_table(['', *quantity.columns], rule, rows)}")
+    if table.remarks:
+        parts.append("\n".join(f"- {mark} {text}" for mark, text in table.footnotes()))
+    return "\n\n".join([*parts, f"**{table.summary()}**"]) + "\n"
 
 
-def _markdown_cell(cell: CellText) -> str:
+def _markdown_cell(cell: Cell, marks: str) -> str:
     """``paper → **computed** (relative error)``, a misprint struck out."""
-    paper = f"~~{cell.paper}~~" if cell.grade is Grade.MISPRINT else cell.paper
-    return f"{paper} → **{cell.computed}** ({cell.difference}){cell.marks}"
+    paper = f"~~{cell.printed}~~" if cell.grade is Grade.MISPRINT else cell.printed
+    return f"{paper} → **{cell.rounded()}** ({cell.difference()}){marks}"
 
 
 _COLOURS = {Grade.CLOSE: "green", Grade.NEAR: "yellow", Grade.FAR: "red", Grade.MISPRINT: "bright_black"}
 
 
-def print_page(page: TablePage, console: Console) -> None:
+def print_table(table: ComparisonTable, console: Console) -> None:
     """Print one table of the paper."""
     console.print()
-    console.print(Text(f"{page.label}. {page.title}", style="bold"))
-    for remark in page.remarks:
+    console.print(Text(f"{table.printed.label}. {table.printed.title}", style="bold"))
+    for remark in table.printed.remarks:
         console.print(Text(remark, style="italic"))
     # a table for each quantity
-    for block in page.blocks:
-        title = f"{block.name} [{block.unit}]{block.marks}: paper → computed"
-        table = titled_table(title, "", numbers=block.columns)
-        for label, cells in block.rows:
-            table.add_row(label, *map(_rich_cell, cells))
-        console.print(table)
+    for comparison in table.comparisons:
+        quantity = comparison.quantity
+        title = f"{quantity.name} [{quantity.unit}]{table.marks(quantity)}: paper → computed"
+        shown = titled_table(title, "", numbers=quantity.columns)
+        for label, cells in comparison.rows():
+            shown.add_row(label, *(_rich_cell(cell, table.marks(cell)) for cell in cells))
+        console.print(shown)
     # what the marks mean, and how well the table agrees
-    for mark, text in page.footnotes:
+    for mark, text in table.footnotes():
         console.print(Text(f"{mark} {text}", style="dim"))
-    console.print(Text(page.summary, style="bold"))
+    console.print(Text(table.summary(), style="bold"))
 
 
-def _rich_cell(cell: CellText) -> Text:
+def _rich_cell(cell: Cell, marks: str) -> Text:
     """``paper → computed (relative error)`` in the colour of the grade, a misprint struck out."""
-    difference = cell.difference.replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
+    difference = cell.difference().replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
     return Text.assemble(
-        (cell.paper, "strike" if cell.grade is Grade.MISPRINT else ""),
+        (cell.printed, "strike" if cell.grade is Grade.MISPRINT else ""),
         " → ",
-        (cell.computed, "bold"),
-        (f" ({difference}){cell.marks or ' '}", _COLOURS[cell.grade]),
+        (cell.rounded(), "bold"),
+        (f" ({difference}){marks or ' '}", _COLOURS[cell.grade]),
     )
 
 
@@ -219,6 +107,30 @@ def table_to_csv(table: ComparisonTable) -> str:
             for cell in comparison.cells
         ]
     )
+
+
+@dataclass(frozen=True)
+class PaperSource:
+    """Bibliographic data of the paper, and what holds for the reproduction as a whole."""
+
+    authors: tuple[str, ...]
+    title: str
+    event: str
+    number: str
+    doi: str
+    url: str
+    remarks: tuple[str, ...]
+
+    @property
+    def citation(self) -> str:
+        """The source in one line."""
+        return f"{', '.join(self.authors)}: {self.title}. {self.event}, paper {self.number}, doi:{self.doi}"
+
+
+@cache
+def source() -> PaperSource:
+    """The paper itself."""
+    return TypeAdapter(PaperSource).validate_python(read_data("source"))
 
 
 @dataclass(frozen=True)
@@ -282,7 +194,7 @@ class PaperReport:
         """The whole report; figures are referred to by their relative paths."""
         head = ["# The paper's experiment, printed and computed", f"Printed figures: {self.source.citation}."]
         remarks = "\n".join(f"- {remark}" for remark in self.source.remarks)
-        tables = [table_to_markdown(lay_out(table)) for table in self.tables]
+        tables = [table_to_markdown(table) for table in self.tables]
         figures = [f"![{figure.label}. {figure.caption}]({figure.file('.png')})" for figure in self.figures]
         return "\n\n".join([*head, remarks, f"**{self.summary()}**", *tables, *figures]).rstrip() + "\n"
 
@@ -315,7 +227,7 @@ def report_to_html(report: PaperReport, folder: Path) -> str:
         "paper.html.j2",
         source=report.source,
         summary=report.summary(),
-        pages=[lay_out(table) for table in report.tables],
+        tables=report.tables,
         figures=[_embedded(figure, folder) for figure in report.figures],
         overview=_embedded(report.overview, folder) if report.overview else None,
         timing=report.timing,
@@ -355,6 +267,6 @@ def print_report(report: PaperReport, console: Console) -> None:
     """Print every table of a report, its footnotes and the summary."""
     console.print(Text(report.source.citation, style="italic"))
     for table in report.tables:
-        print_page(lay_out(table), console)
+        print_table(table, console)
     console.print()
     console.print(Text(report.summary(), style="bold"))

@@ -21,8 +21,7 @@ from flexfmu.cosim.reports.plots import bent_robot, draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.compare.comparison import compare_runs
-from flexfmu.cosim.studies.paper.comparison import source
-from flexfmu.cosim.studies.paper.report import PaperReport, report_to_html
+from flexfmu.cosim.studies.paper.report import PaperReport, report_to_html, source
 from flexfmu.cosim.studies.workprec.figures import html
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial

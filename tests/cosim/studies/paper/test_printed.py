@@ -6,8 +6,9 @@ import pytest
 
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.paper import computed
-from flexfmu.cosim.studies.paper.comparison import TABLES, PrintedTable, Verdict, printed_table, printed_tables, source
+from flexfmu.cosim.studies.paper.comparison import TABLES, PrintedTable, Verdict, printed_table, printed_tables
 from flexfmu.cosim.studies.paper.computed import curves, profiles, simulated_cases
+from flexfmu.cosim.studies.paper.report import source
 
 SHAPES = {
     "table-02": (1, 5),
