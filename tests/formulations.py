@@ -18,7 +18,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.studies.workprec.tool_trials import DAMPING_TIME
 from flexfmu.cosim.studies.workprec.trial import completed
-from flexfmu.model.finite_elements.equilibrium import element_frequencies, equilibrium
+from flexfmu.model.finite_elements.motion import element_frequencies, equilibrium
 from flexfmu.model.finite_elements.robot import FiniteElementRobot
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.schema import Scene

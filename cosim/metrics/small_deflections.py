@@ -21,8 +21,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene.choice import DEFAULT_TOLERANCE
-from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.response import ElasticMotion
+from flexfmu.model.selection.response import ElasticMotion, MotionGrid
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run

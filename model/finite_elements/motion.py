@@ -1,4 +1,5 @@
-"""Motion of the finite elements under prescribed motor angles, by the Radau IIA method of order 5.
+"""Static equilibrium (Newton's method) and natural frequencies of the finite elements, with locked motors; and their motion under
+prescribed motor angles, by the Radau IIA method of order 5.
 
 The unknowns of a step are the accelerations at its three stages; rates and coordinates follow from them. The equations
 of motion hold at every stage. The last one is the end of the step, so that accelerations and torques have the accuracy of the
@@ -13,14 +14,76 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg import eigh, lu_factor, lu_solve
 
-from flexfmu.model.finite_elements.equilibrium import equilibrium
 from flexfmu.model.finite_elements.robot import HELD, MOTORS, FiniteElementRobot
 from flexfmu.model.radau import radau
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
+
+EQUILIBRIUM_ITERATIONS = 20
+
+ROUNDING = 1e-13
+"""The Newton iteration has converged when its step is below this [m, rad]: rounding of coordinates of about 1."""
+
+
+@dataclass(frozen=True)
+class RestState:
+    """A static equilibrium.
+
+    Attributes:
+        coordinates: coordinates of all nodes (size,) [m, rad].
+        position: end effector (2,) [m].
+        torque: motor torques that hold the pose (2,) [N m].
+    """
+
+    coordinates: RealArray
+    position: RealArray
+    torque: RealArray
+
+
+def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> RestState:
+    """Equilibrium with the motors locked at the angles (q11, q21) [rad].
+
+    Raises:
+        EquilibriumError: the Newton iteration doesn't converge.
+    """
+    # Newton iteration on the free coordinates; the motors stay locked
+    x = robot.undeformed(joints)
+    rest = np.zeros(x.size)
+    for _ in range(EQUILIBRIUM_ITERATIONS):
+        stiffness = robot.tangents(x, rest, rest)[0][HELD:, HELD:]
+        step = np.linalg.solve(stiffness, -robot.forces(*_columns(x, rest, rest))[HELD:, 0])
+        x[HELD:] += step
+        if np.abs(step).max() < ROUNDING:
+            # motor torques balance the forces on the motor angles
+            torque = robot.forces(*_columns(x, rest, rest))[list(MOTORS), 0]
+            return RestState(x, x[list(robot.mesh.end)], torque)
+    raise EquilibriumError(
+        f"no static equilibrium of the finite elements with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad: "
+        f"Newton's step is still {np.abs(step).max():.3g} m or rad after {EQUILIBRIUM_ITERATIONS} iterations"
+    )
+
+
+def element_frequencies(robot: FiniteElementRobot, joints: RealArray, count: int) -> RealArray:
+    """The first undamped natural frequencies [Hz] about the static equilibrium, with the motors locked.
+
+    Raises:
+        EquilibriumError: there is no static equilibrium.
+    """
+    x = equilibrium(robot, joints).coordinates
+    rest = np.zeros(x.size)
+    stiffness, _, mass = (each[HELD:, HELD:] for each in robot.tangents(x, rest, rest))
+    squares = eigh(
+        0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T), eigvals_only=True, subset_by_index=(0, count - 1)
+    )
+    return np.asarray(np.sqrt(squares) / (2.0 * np.pi))
+
+
+def _columns(*vectors: RealArray) -> tuple[RealArray, ...]:
+    return tuple(vector[:, None] for vector in vectors)
+
 
 Factors = tuple[RealArray, NDArray[np.int32]]
 

@@ -16,8 +16,7 @@ import numpy as np
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.effects import Effects
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.response import ElasticMotion, LinearTimeVaryingSystem
+from flexfmu.model.selection.response import ElasticMotion, LinearTimeVaryingSystem, MotionGrid
 from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.jets import Indices, RealArray
 

@@ -25,8 +25,7 @@ from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.linearized_motion import LinearizedMotion, Outputs
-from flexfmu.model.selection.motion_grid import MotionGrid, motion_grid
-from flexfmu.model.selection.response import ElasticMotion
+from flexfmu.model.selection.response import ElasticMotion, MotionGrid, motion_grid
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import Trajectory
 

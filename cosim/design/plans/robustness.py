@@ -19,8 +19,7 @@ from flexfmu.cosim.design.plans.goals import Goals, damping_of, goals_of
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
-from flexfmu.model.finite_elements.equilibrium import equilibrium
-from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.effects import NoDampingSection

@@ -17,8 +17,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics import small_deflections
 from flexfmu.cosim.metrics.small_deflections import exceeded, kept_path_errors, path_errors
-from flexfmu.model.finite_elements.equilibrium import equilibrium
-from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.scene.file import load_scene

@@ -14,7 +14,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.stress import LinkStress, link_stresses
 from flexfmu.cosim.reports.motors import stress_rows
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.model.finite_elements.equilibrium import equilibrium
+from flexfmu.model.finite_elements.motion import equilibrium
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.numeric import numeric_model

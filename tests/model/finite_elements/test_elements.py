@@ -9,8 +9,7 @@ from scipy.linalg import eigh
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.finite_elements.element import COORDINATES, BeamSection, beam_element
-from flexfmu.model.finite_elements.equilibrium import element_frequencies
-from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.motion import element_frequencies, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.errors import SceneError

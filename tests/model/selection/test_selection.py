@@ -24,8 +24,7 @@ from flexfmu.model.scene.choice import MeasureName
 from flexfmu.model.scene.effects import LOADS
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.motion_grid import motion_grid
-from flexfmu.model.selection.response import LinearTimeVaryingSystem
+from flexfmu.model.selection.response import LinearTimeVaryingSystem, motion_grid
 
 OF: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 HEAVY = load_scene("barnard2012-6kg")

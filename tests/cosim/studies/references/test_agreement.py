@@ -28,8 +28,7 @@ from formulations import (
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.model.finite_elements.equilibrium import element_frequencies
-from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.motion import element_frequencies, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.file import load_scene
