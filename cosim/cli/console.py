@@ -29,8 +29,8 @@ from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from flexfmu.cosim.design.effects.choice import ShowProgress
     from flexfmu.cosim.engine.results import Recording
+    from flexfmu.cosim.engine.showing import ShowProgress
     from flexfmu.model.scene.schema import Scene
 
 

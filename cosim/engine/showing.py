@@ -1,10 +1,18 @@
-"""Objects as a user sees them: a few lines on a terminal, a table in a notebook."""
+"""Objects as a user sees them: a few lines on a terminal, a table in a notebook; and the progress of what takes long."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from textwrap import wrap
+
+ShowProgress = Callable[[str, float | None], None]
+"""Called with the current activity and the finished fraction, 0..1; None where it isn't known."""
+
+
+def quiet(text: str, fraction: float | None) -> None:
+    """Show no progress."""
+
 
 WIDTH = 79
 """Columns of a line; the narrowest terminals have 80."""

@@ -3,7 +3,7 @@ their variables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -15,6 +15,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.recording import SlaveFacts, slave_facts
@@ -87,10 +88,6 @@ class ExportedSystem:
         return replace(self, slaves=tuple(map(renamed, self.slaves)), connections=connections)
 
 
-ExportProgress = Callable[[str, float | None], None]
-"""Function of the current activity and the finished fraction, 0 to 1, or None if unknown."""
-
-
 def export_slaves(
     scene: Scene,
     folder: Path,
@@ -100,7 +97,7 @@ def export_slaves(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     cache: bool = True,
-    progress: ExportProgress = lambda text, fraction: None,
+    progress: ShowProgress = quiet,
 ) -> ExportedSystem:
     """Export the slaves of a scene as FMUs ``<folder>/<slave>.fmu``.
 

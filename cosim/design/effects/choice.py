@@ -18,6 +18,7 @@ from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, rich
 from flexfmu.cosim.design.effects.search import SAFETY, choose_effects, one_more, rich_enough
 from flexfmu.cosim.engine.errors import CosimError, LearningWarning, ResultsError
 from flexfmu.cosim.engine.results import EVERYTHING
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -41,13 +42,6 @@ from flexfmu.trajectories.trajectory import Trajectory
 
 MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 """Metrics of a choice where neither scene nor command line names any; the last one needs a dwell."""
-
-ShowProgress = Callable[[str, float | None], None]
-"""Called with the current activity and the finished fraction, 0..1; None where it isn't known."""
-
-
-def quiet(text: str, fraction: float | None) -> None:
-    """Show no progress."""
 
 
 def requirements(

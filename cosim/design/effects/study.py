@@ -14,16 +14,15 @@ from rich.text import Text
 from flexfmu.cosim.design.effects.choice import (
     EXACT,
     Observed,
-    ShowProgress,
     choose_verified,
     followed,
     named_metrics,
     observe,
-    quiet,
     requirements,
 )
 from flexfmu.cosim.design.effects.estimator import Estimator, scales
 from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS

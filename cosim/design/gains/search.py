@@ -12,10 +12,10 @@ from math import log
 import casadi
 import numpy as np
 
-from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.gains.goals import Condition
 from flexfmu.cosim.design.gains.journal import TrialJournal
 from flexfmu.cosim.design.gains.trial import Study, Trial
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.engine.slave import RealArray
 
 STARTS = 3

@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flexfmu.cosim.design.effects.choice import ShowProgress, quiet
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.journal import TrialJournal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.showing import few_lines
+from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from flexfmu.cosim.design.effects.choice import ShowProgress, resolved
+from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidate, Method
 from flexfmu.cosim.design.plans.checks import INSTANTS as CHECKED
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
@@ -27,6 +27,7 @@ from flexfmu.cosim.design.plans.scoring import Score
 from flexfmu.cosim.design.plans.sequential_programme import MotionStudy
 from flexfmu.cosim.design.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.own_motion import plan_own
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.numeric import inverse_dynamics

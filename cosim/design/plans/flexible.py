@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import Polygon
 from flexfmu.cosim.design.plans.goals import RATES, Goals
 from flexfmu.cosim.design.plans.robust_optimal import PAYLOADS, TRIES, excesses, robust_optimal
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.model.reference_design.control_rows import Area, ReferenceLimits, RobotLimits
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import COARSE, optimal_motions

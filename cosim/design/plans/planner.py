@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.effects.choice import ShowProgress, quiet
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.baselines import BASELINES, installed
@@ -20,6 +19,7 @@ from flexfmu.cosim.design.plans.goals import Goals, judged_scene
 from flexfmu.cosim.design.plans.required_effects import most_robust
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.reports.rows import Rows

@@ -12,9 +12,9 @@ from itertools import chain
 
 import numpy as np
 
-from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.reference_design.motion_stage import DEPTH, MotionLimits

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
 from flexfmu.cosim.design.plans.designs import changed
 from flexfmu.cosim.design.plans.goals import Goals
@@ -32,6 +31,7 @@ from flexfmu.cosim.design.plans.sequential_programme import (
     merged,
 )
 from flexfmu.cosim.design.plans.studies import study_of
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.trajectories.jets import RealArray
 

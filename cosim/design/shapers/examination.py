@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from flexfmu.cosim.design.effects.choice import ShowProgress
 from flexfmu.cosim.design.shapers.alternatives import DesignModes, alternatives, design_modes
 from flexfmu.cosim.design.shapers.recommendation import (
     Recommendation,
@@ -36,6 +35,7 @@ from flexfmu.cosim.design.shapers.table import (
     result_data,
     terminal_table,
 )
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.one_thread import one_blas_thread

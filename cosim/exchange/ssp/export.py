@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import Value, typed
-from flexfmu.cosim.exchange.slave_export import ExportedSlave, ExportedSystem, ExportProgress, export_slaves
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
+from flexfmu.cosim.exchange.slave_export import ExportedSlave, ExportedSystem, export_slaves
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
@@ -47,7 +48,7 @@ def export_ssp(
     loop: Loop | None = None,
     platforms: Iterable[str] | None = None,
     cache: bool = True,
-    progress: ExportProgress = lambda text, fraction: None,
+    progress: ShowProgress = quiet,
 ) -> Path:
     """Export a scene as an SSP 1.0 file and return its path.
 

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
 from flexfmu.cosim.experiment.timing import processor_time
@@ -24,9 +25,6 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.design.effects.choice import ShowProgress
 
 Source = Run | Scene | Path | str
 """A run, a scene, or what a path leads to: a folder or file of results, a scene file; or the name of a shipped scene."""
@@ -40,7 +38,7 @@ READABLE = (".parquet", ".mat", ".csv")
 
 def compared_runs(
     sources: Sequence[Source],
-    show: ShowProgress = lambda text, fraction: None,
+    show: ShowProgress = quiet,
     payload_band: PayloadBand | None = None,
 ) -> list[ComparedRun]:
     """Return the runs with different names; scenes are simulated now, with errors from one companion run each.

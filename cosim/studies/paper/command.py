@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.studies.paper import computed, figures, spectra
@@ -95,11 +96,8 @@ DEFAULT_FOLDER = RESULTS / "paper"
 
 TRAJECTORY_TABLES = ("table-02", "table-05", "table-06")
 
-PaperProgress = Callable[[str, float], None]
-"""Function of the current activity and the finished fraction, 0 to 1."""
 
-
-def run_paper(out: Path = DEFAULT_FOLDER, *, progress: PaperProgress | None = None) -> PaperReport:
+def run_paper(out: Path = DEFAULT_FOLDER, *, progress: ShowProgress = quiet) -> PaperReport:
     """Run the paper's experiment and write tables and figures.
 
     Results are written as soon as they are computed, so that an interrupted run keeps those it has.
@@ -122,19 +120,19 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: PaperProgress | None = No
     report = PaperReport(source(), versions=versions())
     for name, stage in STAGES.items():
         started = perf_counter()
-        report = stage(report, out, progress or (lambda what, fraction: None))
+        report = stage(report, out, progress)
         report = replace(report, timing={**report.timing, name: perf_counter() - started})
         write_report(report, out)
     return report
 
 
-def _trajectory_tables(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
+def _trajectory_tables(report: PaperReport, out: Path, progress: ShowProgress) -> PaperReport:
     progress("tables of the trajectories", 0.0)
     evaluate = computed.motion_evaluators()
     return replace(report, tables=tuple(compare(printed_table(key), evaluate) for key in TRAJECTORY_TABLES))
 
 
-def _trajectory_figures(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
+def _trajectory_figures(report: PaperReport, out: Path, progress: ShowProgress) -> PaperReport:
     for index, (figure, draw) in enumerate(TRAJECTORY_FIGURES):
         progress(figure.label, 0.10 + 0.02 * index)
         draw_figure(figure, draw, out)
@@ -142,13 +140,13 @@ def _trajectory_figures(report: PaperReport, out: Path, progress: PaperProgress)
     return report
 
 
-def _frequencies(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
+def _frequencies(report: PaperReport, out: Path, progress: ShowProgress) -> PaperReport:
     progress("natural frequencies along the path", 0.25)
     table = compare(printed_table("frequencies"), computed.frequency_evaluators())
     return replace(report, tables=(*report.tables, table))
 
 
-def _simulations(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
+def _simulations(report: PaperReport, out: Path, progress: ShowProgress) -> PaperReport:
     # tables about simulations, each with the evaluators of its own scene
     tables = [table for table in printed_tables() if table.scene]
     simulations = simulate_cases(computed.simulated_cases(tables), out, progress)
@@ -168,7 +166,7 @@ def _simulations(report: PaperReport, out: Path, progress: PaperProgress) -> Pap
     return replace(report, figures=(*report.figures, PATH_ERRORS), overview=OVERVIEW)
 
 
-def simulate_cases(cases: Sequence[PaperCase], out: Path, progress: PaperProgress) -> Mapping[PaperCase, SimulatedCase]:
+def simulate_cases(cases: Sequence[PaperCase], out: Path, progress: ShowProgress) -> Mapping[PaperCase, SimulatedCase]:
     """Simulate the cases, and write ``simulations.csv`` after each of them.
 
     Raises:
@@ -183,7 +181,7 @@ def simulate_cases(cases: Sequence[PaperCase], out: Path, progress: PaperProgres
     return done
 
 
-STAGES: Mapping[str, Callable[[PaperReport, Path, PaperProgress], PaperReport]] = {
+STAGES: Mapping[str, Callable[[PaperReport, Path, ShowProgress], PaperReport]] = {
     "trajectory tables": _trajectory_tables,
     "trajectory figures": _trajectory_figures,
     "frequencies": _frequencies,
