@@ -115,7 +115,7 @@ def read_mat(path: Path) -> tuple[RealArray, dict[str, Column]]:
     """
     try:
         found = loadmat(path, simplify_cells=True)
-    except (OSError, ValueError, NotImplementedError, MatReadError) as error:
+    except (OSError, ValueError, IndexError, NotImplementedError, MatReadError) as error:
         hint = "; save it in MATLAB with -v7" if isinstance(error, NotImplementedError) else ""
         raise ResultsError(f"can't read {path}: {' '.join(str(error).split())}{hint}") from error
     if "time" not in found:
