@@ -2,10 +2,12 @@
 # make test      set everything up and run all tests that aren't marked slow, against the built wheel: five minutes on two cores
 # make test-all  make test, then make slow: everything
 # make slow      the slow tests, against the built wheel: examples, other people's tools, whole studies, every variant
+# make test-lowest  the tests of make test with the oldest dependencies that pyproject.toml allows
 # make fuzz      100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
 # make bench     how fast everything is, against its targets and against the figures of the last release
 # make check     make lint and make test side by side: before a commit
 # make lint      formatting, linting, types, and where the lines are
+# make dist      the source distribution, the wheel made from it, and their descriptions checked, in dist/
 # make docs      the documentation as a site in build/site; warnings are errors
 
 PYTHON ?= python3
@@ -22,7 +24,7 @@ install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(BIN)/py
 # tests run against the installed wheel, never against the source tree
 install_wheel = rm -rf build/lib && { $(call install,--force-reinstall --no-deps .); }
 
-.PHONY: demo test test-all slow check fuzz bench lint docs format clean
+.PHONY: demo test test-all test-lowest slow check fuzz bench lint docs dist format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -43,6 +45,14 @@ test-all:
 slow: $(VENV)/.slow
 	$(install_wheel)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -q -m slow $(PYTEST_ARGUMENTS)
+
+# wheels alone: the oldest source distributions don't build any more; what they call deprecated is their own concern
+test-lowest: $(VENV)/bin/python
+	mkdir -p build
+	$(BIN)/uv pip compile --quiet --resolution lowest-direct --only-binary :all: --all-extras --python $(PYTHON) pyproject.toml -o build/lowest.txt
+	$(BIN)/uv venv --quiet --clear --python $(PYTHON) build/lowest
+	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --constraint build/lowest.txt --group test .
+	build/lowest/bin/python -m pytest -n 2 --dist worksteal -q -m "not slow" -W ignore::DeprecationWarning $(PYTEST_ARGUMENTS)
 
 check: $(VENV)/.lint $(VENV)/.test
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint test
@@ -67,6 +77,12 @@ lint: $(VENV)/.lint
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 	@echo "Open build/site/index.html in a browser."
+
+dist: $(VENV)/bin/python
+	rm -rf dist
+	$(call install,build twine)
+	$(BIN)/python -m build --quiet
+	$(BIN)/twine check --strict dist/*
 
 format: $(VENV)/.lint
 	$(BIN)/ruff format .

@@ -74,7 +74,7 @@ def _environment(libc: Any) -> dict[bytes, bytes]:
     """The environment variables of the C library."""
     pointer = ctypes.POINTER(ctypes.c_char_p).in_dll(libc, "environ")
     entries: list[bytes] = []
-    while pointer and (entry := pointer[len(entries)]) is not None:
+    while bool(pointer) and (entry := pointer[len(entries)]) is not None:
         entries.append(entry)
     return dict(entry.partition(b"=")[::2] for entry in entries)
 

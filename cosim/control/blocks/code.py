@@ -49,9 +49,8 @@ QUIET_FUNCTIONS = (
 LOUD_OPERATIONS = tuple(
     getattr(casadi, f"OP_{name}")
     for name in ("ASSERTION", "MONITOR", "PRINTME", "DUMP", "SOLVE", "INVERSE", "DETERMINANT")
-    if hasattr(casadi, f"OP_{name}")
 )
-"""Operations that raise or print; CasADi has `OP_DUMP` since 3.8."""
+"""Operations that raise or print."""
 
 _pointer: Any = pythonapi.PyCapsule_GetPointer
 _pointer.argtypes, _pointer.restype = (py_object, c_char_p), c_void_p

@@ -79,6 +79,10 @@ def test_axes_have_plain_numbers() -> None:
     figure.draw_without_rendering()
     (factor,) = axes.child_axes
     for side, numbers in ((axes, {"10", "100", "1000"}), (factor, {"0.1", "1", "10"})):
-        texts = {label.get_text() for label in side.yaxis.get_ticklabels(which="both")}
+        low, high = side.get_ylim()
+        labels = side.yaxis.get_ticklabels(which="both")
+        texts = {
+            label.get_text() for label in labels if low <= label.get_position()[1] <= high
+        }  # ticks beyond the axis aren't drawn
         assert numbers <= texts
         assert not any("e" in text for text in texts)
