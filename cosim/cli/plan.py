@@ -161,13 +161,14 @@ def _print(result: PlanResult, files: list[str]) -> None:
 
 def _limits(result: PlanResult) -> Table:
     """How close the chosen motion comes to each limit."""
+    from flexfmu.cosim.engine.showing import shown_unit
     from flexfmu.cosim.reports.terminal import titled_table
 
     table = titled_table("Limits of the chosen motion")
     for name in ("limit", "value", "of", "unit", "used", "where"):
         table.add_column(name, justify="left" if name in ("limit", "unit", "where") else "right")
     for use in result.chosen.uses:
-        unit = "" if use.unit == "1" else use.unit
+        unit = shown_unit(use.unit)
         table.add_row(use.name, f"{use.value:.3g}", f"{use.limit:.3g}", unit, f"{100 * use.share:.0f} %", use.where)
     return table
 
@@ -196,7 +197,7 @@ def _front(result: PlanResult) -> Table:
     table = titled_table(
         "Pareto front" if len(shown) == len(front) else f"Pareto front: {len(shown)} of {len(front)}, all in front.csv"
     )
-    for name in ("motion", "time s", "residual µm", "torque N.m", "energy J", "off path mm", "limits"):
+    for name in ("motion", "time s", "residual µm", "torque N·m", "energy J", "off path mm", "limits"):
         table.add_column(name, justify="left" if name in ("motion", "limits") else "right")
     for each in shown:
         figures = (

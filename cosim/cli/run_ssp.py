@@ -22,6 +22,7 @@ from flexfmu.cosim.cli.console import (
 )
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.master import Simulation
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
 from flexfmu.cosim.exchange.ssp.loading import SspSystem, load_ssp
 from flexfmu.cosim.experiment.recording import slave_facts
@@ -118,5 +119,5 @@ def _ranges(title: str, simulation: Simulation) -> Table:
             table.add_row(Text(name), "", "", Text(f'"{last[:TEXT_WIDTH]}{"..." if len(last) > TEXT_WIDTH else ""}"'))
         elif column.values.size:
             values = column.values.min(), column.values.max(), column.values[-1]
-            table.add_row(Text(f"{name} [{column.unit or '-'}]"), *(f"{value:.6g}" for value in values))
+            table.add_row(Text(f"{name} [{shown_unit(column.unit) or '-'}]"), *(f"{value:.6g}" for value in values))
     return table

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 
 TWICE = "An instant at which signals jump appears twice: values before the jump first, then those after it."
@@ -41,7 +42,7 @@ class Column:
         known = self.values[np.isfinite(self.values)]
         span = f", {known.min():.6g} to {known.max():.6g}" if known.size else ""
         order = (self.first is not None) + (self.second is not None)
-        return f"Column of {self.values.size} values [{self.unit or '-'}]{span}, {order} derivatives"
+        return f"Column of {self.values.size} values [{shown_unit(self.unit) or '-'}]{span}, {order} derivatives"
 
     def listed(self) -> RealArray | list[str]:
         """Return the N values, or the N texts of a signal of type String."""

@@ -13,7 +13,7 @@ import numpy as np
 from flexfmu.cosim.engine.columns import Column, LazyColumns, SignalTable, chosen
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra, suggestion
 from flexfmu.cosim.engine.formats.csv_table import read_csv, write_csv
-from flexfmu.cosim.engine.showing import few_lines, html_table
+from flexfmu.cosim.engine.showing import few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Recording(Mapping[str, Column]):
         return f"Recording of {self.time.size} instants{span}, {len(self.columns)} signals"
 
     def _repr_html_(self) -> str:
-        rows = [(name, column.unit, *_extremes(column)) for name, column in self.columns.items()]
+        rows = [(name, shown_unit(column.unit), *_extremes(column)) for name, column in self.columns.items()]
         table = html_table(("signal", "unit", "smallest", "largest"), rows)
         return f"<details><summary>{self._head()}</summary>{table}</details>"
 

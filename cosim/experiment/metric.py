@@ -187,7 +187,7 @@ class RunMetrics(Mapping[str, Metric]):
         if name not in self._found:
             try:
                 self._kept(name, self._measure(0, [name])[name])
-            except InputError as error:
+            except (InputError, KeyError) as error:
                 known = self._names()
                 raise KeyError(
                     f"this run has no metric {name!r}; {suggestion(name, known) if known else error}"

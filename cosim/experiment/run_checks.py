@@ -241,7 +241,7 @@ def _remedies(run: Run) -> str:
             torque = run.recording.columns.get(f"joint{joint}.torque")
             limit = 0.0 if torque is None else float(abs(torque.values).max())
             if torque is not None and limit and (abs(torque.values) > limit * (1.0 - ROUNDING)).mean() > SATURATED:
-                yield f"raise the torque limit of {limit:.3g} N.m or protect integrators against windup"
+                yield f"raise the torque limit of {limit:.3g} N·m or protect integrators against windup"
                 break
 
     *most, last = remedies()

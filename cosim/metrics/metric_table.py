@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from math import degrees, log10
+from math import degrees, inf, log10, pi
 from operator import methodcaller
 from typing import Any
 
@@ -276,6 +276,14 @@ LOOP_FIGURES: Mapping[str, MetricDefinition] = {
             lambda value: 20.0 * log10(value),
             "Least factor on the torques above 1 with which the loop is unstable.",
         ),
+        (
+            "gain_reduction",
+            "Gain reduction",
+            "1",
+            "dB",
+            lambda value: 20.0 * log10(value) if value > 0.0 else -inf,
+            "Largest factor on the torques below 1 with which the loop is unstable; 0 if there is none.",
+        ),
         ("phase_margin", "Phase margin", "rad", "deg", degrees, "Phase lag with which the loop is unstable."),
         (
             "delay_margin",
@@ -293,6 +301,22 @@ LOOP_FIGURES: Mapping[str, MetricDefinition] = {
             "1",
             float,
             "Largest gain from disturbances to what remains of them.",
+        ),
+        (
+            "bandwidth",
+            "Bandwidth",
+            "rad/s",
+            "Hz",
+            lambda value: 0.5 * value / pi,
+            "Lowest frequency at which less than 3 dB of a disturbance are suppressed.",
+        ),
+        (
+            "crossover",
+            "Crossover frequency",
+            "rad/s",
+            "Hz",
+            lambda value: 0.5 * value / pi,
+            "Highest frequency at which the loop's gain is 1.",
         ),
         (
             "cpu_time",
@@ -316,8 +340,8 @@ def metric(name: str, value: float | None, **known: Any) -> Metric:
         known: further arguments of `Metric`, ``error`` for example.
     """
     info = definition(name)
-    found = value if isinstance(value, Metric) else Metric(value)
-    return found.changed(unit=info.unit, name=name, label=info.label, description=info.description, **known)
+    what = {"unit": info.unit, "name": name, "label": info.label, "description": info.description, **known}
+    return value.changed(**what) if isinstance(value, Metric) else Metric(value, **what)
 
 
 def definition(name: str) -> MetricDefinition:

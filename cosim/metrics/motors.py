@@ -20,6 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.bernstein import bernstein_basis, cut, maximum_norm
@@ -224,7 +225,7 @@ class MotorLoad:
                 if margin.time is not None and margin.position is not None:
                     x, y = margin.position
                     place = f" at {margin.time:.4g} s, end effector at ({x:.4g}, {y:.4g}) m"
-                unit = margin.unit
+                unit = shown_unit(margin.unit)
                 yield (
                     f"{self.label}: {margin.name} of {margin.value:.4g} {unit}{place} exceeds the limit of "
                     f"{margin.limit:g} {unit} by {100.0 * (margin.use - 1.0):.3g} %"

@@ -10,7 +10,7 @@ import numpy as np
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display, metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
 from flexfmu.cosim.reports.chart import Curve, Panel
 from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table, render_page
@@ -60,12 +60,12 @@ class OverBand:
 
     Attributes:
         masses: lightest and heaviest payload of the robot [kg].
-        worst: metric → its largest value at both ends; None where one end has no value, a loop that doesn't settle for example.
+        worst: metric → its largest value at both ends; without a value where one end has no value, a loop that doesn't settle for example.
         failures: payload that the run failed with [kg] → message.
     """
 
     masses: tuple[float, float]
-    worst: Mapping[str, float | None]
+    worst: Mapping[str, Metric]
     failures: Mapping[float, str] = field(default_factory=dict)
 
 
@@ -156,7 +156,7 @@ def _band_table(runs: Sequence[ComparedRun]) -> Table:
 
 
 def _worst(name: str, band: OverBand) -> str:
-    found = metric(name, band.worst.get(name))
+    found = band.worst.get(name, Metric(None))
     return "unstable" if found.value is None and band.failures else _rounded(found, 5)
 
 

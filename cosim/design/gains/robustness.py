@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
+from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.comparison import OverBand
 from flexfmu.model.scene.imperfections import PayloadErrorSection
@@ -79,7 +80,7 @@ def robustness(
             failures[mass] = reason
         else:
             found.append(metrics_of(run, names))
-    worst = {name: _largest([each[name] for each in found]) if not failures else None for name in names}
+    worst = {name: metric(name, None if failures else _largest([each[name] for each in found])) for name in names}
     return OverBand(masses, worst, failures)
 
 

@@ -13,7 +13,6 @@ from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_marg
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
-from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -143,7 +142,7 @@ class Study:
             for mass, reason in worst.failures.items():
                 return Trial(values, {}, f"with {mass:g} kg: {reason}")
             for name in names:
-                both = found[name], worst.worst[name]
+                both = found[name], worst.worst[name].value
                 found[name] = None if None in both else max(each for each in both if each is not None)
         # margins take longer than runs
         if any(goal.is_margin for goal in self.goals):
@@ -181,7 +180,7 @@ def loop_margins(scene: Scene, band: PayloadBand | None = None) -> MarginsResult
 
 def margin_figures(found: MarginsResult) -> dict[str, Metric]:
     """Return the worst of each margin."""
-    return {name: metric(name, getattr(found.worst, name)) for name in MARGINS}
+    return {name: getattr(found.worst, name) for name in MARGINS}
 
 
 def _single(value: Any) -> float | None:

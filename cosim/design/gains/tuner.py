@@ -19,9 +19,10 @@ from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet
+from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping
-from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS
+from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
 from flexfmu.cosim.reports.rows import Rows
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
@@ -73,6 +74,12 @@ class TuneResult(Rows):
     def scene(self) -> Scene:
         """The tuned scene."""
         return self.study.changed(self.best.values)
+
+    @property
+    def metrics(self) -> RunMetrics:
+        """The figures of the best trial: metrics, the worst over the band of payloads, and margins."""
+        found = {name: metric(name, value) for name, value in self.best.figures.items()}
+        return RunMetrics(f"{self.study.scene.name}, tuned", lambda companions, names: found)
 
     def rows(self) -> list[dict[str, Any]]:
         """The trials: values of the keys, figures, and a message where one failed."""

@@ -179,7 +179,7 @@ def coarse_counts(scene: Scene, loop: Loop, wired: WiredLoop) -> str | None:
                     worst = torque / limit
                     text = "the torque limit" if name in limits else "the largest torque that the motion needs"
                     message = (
-                        f"{what} is {torque:.3g} N.m of {name}, {100.0 * worst:.0f} % of {text}, {limit:.3g} N.m: the robot may "
+                        f"{what} is {torque:.3g} N·m of {name}, {100.0 * worst:.0f} % of {text}, {limit:.3g} N·m: the robot may "
                         "rattle at rest; take a finer resolution, velocities over a longer window or through a filter, or lower gains"
                     )
     return message

@@ -13,7 +13,7 @@ An introduction to disk margins, IEEE Control Systems Magazine 40 (2020).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from math import atan, exp, inf, isfinite, log, nan, pi
 from typing import Any
@@ -24,6 +24,8 @@ from scipy.optimize import brentq, minimize_scalar
 
 from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop, Perturbation
 from flexfmu.cosim.design.margins.peaks import RESOLVED, gain_of, largest, near, peak_of
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.trajectories.jets import RealArray
 
 LARGEST_GAIN, LOGARITHM = 1e3, 0.18
@@ -58,7 +60,7 @@ ALL = "all"
 class LoopMargins:
     """Margins where the loop is cut: at one of the robot's torques, or at all of them at once.
 
-    Attributes:
+    Attributes, but for the channel metrics with unit and label:
         channel: input of the robot, ``joint1.torque`` for example, or ``all``.
         gain_margin: least factor above 1 with which the loop is unstable; infinite if there is none up to 1000.
         gain_reduction: largest factor below 1 with which it is; 0 if there is none.
@@ -72,14 +74,19 @@ class LoopMargins:
     """
 
     channel: str
-    gain_margin: float
-    gain_reduction: float
-    phase_margin: float
-    delay_margin: float
-    disk_margin: float
-    sensitivity_peak: float
-    bandwidth: float
-    crossover: float
+    gain_margin: Metric
+    gain_reduction: Metric
+    phase_margin: Metric
+    delay_margin: Metric
+    disk_margin: Metric
+    sensitivity_peak: Metric
+    bandwidth: Metric
+    crossover: Metric
+
+    @classmethod
+    def of(cls, channel: str, *values: float) -> LoopMargins:
+        """The margins at a channel from their values, in the order of the attributes."""
+        return cls(channel, *map(metric, [each.name for each in fields(cls)][1:], values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +219,7 @@ class _Cut:
         """The margins; of an unstable loop only its crossover."""
         crossover = self._crossing(lambda f: gain_of(f) - 1.0, -1)
         if not stable:
-            return LoopMargins(name, 1.0, 1.0, 0.0, 0.0, 0.0, nan, nan, crossover)
+            return LoopMargins.of(name, 1.0, 1.0, 0.0, 0.0, 0.0, nan, nan, crossover)
         disk = self._disk()
         reduction, gain = self.gains(disk)
         # a phase turns one way: the other way is the conjugate
@@ -222,7 +229,7 @@ class _Cut:
         delay = _first(lambda x: map(self._late, x.tolist()), delays)
         peak = largest(lambda z: gain_of(self.opened.sensitivity.transfer(z)), self._angles)
         bandwidth = self._crossing(lambda f: gain_of(np.linalg.inv(np.eye(f.shape[-1]) + f)) - 0.5**0.5, 1)
-        return LoopMargins(name, gain, reduction, min(phase, pi), delay, disk, peak, bandwidth, crossover)
+        return LoopMargins.of(name, gain, reduction, min(phase, pi), delay, disk, peak, bandwidth, crossover)
 
     def gains(self, disk: float, most: float = LARGEST_GAIN) -> tuple[float, float]:
         """Gain reduction and gain margin, which lie beyond those of the disk margin."""

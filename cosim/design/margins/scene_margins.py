@@ -22,6 +22,7 @@ from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.reports.rows import Rows
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
@@ -71,10 +72,10 @@ class MarginsResult(Rows):
         found: dict[str, Any] = {"channel": "worst"}
         for name in (field.name for field in fields(LoopMargins) if field.name != "channel"):
             values = [value for row in rows if not isnan(value := getattr(row, name))]
-            found[name] = (max if name in BETTER_IF_LESS else min)(values, default=nan)
+            found[name] = metric(name, (max if name in BETTER_IF_LESS else min)(values, default=nan))
         # a loop that is unstable at a pose has neither there
         if not all(pose.is_stable for pose in self.poses):
-            found |= {"sensitivity_peak": nan, "bandwidth": nan}
+            found |= {name: metric(name, nan) for name in ("sensitivity_peak", "bandwidth")}
         return LoopMargins(**found)
 
     @property

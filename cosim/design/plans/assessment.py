@@ -15,6 +15,7 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
@@ -89,6 +90,18 @@ class Peaks:
     stress: float
 
 
+FIGURES: Mapping[str, tuple[str, str]] = {
+    "time": ("Duration with shapers, without the dwell", "s"),
+    "residual": ("Largest residual vibration", "m"),
+    "torque": ("Largest torque", "N.m"),
+    "rms_torque": ("Largest RMS torque", "N.m"),
+    "energy": ("Largest energy of a run", "J"),
+    "off_path": ("Largest distance from the given path", "m"),
+    "clearance": ("Smallest distance to what is kept clear", "m"),
+}
+"""Figure of an assessment → label and SI unit."""
+
+
 @dataclass(frozen=True, eq=False)
 class Assessment:
     """A candidate's figures, and its use of each limit.
@@ -146,6 +159,15 @@ class Assessment:
     def torque_ratio(self) -> float:
         """Worst ratio of peak torques to the given motion's; NaN for the given motion itself."""
         return next((use.value for use in self.uses if use.name == "torque ratio"), math.nan)
+
+    @property
+    def metrics(self) -> RunMetrics:
+        """Its figures with units and labels, the worst within the bands."""
+        found = {
+            name: Metric(float(getattr(self, name)), unit, name=name, label=label, description=f"{label}.")
+            for name, (label, unit) in FIGURES.items()
+        }
+        return RunMetrics(self.candidate.label, lambda companions, names: found)
 
     @property
     def objective(self) -> Mapping[str, float]:

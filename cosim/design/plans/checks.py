@@ -108,13 +108,13 @@ def check_holding_torque(goals: Goals, given: Assessment | None = None) -> None:
         for k, robot in enumerate(robots):
             torques = np.abs(static_equilibrium(robot.of(goals.scene), joints).torque)
             for joint, torque in enumerate(torques.tolist()):
-                most, wish = limit.limit, f"{limit.limit:g} N.m"
+                most, wish = limit.limit, f"{limit.limit:g} N·m"
                 if given is not None and limit.is_relative:
                     most = limit.limit * given.peaks[k].torque[joint]
-                    wish = f"{limit.limit:g} of the given motion's, {most:.4g} N.m of joint {joint + 1},"
+                    wish = f"{limit.limit:g} of the given motion's, {most:.4g} N·m of joint {joint + 1},"
                 if torque > most * (1.0 + MET):
                     raise InputError(
-                        f"`plan.limits.torque` = {wish} is below {torque:.4g} N.m, which hold {robot} at the {name} of the "
+                        f"`plan.limits.torque` = {wish} is below {torque:.4g} N·m, which hold {robot} at the {name} of the "
                         f"motion against gravity: allow more, or carry less"
                     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from time import monotonic
@@ -19,7 +19,8 @@ from flexfmu.cosim.design.plans.goals import Goals, judged_scene
 from flexfmu.cosim.design.plans.required_effects import most_robust
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.engine.showing import ShowProgress, quiet
+from flexfmu.cosim.engine.showing import ShowProgress, quiet, shown_unit
+from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.reports.rows import Rows
@@ -41,8 +42,8 @@ COMPARED = ("ruckig", "toppra", "csv")
 SCREENED, JUDGED = 7, 25
 """Payloads within the band with which every candidate is assessed, and with which the chosen motion is judged."""
 
-FRONT: Mapping[str, str] = {"time": "s", "residual": "m", "torque": "N.m", "energy": "J", "off_path": "m"}
-"""Figures that the Pareto front weighs against each other, with their units."""
+FRONT = ("time", "residual", "torque", "energy", "off_path")
+"""Figures that the Pareto front weighs against each other."""
 
 ALIKE = 1e-3
 """Relative difference of all figures of `FRONT` below which the front has one of two motions."""
@@ -81,11 +82,16 @@ class PlanResult(Rows):
     def __repr__(self) -> str:
         """Return the chosen motion beside the given one, in a few lines."""
         lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
-        for name, unit in FRONT.items():
-            lines.append(
-                f"  {name}: {getattr(self.chosen, name):.4g} {unit} (given {getattr(self.given, name):.4g} {unit})"
-            )
+        chosen, given = self.chosen.metrics, self.given.metrics
+        for name in FRONT:
+            unit = shown_unit(chosen[name].unit)
+            lines.append(f"  {name}: {chosen[name]:.4g} {unit} (given {given[name]:.4g} {unit})")
         return "\n".join([*lines, f"  {self.verdict}"])
+
+    @property
+    def metrics(self) -> RunMetrics:
+        """The figures of the chosen motion, the worst within the bands."""
+        return self.chosen.metrics
 
     @property
     def scene(self) -> Scene:

@@ -241,7 +241,7 @@ def _by_elements(fixed: Candidate, goals: Goals) -> RobustnessLine:
         "finite elements",
         residual,
         f"{scene.payload.mass:g} kg",
-        note=f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N.m",
+        note=f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N·m",
     )
 
 

@@ -8,6 +8,7 @@ from io import BytesIO
 from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.columns import Column
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 
 
@@ -36,7 +37,7 @@ def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = ""
         for name, column in columns.items():
             if column.unit == unit:
                 axes.plot(time, column.values, label=name, linewidth=1.2)
-        axes.set_ylabel(f"[{unit}]" if unit else "value")
+        axes.set_ylabel(f"[{shown_unit(unit)}]" if unit else "value")
         axes.grid(True, alpha=0.3)
         axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     all_axes[-1].set_xlabel("time [s]")

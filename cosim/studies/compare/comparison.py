@@ -124,7 +124,7 @@ class Comparison(Rows):
         }
         worst = [run.band.worst if run.band else {} for run in self.runs]
         found |= {
-            f"worst.{name}": [each.get(name) for each in worst]
+            f"worst.{name}": [each.get(name, none).value for each in worst]
             for name in BAND_METRICS
             if any(name in each for each in worst)
         }
@@ -253,7 +253,7 @@ def _sampled(recording: Recording, name: str) -> TimedValues:
 def _band_data(band: OverBand) -> dict[str, Any]:
     return {
         "masses": list(band.masses),
-        "worst": dict(band.worst),
+        "worst": {name: each.value for name, each in band.worst.items()},
         "failures": {f"{mass:g}": message for mass, message in band.failures.items()},
     }
 

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.reports.figure_style import draw, style
@@ -105,7 +106,7 @@ class _Axis:
     """
 
     def __init__(self, key: str, unit: str, column: Sequence[Any]) -> None:
-        self.label = f"{key} [{unit}]" if unit else key
+        self.label = f"{key} [{shown_unit(unit)}]" if unit else key
         self.names: list[str] | None = None
         if all(isinstance(each, Real) and not isinstance(each, bool) for each in column):
             self.values: RealArray = np.array(column, dtype=float)
@@ -135,7 +136,7 @@ def _title(result: Swept, i: int) -> str:
     """Label of a metric with its unit."""
     name = result.metrics[i]
     label = ALL_METRICS[name].label if name in ALL_METRICS else name
-    return f"{label} [{result.units.get(name, '')}]"
+    return f"{label} [{shown_unit(result.units.get(name, ''))}]"
 
 
 def _lines(axes: Axes, result: Swept, keys: Sequence[_Axis], i: int) -> None:

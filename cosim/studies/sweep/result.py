@@ -16,6 +16,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.reports.rows import Rows
 from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.store import TABLE, signal_file, text_of
@@ -54,12 +55,16 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         return len(self.cases)
 
     def __getitem__(self, number: Any) -> Any:
-        """The row of a case: ``case``, the keys, the metrics (None for no value) and ``message``."""
+        """The row of a case: ``case``, the keys, the metrics (`flexfmu.Metric`, None for no value) and ``message``."""
         if isinstance(number, slice):
             return [self[i] for i in range(*number.indices(len(self)))]
         if not -len(self) <= number < len(self):
             raise IndexError(f"the sweep has {len(self)} cases, there is no number {number}")
-        number %= len(self)
+        found = self._row(number % len(self))
+        return found | {name: metric(name, found[name]) for name in self.metrics if found[name] is not None}
+
+    def _row(self, number: int) -> dict[str, Any]:
+        """The row of a case with plain numbers."""
         found = [None if value != value else value for value in self.values[number].tolist()]
         return {
             "case": number,
@@ -92,8 +97,8 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         return Recording.read_csv(signal_file(self.folder, number))
 
     def rows(self) -> Sequence[dict[str, Any]]:
-        """The rows of all cases."""
-        return self
+        """The rows of all cases, with plain numbers."""
+        return [self._row(number) for number in range(len(self))]
 
     def row_columns(self) -> Mapping[str, Any]:
         """Number, keys, metrics (NaN for no value) and message of all cases."""

@@ -187,7 +187,7 @@ def test_numerical_errors_beyond_what_was_asked_are_warned_of() -> None:
         "residual_vibration_amplitude": Metric(1e-8, error=9e-11, own=1e-8, own_error=9e-11),
     }
     (sentence,) = _beyond_tolerance(run, found)
-    assert sentence.startswith("Peak torque, joint 1: the run's own numerical error of 1.5 N.m is more than the 0.1 %")
+    assert sentence.startswith("Peak torque, joint 1: the run's own numerical error of 1.5 N·m is more than the 0.1 %")
 
 
 @pytest.fixture

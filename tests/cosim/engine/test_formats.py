@@ -132,7 +132,7 @@ def test_mcap(recording: Recording, tmp_path: Path) -> None:
 def test_plot(recording: Recording) -> None:
     """A pair of axes for each unit; notebooks get a picture."""
     figure = recording.plot(["joint1.torque", "der(link11.bending[1],2)"])
-    assert [axes.get_ylabel() for axes in figure.axes] == ["[N.m]", "[m/s2]"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["[N·m]", "[m/s²]"]
     np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), NUMBERS)
     assert recording.plot("joint*")._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
@@ -169,4 +169,4 @@ def test_reprs_are_short(recording: Recording) -> None:
         assert len(lines) <= 5
         assert max(map(len, lines)) <= 80
     assert "… 49" in repr(many)
-    assert "<td>joint1.torque</td><td>N.m</td>" in recording._repr_html_()
+    assert "<td>joint1.torque</td><td>N·m</td>" in recording._repr_html_()

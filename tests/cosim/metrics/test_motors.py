@@ -130,10 +130,10 @@ def test_which_limit_is_hit(run: Run) -> None:
     """A sentence for each limit that is exceeded, with instant and pose; a limit that is just reached isn't exceeded."""
     load = loaded(run, (20.0, 0.0), (-4.0, 0.0), replace(MOTOR, gear_efficiency=1.0, peak_torque=2.0))
     assert load.critical.name == "RMS torque"
-    assert list(load.exceeded) == ["motor 1: RMS torque of 2 N.m exceeds the limit of 1 N.m by 100 %"]
+    assert list(load.exceeded) == ["motor 1: RMS torque of 2 N·m exceeds the limit of 1 N·m by 100 %"]
     load = loaded(run, (0.0, 30.0), (50.0, 0.0), replace(MOTOR, name="small", maximum_speed=400.0))
     first, second, third = load.exceeded
-    assert first.startswith("motor 1 (small): peak torque of 3.75 N.m at 0.25")
+    assert first.startswith("motor 1 (small): peak torque of 3.75 N·m at 0.25")
     assert "end effector at (0." in first
     assert "RMS torque" in second
     assert "speed of 500 rad/s" in third

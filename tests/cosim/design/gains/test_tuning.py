@@ -251,6 +251,10 @@ def test_margins_are_those_of_the_loop() -> None:
             assert trial.figures["phase_margin"] == pytest.approx(found.worst.phase_margin, rel=1e-12)
     assert any(not each.message for each in result.trials[:2])
     assert result.study.rank(result.best)[0] == 0
+    assert (result.metrics.phase_margin, result.metrics.phase_margin.unit) == (
+        result.best.figures["phase_margin"],
+        "rad",
+    )
     wild = result.study.tried((2e3,))
     assert "unstable" in wild.message
 

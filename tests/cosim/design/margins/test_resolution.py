@@ -78,19 +78,19 @@ def test_limits(robot: Scene) -> None:
     count = 55.0 * 2.0 * np.pi / 4000.0 * 1e3
     motor = {"continuous_torque": 3.0, "peak_torque": 8.0, "maximum_speed": 100.0, "gear_ratio": 100.0}
     cases: list[tuple[str, Scene]] = [
-        ("the torque limit, 300 N.m", with_encoder(robot, 4e3, controller=[PD | {"torque_limit": 300.0}])),
+        ("the torque limit, 300 N·m", with_encoder(robot, 4e3, controller=[PD | {"torque_limit": 300.0}])),
         (
-            "the torque limit, 250 N.m",
+            "the torque limit, 250 N·m",
             with_encoder(robot, 4e3, 1, {"kind": "saturation", "limit": 250.0}, controller=[PD | {"torque_limit": 300.0}]),
         ),
-        ("the torque limit, 800 N.m", with_encoder(robot, 4e3, motor=motor)),
+        ("the torque limit, 800 N·m", with_encoder(robot, 4e3, motor=motor)),
         ("the largest torque that the motion needs", with_encoder(robot, 4e3)),
     ]  # fmt: skip
     for text, scene in cases:
         loop = loop_of(scene, about_rest=True)
         sentence = coarse_counts(scene, loop, WiredLoop(scene, loop)) or ""
         assert text in sentence
-        assert f"is {count:.3g} N.m of joint" in sentence
+        assert f"is {count:.3g} N·m of joint" in sentence
 
 
 @pytest.mark.slow

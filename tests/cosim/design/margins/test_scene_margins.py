@@ -107,6 +107,7 @@ def test_the_critical_gain_is_that_of_simulations(scene: Scene) -> None:
     pose = scene_margins(scene, poses=1).poses[0]
     assert pose.is_stable
     predicted = pose.loops[-1].gain_margin
+    assert (predicted.name, predicted.label, predicted.unit) == ("gain_margin", "Gain margin", "1")
     assert not grows(scene, pose.joints, 0.99 * predicted)
     assert grows(scene, pose.joints, 1.01 * predicted)
 

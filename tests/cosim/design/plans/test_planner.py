@@ -72,6 +72,7 @@ def test_the_fastest_motion_within_all_limits_is_chosen(result: PlanResult) -> N
     assert len(feasible) >= 1
     assert result.chosen.feasible
     assert result.chosen.time == min(each.time for each in feasible)
+    assert (result.metrics.torque, result.metrics.torque.unit) == (result.chosen.torque, "N.m")
     # a faster one is there, but comes into what is kept clear
     wide = next(each for each in result.assessed if each.candidate.label == "wide corners")
     assert wide.time < result.chosen.time

@@ -74,6 +74,7 @@ def test_every_kind_of_source_is_the_same_run(run: Run, folder: Path, tmp_path: 
     assert frame.loc["peak_torque_1", "stored"] == run.metrics.peak_torque_1
     assert frame.attrs["units"]["peak_torque_1"] == "N.m"
     assert found.runs[1].duration == pytest.approx(run.plan.duration)
+    assert repr(found.runs[1].metrics["peak_torque_1"]).endswith(" N·m")
     assert not found.runs[3].metrics
 
 

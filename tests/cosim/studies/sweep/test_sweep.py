@@ -227,6 +227,8 @@ def test_the_result_in_a_notebook(folder: Path) -> None:
     assert frame.attrs["units"] == {"payload.mass": "kg", "peak_torque_1": "N.m"}
     assert frame["peak_torque_1"].tolist() == [row["peak_torque_1"] for row in result]
     assert result[-1] == result[1]
+    peak = result[1]["peak_torque_1"]
+    assert (peak.name, peak.unit, peak.label) == ("peak_torque_1", "N.m", "Peak torque, joint 1")
     assert len(result.plot().axes) == 1
     assert result.summary()["peak_torque_1"]["max_case"] == 1
 
