@@ -1,4 +1,4 @@
-"""`flexfmu plan`: the motion that serves best within limits."""
+"""`flexfmu plan`: the best motion within limits."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def plan(
 ) -> int:
     """Plan the fastest motion that leaves no vibration, within limits that hold over a band of payloads.
 
-    Writes planned.toml, which every command takes, the Pareto front as front.csv, and plan.html with the planned motion
-    beside the given one. After Ctrl-C the best motion so far is written.
+    Writes planned.toml, which every command takes, the Pareto front as front.csv, and plan.html, which
+    compares the planned with the given motion. After Ctrl-C the best motion so far is written.
 
     Args:
         output (-o, --output FILE.toml): Also write the planned scene here. Default: only into --out.
@@ -62,15 +62,15 @@ def plan(
         limit (NAME=VALUE): A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed,
             acceleration, jerk, rms_torque, power, reaction, stress, off_path; may be repeated. Default: torque=1x, speed=2.5x,
             acceleration=2.5x, jerk=2.5x.
-        margin (METRES): How far it may come into what is kept clear. Default: the scene's, or 1e-4.
-        corridor (METRES): How far it may swing beyond the given path. Default: the scene's, or 0.01.
-        method (NAME): search, flexible, optimal, or a planner to compare with, ruckig or toppra; may be repeated. Default: all
+        margin (METRES): How far the motion may enter the keep-out region. Default: the scene's, or 1e-4.
+        corridor (METRES): How far the motion may leave the given path to the outside. Default: the scene's, or 0.01.
+        method (NAME): search, flexible, optimal, or for comparison ruckig or toppra; may be repeated. Default: all
             that are installed.
-        candidate (FILE.csv): A motion of your own, of joints or end effector, to be judged with the others; may be repeated.
+        candidate (FILE.csv): A motion of your own, of joints or end effector, to compare; may be repeated.
             Default: none.
-        budget (SECONDS): Begin nothing new after this time. Default: no limit.
+        budget (SECONDS): Start no further method or candidate after this time. Default: no limit.
         seed (N): Seed of the search. Default: the scene's, or 0.
-        robust: Judge the chosen motion in richer models too.
+        robust: Evaluate the chosen motion in richer models too.
     """
     import os
 

@@ -71,7 +71,7 @@ def point_functions(scene: Scene, effort: Effort | None = None) -> PointFunction
 
     Args:
         scene: the scene.
-        effort: what the motors' effort counts; None for nothing.
+        effort: weight of the motors' effort; None to skip it.
     """
     model = numeric_model(scene)
     n = model.n

@@ -86,7 +86,7 @@ def summary_table(result: PlanResult) -> Table:
         [name, f"{one:.4g}", f"{other:.4g}", f"{other / one:.3g}" if one else "-"]
         for name, (one, other) in figures.items()
     ]
-    note = f"Worst of all robots within the bands; at most {1e3 * result.goals.wishes.margin:g} mm may be missing to what is kept clear."
+    note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
 
 
@@ -100,7 +100,7 @@ def limits_table(found: Assessment) -> Table:
         for use in found.uses
     ]  # fmt: skip
     header = ["Limit", "Value", "At most", "Unit", "Used", "Kept", "Where"]
-    return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in what is kept clear.")
+    return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in the keep-out region.")
 
 
 def front_table(result: PlanResult) -> Table:
@@ -113,9 +113,9 @@ def front_table(result: PlanResult) -> Table:
         for each in result.table
     ]  # fmt: skip
     units = ["Time [s]", "Residual [µm]", "Torque [N·m]", "Energy [J]", "Off path [mm]"]
-    note = "No other motion found is better in every figure."
+    note = "No other motion found beats one of these in every figure."
     if len(result.table) > len(result.front):
-        note = "Motions of which no other is better in every figure, and those of other planners and of files to compare with."
+        note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
     return Table("Pareto front", ["Motion", "Method", *units, "Limits"], rows, note)
 
 

@@ -40,7 +40,7 @@ class Bounds:
         settled_within: time after the motion from which it holds [s].
         torque: (V, 2) largest torque of each motor with each variant [N.m]; infinite without a limit.
         others: name → largest value, of `FIGURES`.
-        distance: signed distances (N,) of positions (N, 2) [m] from what is kept clear, negative inside; None for nothing.
+        distance: signed distances (N,) of positions (N, 2) [m] from the keep-out region, negative inside; None without one.
         margin: by how much the end effector may come nearer [m].
         passage: how far a way through positions (N, 2) [m] would have to move to go around what it passes through [m].
     """

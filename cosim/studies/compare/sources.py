@@ -48,7 +48,7 @@ def compared_runs(
     Args:
         sources: runs, folders, files and scenes.
         show: is called with what is being done, and the finished fraction.
-        payload_band: scenes are also run at both ends of this band of payloads; None for not.
+        payload_band: scenes are also run at both ends of this band of payloads; None to skip.
 
     Raises:
         InputError: there is no source, a folder has no results, or a band of payloads can't be had.
