@@ -14,9 +14,9 @@ changes = {
     "trajectory.duration": 0.3,
 }
 robot = flexfmu.load_scene("barnard2012-6kg").replace(changes)
-pd = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 5e-4}
-feedforward = {"kind": "feedforward", "sample_time": 5e-4}
-shaper = {"kind": "zv", "apply": "path", "modes": [{"frequency": 58.0, "ratio": 0.14}]}
+pd = flexfmu.control.pd(proportional=5e3, derivative=50.0, sample_time=5e-4)
+feedforward = flexfmu.control.feedforward(sample_time=5e-4)
+shaper = flexfmu.shapers.zv(apply="path", modes=[{"frequency": 58.0, "ratio": 0.14}])
 
 soft = robot.replace({"name": "pd", "controller": [pd]})
 scenes = [

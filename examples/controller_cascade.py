@@ -3,29 +3,24 @@
 python controller_cascade.py
 """
 
-from flexfmu import load_scene, run
+import flexfmu
 
-robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
 
+loops = {
+    "velocity": {"proportional": 120.0, "integral": 6e3, "sample_time": 2.5e-4},
+    "current": {"time_constant": 2e-4, "sample_time": 6.25e-5},
+    "torque_limit": 90.0,
+    "sample_time": 1e-3,
+}
+error_alone = flexfmu.control.cascade(position={"proportional": 60.0, "velocity_feedforward": 0.0}, **loops)
+with_velocity = flexfmu.control.cascade(position={"proportional": 60.0}, **loops)
+torques = flexfmu.control.feedforward(sample_time=1e-3)
 
-def cascade(velocity_feedforward: float) -> dict[str, object]:
-    """The table of the scene file."""
-    return {
-        "kind": "cascade",
-        "torque_limit": 90.0,
-        "sample_time": 1e-3,
-        "position": {"proportional": 60.0, "velocity_feedforward": velocity_feedforward},
-        "velocity": {"proportional": 120.0, "integral": 6e3, "sample_time": 2.5e-4},
-        "current": {"time_constant": 2e-4, "sample_time": 6.25e-5},
-    }
-
-
-torques = {"kind": "feedforward", "sample_time": 1e-3}
 for what, controllers in {
-    "position error alone": [cascade(0.0)],
-    "velocity feedforward": [cascade(1.0)],
-    "and torque feedforward": [cascade(1.0), torques],
+    "position error alone": [error_alone],
+    "velocity feedforward": [with_velocity],
+    "and torque feedforward": [with_velocity, torques],
 }.items():
-    recording = run(robot.replace({"controller": controllers})).recording
-    error = recording["joint1.reference.position"].values - recording["joint1.position"].values
-    print(f"{what:22}   tracking error {1e3 * abs(error).max():7.3f} mrad")
+    metrics = flexfmu.run(robot, controllers=controllers).metrics
+    print(f"{what:22}   tracking error {1e3 * metrics.peak_tracking_error_1:7.3f} mrad")

@@ -5,20 +5,16 @@ A gain of w² and damping of 2 w make every joint's error a critically damped os
     python controller_computed_torque.py
 """
 
-from flexfmu import load_scene
-from flexfmu.cosim.control.controllers.computed_torque import computed_torque
-from flexfmu.cosim.control.imperfections.payload_error import PayloadError
-from flexfmu.cosim.experiment.prepared_scene import run_loop
-from flexfmu.model.numeric import inverse_dynamics
+import flexfmu
 
-scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
 w = 80.0
 
 for sample_time in (1e-3, 0.25e-3):
-    # from the scene's equations, compiled to C
-    controller = computed_torque(inverse_dynamics(scene), w**2, 2 * w, sample_time=sample_time)
+    controller = flexfmu.control.computed_torque(proportional=w**2, derivative=2 * w, sample_time=sample_time)
     for error in (0.0, 0.3):
-        found = run_loop(scene, [controller], imperfections=[PayloadError(error)]).metrics
+        payload = flexfmu.imperfections.payload_error(relative=error)
+        found = flexfmu.run(robot, controllers=[controller], imperfections=[payload]).metrics
         print(
             f"{1e-3 / sample_time:.0f} kHz, payload {error:+4.0%}: "
             f"tracking error {1e3 * found.peak_tracking_error_1:6.3f} mrad, "

@@ -3,15 +3,15 @@
 python controller_flexible.py
 """
 
-from flexfmu import load_scene, run
+import flexfmu
 
-robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
-pd = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
+pd = flexfmu.control.pd(proportional=1e4, derivative=100.0, sample_time=1e-3)
 
 for what, feedforward in {
     "none": [],
-    "rigid": [{"kind": "feedforward", "sample_time": 1e-3}],
-    "flexible": [{"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3}],
+    "rigid": [flexfmu.control.feedforward(sample_time=1e-3)],
+    "flexible": [flexfmu.control.feedforward(robot="flexible", sample_time=1e-3)],
 }.items():
-    metrics = run(robot.replace({"controller": [pd, *feedforward]})).metrics
+    metrics = flexfmu.run(robot, controllers=[pd, *feedforward]).metrics
     print(f"feedforward: {what:9}   RMS tracking error {1e6 * metrics.rms_tracking_error_1:8.1f} µrad")

@@ -7,20 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from flexfmu import load_scene
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.experiment.prepared_scene import run_loop
-from flexfmu.fmu_build.block_build import build_block_fmu
+import flexfmu
 
-scene = load_scene("barnard2012-6kg").replace(
-    {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "cosimulation.step": 1e-3, "trajectory.dwell": 0.0}
+robot = flexfmu.load_scene("barnard2012-6kg").replace(
+    {"effects.motor_inertia": 0.1, "cosimulation.step": 1e-3, "trajectory.dwell": 0.0}
 )
-controller = pd(proportional=10e3, derivative=100.0, sample_time=1e-3)
-fmu = build_block_fmu(controller, Path("pd.fmu")).path
-print(f"{fmu.name}: {fmu.stat().st_size / 1024:.0f} KiB")
+pd = flexfmu.control.pd(proportional=10e3, derivative=100.0, sample_time=1e-3)
+run = flexfmu.run(robot, controllers=[pd])
 
-python = run_loop(scene, [controller]).recording
-exported = run_loop(scene, [fmu]).recording
+(slave,) = flexfmu.export_slaves(run.scene, Path("fmus"), names=["pd"]).slaves
+print(f"{slave.path.name}: {slave.path.stat().st_size / 1024:.0f} KiB")
+
+python, exported = run.recording, flexfmu.run(robot, controllers=[slave.path]).recording
 difference = max(
     np.abs(np.interp(python.time, exported.time, exported[name].values) - python[name].values).max()
     for name in ("joint1.position", "joint2.position")

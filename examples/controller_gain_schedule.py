@@ -3,12 +3,11 @@
 python controller_gain_schedule.py
 """
 
-from flexfmu import load_scene, margins
+import flexfmu
 
 # one shape of each proximal link
 few = {"effects.proximal_bending": 1, "effects.distal_axial": 0}
-robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, **few})
-pd = {"kind": "pd", "proportional": 8e3, "derivative": 80.0, "sample_time": 1e-3}
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1, **few})
 # factors of the gains at three angles of joint 1 [rad], linear between them
 schedule = {
     "over": "joint1.position",
@@ -17,8 +16,9 @@ schedule = {
     "derivative": [0.8, 1.0, 1.2],
 }
 
-for what, controller in {"constant gains": pd, "scheduled gains": {**pd, "schedule": schedule}}.items():
-    rows = margins(robot.replace({"controller": [controller]}), poses=3).rows()
+for what, over_pose in {"constant gains": None, "scheduled gains": schedule}.items():
+    pd = flexfmu.control.pd(proportional=8e3, derivative=80.0, sample_time=1e-3, schedule=over_pose)
+    rows = flexfmu.margins(robot, poses=3, controllers=[pd]).rows()
     for s in (0.0, 0.5, 1.0):
         least = min(row["gain_margin"] for row in rows if row["s"] == s)
         print(f"{what:16}   s = {s:.1f}   gain margin {least:5.2f}")

@@ -3,15 +3,15 @@
 python controller_h_infinity.py
 """
 
-from flexfmu import load_scene, margins
+import flexfmu
 
 # one shape of each proximal link
 few = {"effects.proximal_bending": 1, "effects.distal_axial": 0}
-robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, **few})
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1, **few})
 for what, controller in {
-    "PD": {"kind": "pd", "proportional": 8e3, "derivative": 80.0, "sample_time": 1e-3},
-    "H-infinity, 15 Hz": {"kind": "h-infinity", "bandwidth": 15.0, "sample_time": 1e-3},
-    "H-infinity, 30 Hz": {"kind": "h-infinity", "bandwidth": 30.0, "sample_time": 1e-3},
+    "PD": flexfmu.control.pd(proportional=8e3, derivative=80.0, sample_time=1e-3),
+    "H-infinity, 15 Hz": flexfmu.control.h_infinity(bandwidth=15.0, sample_time=1e-3),
+    "H-infinity, 30 Hz": flexfmu.control.h_infinity(bandwidth=30.0, sample_time=1e-3),
 }.items():
-    worst = margins(robot.replace({"controller": [controller]}), poses=2).worst
+    worst = flexfmu.margins(robot, poses=2, controllers=[controller]).worst
     print(f"{what:17}   sensitivity peak {worst.sensitivity_peak:6.2f}   disk margin {worst.disk_margin:5.2f}")

@@ -5,28 +5,20 @@ python controller_learning.py
 
 import numpy as np
 
-from flexfmu import load_scene
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.experiment.cycles import repeated
-from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import run_loop
+import flexfmu
 
-scene = load_scene("barnard2012-6kg").replace(
-    {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.duration": 0.6, "trajectory.dwell": 0.15}
+CYCLES = 8
+robot = flexfmu.load_scene("barnard2012-6kg").replace(
+    {"effects.motor_inertia": 0.1, "trajectory.duration": 0.6, "trajectory.dwell": 0.15}
 )
-CYCLES, SAMPLE_TIME = 8, 1e-3
-motion = repeated(plan(scene), CYCLES)  # there and back, 1.5 s a cycle
-samples = round(motion.joints.period / SAMPLE_TIME)
-
-feedback = pd(proportional=10e3, derivative=100.0, sample_time=SAMPLE_TIME)
+feedback = flexfmu.control.pd(proportional=10e3, derivative=100.0, sample_time=1e-3)
 # with the filter errors shrink for ever; without it those at 198 Hz grow by 3 % in each cycle, which shows after fifty of them
-learning = iterative_learning(4e3, samples, sample_time=SAMPLE_TIME, shift=4, q_filter=47.6)
-run = run_loop(scene, [feedback, learning], motion=motion)
+learning = flexfmu.control.learning(gain=4e3, lead=4, q_filter=47.6, cycles=CYCLES, sample_time=1e-3)
+run = flexfmu.run(robot, controllers=[feedback, learning])  # there and back, 1.5 s a cycle
 
-time = run.recording.time
+time, period = run.recording.time, run.plan.repetition.period
 for cycle in range(CYCLES):
-    part = (time >= cycle * motion.joints.period) & (time < (cycle + 1) * motion.joints.period)
+    part = (time >= cycle * period) & (time < (cycle + 1) * period)
     errors = [
         run.recording[f"joint{joint}.reference.position"].values - run.recording[f"joint{joint}.position"].values
         for joint in (1, 2)

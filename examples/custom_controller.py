@@ -7,9 +7,7 @@ This one ties the joints to their references by springs and dampers.
 
 import numpy as np
 
-from flexfmu import load_scene
-from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
+import flexfmu
 
 KINDS = {"reference.position": "rad", "reference.velocity": "rad/s", "position": "rad", "velocity": "rad/s"}
 
@@ -21,8 +19,9 @@ class SpringsAndDampers:
 
     def __init__(self, stiffness: float, damping: float, sample_time: float = 1e-3) -> None:
         self.stiffness, self.damping, self.sample_time = stiffness, damping, sample_time
-        inputs = [SlaveVariable(f"joint{j}.{kind}", "input", unit) for kind, unit in KINDS.items() for j in (1, 2)]
-        outputs = [SlaveVariable(f"joint{joint}.torque", "output", "N.m") for joint in (1, 2)]
+        variable = flexfmu.SlaveVariable
+        inputs = [variable(f"joint{j}.{kind}", "input", unit) for kind, unit in KINDS.items() for j in (1, 2)]
+        outputs = [variable(f"joint{joint}.torque", "output", "N.m") for joint in (1, 2)]
         self.variables = (*inputs, *outputs)
         self.values = np.zeros(len(self.variables))
 
@@ -44,14 +43,13 @@ class SpringsAndDampers:
 
 
 if __name__ == "__main__":
-    robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
-    python = run_loop(robot, [SpringsAndDampers(10e3, 100.0)])
+    robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
+    python = flexfmu.run(robot, controllers=[SpringsAndDampers(10e3, 100.0)])
 
-    section = {
-        "kind": "python",
-        "source": "custom_controller:SpringsAndDampers",
-        "arguments": {"stiffness": 10e3, "damping": 100.0},
-    }
-    scene_file = run_scene(robot.replace({"controller": [section]}))
+    # as a table of a scene file
+    table = flexfmu.control.python(
+        source="custom_controller:SpringsAndDampers", arguments={"stiffness": 10e3, "damping": 100.0}
+    )
+    scene_file = flexfmu.run(robot, controllers=[table])
     for label, run in (("Python", python), ("scene file", scene_file)):
         print(f"{label:12} tracking error {1e3 * run.metrics.peak_tracking_error_1:.4f} mrad")

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 
 import flexfmu
-from flexfmu.cosim.exchange.slave_export import export_slaves
-from flexfmu.cosim.experiment.prepared_scene import run_loop
 
 
 @flexfmu.controller(sample_time=1e-3, state=[0.0, 0.0])
@@ -25,16 +23,14 @@ def own_pid(reference, measurement, state, *, proportional=1e4, integral=1e5, de
 
 
 if __name__ == "__main__":
-    robot = flexfmu.load_scene("barnard2012-6kg").replace(
-        {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}
-    )
-    python = run_loop(robot, [own_pid])
+    robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
+    python = flexfmu.run(robot, controllers=[own_pid])
 
-    # in a scene file: arguments are the parameters, which the exported FMU has too
-    section = {"kind": "python", "source": "custom_function:own_pid", "arguments": {"limit": 80.0}}
-    scene = robot.replace({"controller": [section]})
-    for label, run in (("Python", python), ("scene file, 80 N.m", flexfmu.run(scene))):
+    # as a table of a scene file: arguments are the parameters, which the exported FMU has too
+    table = flexfmu.control.python(source="custom_function:own_pid", arguments={"limit": 80.0})
+    limited = flexfmu.run(robot, controllers=[table])
+    for label, run in (("Python", python), ("scene file, 80 N.m", limited)):
         print(f"{label:20} tracking error {1e3 * run.metrics.peak_tracking_error_1:.4f} mrad")
 
-    system = export_slaves(scene, Path("fmus"), names=["own_pid"])
+    system = flexfmu.export_slaves(limited.scene, Path("fmus"), names=["own_pid"])
     print(f"exported: {system.slaves[0].path.name}, {system.slaves[0].facts.description}")

@@ -5,11 +5,9 @@ python custom_transfer_function.py
 
 import control
 
-from flexfmu import load_scene
-from flexfmu.cosim.control.controllers.from_control import control_block
-from flexfmu.cosim.experiment.prepared_scene import run_loop
+import flexfmu
 
-scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
 
 # K_p + K_d s / (1 + T s) for the error of each joint, discretised by Tustin's rule
 lead = control.tf([100.0 + 10e3 * 1e-3, 10e3], [1e-3, 1.0])
@@ -17,7 +15,7 @@ both = control.append(control.ss(lead), control.ss(lead))
 
 # the error is made of reference and measurement in one matrix: e = [I -I] [q_r; q]
 error = control.ss([], [], [], [[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
-block = control_block(
+block = flexfmu.control.control_block(
     both * error,
     method="tustin",
     sample_time=0.5e-3,
@@ -29,6 +27,6 @@ connect = {f"lead.target{joint}": f"joint{joint}.reference.position" for joint i
 connect |= {f"lead.angle{joint}": f"joint{joint}.position" for joint in (1, 2)}
 connect |= {f"plant.joint{joint}.torque": f"lead.motor{joint}" for joint in (1, 2)}
 
-run = run_loop(scene, [block], connect=connect)
+run = flexfmu.run(robot, controllers=[block], connect=connect)
 found = run.metrics
 print(f"{run.slaves[2].description}: tracking error {1e3 * found.peak_tracking_error_1:.3f} mrad")

@@ -6,18 +6,16 @@ python effects_auto.py
 from pathlib import Path
 
 import flexfmu
-from flexfmu.cosim.design.effects.study import study_effects
-from flexfmu.model.choice_text import choice_sentence, percent
 
 scene = flexfmu.load_scene(Path(__file__).with_name("effects_auto.toml"))
 
-study = study_effects(scene)
-print(choice_sentence(study.scene))
+study = flexfmu.study_effects(scene)
+print(study)
 print("contribution of each effect to the metric that it changes most, and operations of the model with that change:")
 for row in study.rows:
     effect, operations = row.estimate, row.cost.operations - study.cost.operations
     name = f"{effect.effect}: {effect.change}"
-    print(f"  {'in ' if effect.chosen else 'out'} {name:<70} {percent(max(effect.contribution)):>10} {operations:+6d}")
+    print(f"  {'in ' if effect.chosen else 'out'} {name:<70} {100.0 * max(effect.contribution):8.2f} % {operations:+6d}")
 
 # the chosen scene is a scene like any other; flexfmu.run(scene) would choose by itself
 run = flexfmu.run(study.scene)

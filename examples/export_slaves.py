@@ -5,14 +5,13 @@ python export_slaves.py
 
 from pathlib import Path
 
-from flexfmu import load_scene
-from flexfmu.cosim.exchange.slave_export import export_slaves
+import flexfmu
 
-pd = {"kind": "pd", "proportional": 10e3, "derivative": 100.0, "sample_time": 1e-3}
-scene = load_scene("barnard2012-6kg").replace(
+pd = flexfmu.control.pd(proportional=10e3, derivative=100.0, sample_time=1e-3)
+scene = flexfmu.load_scene("barnard2012-6kg").replace(
     {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "controller": [pd]}
 )
-system = export_slaves(scene, Path("fmus"))
+system = flexfmu.export_slaves(scene, Path("fmus"))
 for slave in system.slaves:
     print(f"{slave.path}: {slave.facts.description}")
 for source, target in system.connections:

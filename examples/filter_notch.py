@@ -3,16 +3,11 @@
 python filter_notch.py
 """
 
-from flexfmu import load_scene, margins
+import flexfmu
 
-robot = load_scene("barnard2012-6kg").replace(
-    {
-        "cosimulation.drive": "torque",
-        "effects.motor_inertia": 0.1,
-        "controller": [{"kind": "pd", "proportional": 5e3, "derivative": 60.0, "sample_time": 5e-4}],
-    }
-)
+robot = flexfmu.load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
+pd = flexfmu.control.pd(proportional=5e3, derivative=60.0, sample_time=5e-4)
 for depth in (1.0, 0.3, 0.1):
-    notch = {"kind": "notch", "at": "resonance 1", "damping": 0.3, "depth": depth}
-    worst = margins(robot.replace({"filter": [notch]}), poses=1).worst
+    notch = flexfmu.filters.notch(at="resonance 1", damping=0.3, depth=depth)
+    worst = flexfmu.margins(robot, poses=1, controllers=[pd], filters=[notch]).worst
     print(f"depth {depth:.1f}   gain margin {worst.gain_margin:5.2f}   delay margin {1e3 * worst.delay_margin:5.2f} ms")

@@ -20,7 +20,7 @@ print(f"standing still: {still['joint1.torque'][0]:.4f} N.m, after 0.1 s {still[
 
 # the planned joint motion as the table of inputs that fmpy wants
 time = np.arange(0.0, scene.trajectory.duration + scene.trajectory.dwell, 1e-3)
-motion = flexfmu.plan(scene).joints.evaluate(time, order=2)  # (derivative, instant, joint)
+motion = flexfmu.reference_motion(scene).joints.evaluate(time, order=2)  # (derivative, instant, joint)
 KINDS = ("position", "velocity", "acceleration")
 names = [f"joint{joint}.reference.{kind}" for joint in (1, 2) for kind in KINDS]
 table = np.zeros(time.size, dtype=[("time", float), *((name, float) for name in names)])

@@ -4,7 +4,6 @@ python frequencies.py
 """
 
 import flexfmu
-from flexfmu.model.modes import natural_frequencies
 
 scene = flexfmu.load_scene("barnard2012-0.1kg")
 
@@ -13,7 +12,5 @@ print("part of the path   first three frequencies [Hz]")
 for pose in poses:
     print(f"{pose.s:16.0%}   " + "  ".join(f"{frequency:7.1f}" for frequency in pose.frequencies[:3]))
 
-middle = poses[2]
-complete = scene.replace({"effects.distal_bending": 3})
-with_bending = natural_frequencies(complete, (middle.q11, middle.q21))
+with_bending = flexfmu.modes(scene.replace({"effects.distal_bending": 3}), poses=3)[1].frequencies
 print("middle, with bending of the distal links: " + "  ".join(f"{frequency:.1f}" for frequency in with_bending[:6]))

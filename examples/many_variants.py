@@ -5,26 +5,23 @@ python many_variants.py
 
 from itertools import product
 
-from flexfmu import load_scene
-from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.many.variants import run_variants
+import flexfmu
 
 PAYLOADS = (0.0, 2.0, 4.0, 6.0, 8.0)
 DURATIONS = (0.25, 0.3, 0.43)
 TORQUE = "joint1.torque"
 
-scene = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
+scene = flexfmu.load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 variants = [{"payload.mass": mass, "trajectory.duration": time} for time, mass in product(DURATIONS, PAYLOADS)]
 
 
-def peak_torque(run: Run) -> float:
+def peak_torque(run) -> float:
     """Of the first motor at the communication points [N·m]."""
     return float(abs(run.recording[TORQUE].values).max())
 
 
-results = run_variants(
-    scene, variants, peak_torque, communication_step=1e-3, tolerance=1e-3, record=Selection([TORQUE], order=0)
+results = flexfmu.run_variants(
+    scene, variants, peak_torque, communication_step=1e-3, tolerance=1e-3, record=flexfmu.Selection([TORQUE], order=0)
 )
 
 print("peak torque [N·m]" + "".join(f"{mass:8.1f} kg" for mass in PAYLOADS))

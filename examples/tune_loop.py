@@ -13,7 +13,7 @@ changes = {
     "effects.motor_inertia": 0.1,
     "name": "loop",
 }
-pd = {"kind": "pd", "proportional": 2e3, "derivative": 20.0, "sample_time": 1e-3}
+pd = flexfmu.control.pd(proportional=2e3, derivative=20.0, sample_time=1e-3)
 scene = flexfmu.load_scene("barnard2012-6kg").replace({**changes, "controller": [pd]})
 
 if __name__ == "__main__":  # its processes import this script where they aren't forked

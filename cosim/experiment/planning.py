@@ -177,6 +177,14 @@ class MotionPlan:
         return self.task.duration
 
     @property
+    def deviation(self) -> float:
+        """Largest distance [m] of the rigid end effector from the scene's path, which shaped joint references leave."""
+        from flexfmu.trajectories.shapers.shaped_joints import path_deviation
+
+        reference = self.along_path
+        return path_deviation(self.task, reference.path if isinstance(reference, TaskTrajectory) else reference)
+
+    @property
     def stop_time(self) -> float:
         """End of the simulation [s]: motion and dwell."""
         return self.task.duration + self.scene.trajectory.dwell
@@ -327,11 +335,3 @@ APPLICATIONS: Mapping[str, Callable[[MotionPlan, ImpulseSequence], MotionPlan]] 
     "path": shape_path,
 }
 """Place of shaping → function that applies an impulse sequence there."""
-
-
-def deviation(motion: MotionPlan) -> float:
-    """Largest distance [m] of the rigid end effector from the scene's path."""
-    from flexfmu.trajectories.shapers.shaped_joints import path_deviation
-
-    reference = motion.along_path
-    return path_deviation(motion.task, reference.path if isinstance(reference, TaskTrajectory) else reference)

@@ -20,7 +20,7 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.feedforwards import counted_twice
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.experiment.planning import MotionPlan, deviation
+from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import Metrics
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads
@@ -244,7 +244,7 @@ def _shaping(run: Run) -> dict[str, Any]:
         return {}
 
     added = motion.duration - motion.along_path.duration
-    return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
+    return {"shaping": {"added_time": added, "path_deviation": motion.deviation}}
 
 
 def _references(run: Run) -> dict[str, Any]:

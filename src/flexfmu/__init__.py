@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         tune,
     )
     from flexfmu.cosim.control.controllers.own_function import controller
+    from flexfmu.cosim.design.effects.study import study_effects
     from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
     from flexfmu.cosim.engine.results import Selection
     from flexfmu.cosim.engine.slave import SlaveVariable
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "api": "build compare linearize margins modes plan_motion reference_motion run start_gains sweep tune",
     "cosim.control.controllers.own_function": "controller",
+    "cosim.design.effects.study": "study_effects",
     "cosim.engine.errors": "InputError LoopWarning ResultsError",
     "cosim.engine.results": "Selection",
     "cosim.engine.slave": "SlaveVariable",
@@ -128,6 +130,7 @@ __all__ = [
     "simulate",
     "slave",
     "start_gains",
+    "study_effects",
     "sweep",
     "tune",
 ]

@@ -4,8 +4,9 @@ A controller may also be a function of yours (`flexfmu.controller`), an object o
 path of an FMU.
 """
 
-from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.from_control import control_block, from_control
 from flexfmu.cosim.control.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
+from flexfmu.model.linear import operating_point
 from flexfmu.model.scene import controllers, loop
 from flexfmu.parts import part
 
@@ -14,6 +15,7 @@ __all__ = [
     "c_function",
     "cascade",
     "computed_torque",
+    "control_block",
     "disturbance_observer",
     "feedforward",
     "fmu",
@@ -23,6 +25,7 @@ __all__ = [
     "h_infinity",
     "learning",
     "lqg",
+    "operating_point",
     "pd",
     "pid",
     "python",

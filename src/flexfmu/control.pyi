@@ -1,9 +1,11 @@
 from collections.abc import Mapping
 from collections.abc import Sequence
+from flexfmu.cosim.control.controllers.from_control import control_block as control_block
 from flexfmu.cosim.control.controllers.from_control import from_control as from_control
 from flexfmu.cosim.control.controllers.state_feedback import Equilibrium as Equilibrium
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback as state_feedback
 from flexfmu.cosim.control.controllers.state_feedback import static_feedforward as static_feedforward
+from flexfmu.model.linear import operating_point as operating_point
 from flexfmu.model.scene.controllers import CFunctionSection
 from flexfmu.model.scene.controllers import CascadeSection
 from flexfmu.model.scene.controllers import ComputedTorqueSection
@@ -22,7 +24,7 @@ from flexfmu.model.scene.loop import PythonSection
 from typing import Any
 from typing import Literal
 
-__all__ = ['Equilibrium', 'c_function', 'cascade', 'computed_torque', 'disturbance_observer', 'feedforward', 'fmu', 'friction_compensation', 'from_control', 'gravity_feedforward', 'h_infinity', 'learning', 'lqg', 'pd', 'pid', 'python', 'state_feedback', 'state_space', 'static_feedforward']
+__all__ = ['Equilibrium', 'c_function', 'cascade', 'computed_torque', 'control_block', 'disturbance_observer', 'feedforward', 'fmu', 'friction_compensation', 'from_control', 'gravity_feedforward', 'h_infinity', 'learning', 'lqg', 'operating_point', 'pd', 'pid', 'python', 'state_feedback', 'state_space', 'static_feedforward']
 
 def c_function(
     *,

@@ -29,7 +29,7 @@ from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.terminal import titled_table
-from flexfmu.model.choice_text import percent, set_text
+from flexfmu.model.choice_text import choice_sentence, percent, set_text
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import (
     INTEGRATOR_SHARE,
@@ -83,6 +83,10 @@ class EffectStudy:
     cost: Cost
     poses: list[ModalPose]
     rows: tuple[EffectRow, ...]
+
+    def __str__(self) -> str:
+        """The chosen effects and their estimated errors, in one line."""
+        return choice_sentence(self.scene)
 
     @property
     def choice(self) -> ChoiceSection:

@@ -14,7 +14,7 @@ from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.design.shapers.alternatives import Alternative
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, deviation, plan
+from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure, settings_for
@@ -216,7 +216,7 @@ def study(
             trials.append(simulate(candidate, error, fmu_path))
             progress((index + len(trials) / len(payload_errors)) / len(candidates))
         added = candidate.motion.duration - nominal_duration
-        yield CandidateResult(candidate, added, deviation(candidate.motion), tuple(trials), peak_jerk(candidate.motion))
+        yield CandidateResult(candidate, added, candidate.motion.deviation, tuple(trials), peak_jerk(candidate.motion))
 
 
 def simulate(candidate: ShapedMotion, payload_error: float, fmu_path: Path) -> PayloadTrial:

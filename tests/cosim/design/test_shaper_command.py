@@ -31,7 +31,7 @@ from flexfmu.cosim.design.shapers.study import (
 )
 from flexfmu.cosim.design.shapers.table import markdown, to_csv
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.planning import MotionPlan, deviation, plan, shape_joints, shape_path
+from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -137,8 +137,8 @@ def test_both_ways_report_deviation_and_time(motion: MotionPlan) -> None:
     """Shaped joints leave the path, a shaped s(t) doesn't; both take longer by the sequence's duration."""
     sequence = design("zvd", [Oscillator(58.84, 0.018)])
     joints, path = shape_joints(motion, sequence), shape_path(motion, sequence)
-    assert 3e-4 < deviation(joints) < 7e-4
-    assert deviation(path) < 1e-15
+    assert 3e-4 < joints.deviation < 7e-4
+    assert path.deviation < 1e-15
     for shaped in (joints, path):
         assert shaped.duration == pytest.approx(motion.duration + sequence.duration, rel=1e-14)
         assert shaped.stop_time == pytest.approx(motion.stop_time + sequence.duration, rel=1e-14)

@@ -10,7 +10,7 @@ import pytest
 import flexfmu
 from flexfmu.cosim.design.shapers.recommendation import write_shaped
 from flexfmu.cosim.design.shapers.study import Alternative, candidates
-from flexfmu.cosim.experiment.planning import MotionPlan, deviation, shape_joints, shape_path
+from flexfmu.cosim.experiment.planning import MotionPlan, shape_joints, shape_path
 from flexfmu.cosim.experiment.scene_build import scene_key
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.model.scene.errors import SceneError
@@ -103,8 +103,8 @@ def test_modes_and_shapers(known: MotionPlan, folder: Path) -> None:
         assert found.frequencies == pytest.approx(expected.frequencies, rel=1e-5)
     sequence = zero_vibration(Oscillator(30.0, 0.0))
     shaped, reference = (shape_joints(each, sequence) for each in (motion, known))
-    assert deviation(shaped) == pytest.approx(deviation(reference), rel=1e-5)
-    assert deviation(motion) < 1e-9
+    assert shaped.deviation == pytest.approx(reference.deviation, rel=1e-5)
+    assert motion.deviation < 1e-9
     said = r"spline of degree 7 \(C3\) through \d+ rows of joint positions ... jerks in joints.csv has no profile along a path"
     with pytest.raises(TrajectoryError, match=said):
         shape_path(motion, sequence)
