@@ -15,7 +15,9 @@ print("contribution of each effect to the metric that it changes most, and opera
 for row in study.rows:
     effect, operations = row.estimate, row.cost.operations - study.cost.operations
     name = f"{effect.effect}: {effect.change}"
-    print(f"  {'in ' if effect.chosen else 'out'} {name:<70} {100.0 * max(effect.contribution):8.2f} % {operations:+6d}")
+    print(
+        f"  {'in ' if effect.chosen else 'out'} {name:<70} {100.0 * max(effect.contribution):8.2f} % {operations:+6d}"
+    )
 
 # the chosen scene is a scene like any other; flexfmu.run(scene) would choose by itself
 run = flexfmu.run(study.scene)

@@ -27,5 +27,7 @@ print(
 )
 
 # without a robot: derivatives of any order, for all instants at once, (order + 1, instants, 2)
-position, velocity, acceleration, jerk = flexfmu.motions.as_trajectory(Arch()).evaluate(np.linspace(0.0, 0.4, 1001), order=3)
+position, velocity, acceleration, jerk = flexfmu.motions.as_trajectory(Arch()).evaluate(
+    np.linspace(0.0, 0.4, 1001), order=3
+)
 print(f"top speed {np.linalg.norm(velocity, axis=1).max():.4f} m/s")
