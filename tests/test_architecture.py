@@ -93,7 +93,6 @@ PLUG_INS = (
 ALONE = {
     "cosim.control": "the front door names what is in it",
     "cosim.control.imperfections.random_streams": "jitter and noise",
-    "cosim.design.effects.study": "what each effect is worth, behind a command",
     "cosim.design.gains.search": "the optimiser",
     "cosim.design.margins.identified": "loops with code of a user",
     "cosim.design.margins.peaks": "norms of lifted systems",
