@@ -1,4 +1,4 @@
-"""Builds the slaves, shapers and payload errors of a loop from sections of the scene file.
+"""Builds the slaves and shapers of a loop from sections of the scene file.
 
 The file of a controller, a shaper or an imperfection registers the function that builds it from its section::
 
@@ -81,7 +81,7 @@ def builds(
 
 
 def build(section: Section, context: LoopContext) -> Any:
-    """Build a section: a slave (a block becomes a `BlockSlave`), several of them, a `Shaper` or a `PayloadError`.
+    """Build a section: a slave (a block becomes a `BlockSlave`), several of them, or a `Shaper`.
 
     Several blocks are called after the section, an underscore between: ``cascade_position``.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
@@ -19,13 +19,13 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import COINCIDENT, RealArray
 from flexfmu.cosim.experiment.convergence import companion_share, companion_step
-from flexfmu.cosim.experiment.loop import Loop, make_loop
+from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
 from flexfmu.cosim.experiment.recording import VELOCITIES, RigidMotion, SceneRecording, slave_facts
 from flexfmu.cosim.experiment.run_checks import check_size, check_step, divergence, recorded_bytes
-from flexfmu.cosim.experiment.run_options import RunOptions, SceneOptions
+from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Companion, Health, RestPositions, Run, StaticEquilibria, Timing
@@ -34,7 +34,7 @@ from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.schema import Scene
 
-__all__ = ["Health", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
+__all__ = ["Health", "PreparedScene", "Run", "Timing", "run_scene"]
 
 COMPANION_TOLERANCE = 1e-2
 """Ratio of a companion's tolerance to the run's; 0.1 isn't enough, since errors scatter by a factor of 10."""
@@ -73,7 +73,7 @@ def run_scene(
     Args:
         scene: the scene.
         motion: motion, planned from the same scene, instead of the scene's own motion with its shapers.
-        loop: controllers, shapers and imperfections instead of the scene's sections; see `run_loop`.
+        loop: controllers, shapers and imperfections instead of the scene's sections.
         parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
         progress: called repeatedly with the simulated fraction, 0..1.
         accept_size: whether to run however large the recording is.
@@ -104,51 +104,6 @@ def _callers_level() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("flexfmu."):
         frame, level = frame.f_back, level + 1
     return level
-
-
-def run_loop(
-    scene: Scene,
-    controllers: Iterable[Any] = (),
-    shapers: Iterable[Any] = (),
-    imperfections: Iterable[Any] = (),
-    connect: Mapping[str, str] | None = None,
-    motion: MotionPlan | None = None,
-    disturbances: Iterable[Any] = (),
-    **options: Unpack[RunOptions],
-) -> Run:
-    """Run a scene with these controllers, shapers and imperfections instead of its own sections.
-
-    Each may be a `SymbolicBlock` (from `flexfmu.cosim.control.controllers` or `flexfmu.cosim.control.imperfections`), a
-    slave, a `control.StateSpace` or `control.TransferFunction`, or the path of an FMU.
-
-    Example:
-        ``run_loop(scene, controllers=[pd(2e4, 200.0, sample_time=1e-3)], imperfections=[encoder(2**17, sample_time=1e-3)])``
-
-    Args:
-        scene: the scene; driven by torques if there are controllers.
-        controllers: slaves that calculate torques from references and measurements; equal names are connected.
-        shapers: `flexfmu.cosim.control.shapers.Shaper`, an `ImpulseSequence` for the joint references, or slaves in series
-            with references.
-        imperfections: slaves in series with signals, in this order, or
-            `flexfmu.cosim.control.imperfections.payload_error.PayloadError`.
-        connect: ``slave.input`` → ``slave.output`` or name of a signal, in addition to equal names.
-        motion: motion, planned from the same scene, instead of the scene's own.
-        disturbances: blocks of `flexfmu.cosim.control.disturbances` instead of the scene's; the robot's inputs are those for
-            the disturbances of the scene.
-        options: as for `run_scene`.
-
-    Raises:
-        TrajectoryError: the motion is not feasible, or can't be shaped.
-        InputError: an argument can't be made a slave, or the slaves can't be connected.
-        BuildError: the FMU can't be built.
-    """
-    if motion is not None:
-        given = make_loop(motion, controllers, shapers, imperfections, connect, disturbances=disturbances)
-        return run_scene(scene, loop=given, **options)
-    from flexfmu.cosim.experiment.cycles import in_cycles
-
-    loop = make_loop(plan(scene), controllers, shapers, imperfections, connect, in_cycles, disturbances)
-    return run_scene(scene, loop=loop, **options)
 
 
 class PreparedScene:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.slave import Sampled, Slave
-from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
+from flexfmu.cosim.experiment.feedforwards import with_sum
+from flexfmu.cosim.experiment.loop import Loop, shape
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
+from flexfmu.cosim.experiment.wiring import inline_block
 from flexfmu.model.linear import without_coulomb_friction
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
@@ -20,7 +23,6 @@ from flexfmu.model.scene.loop import FmuSection, ObjectSection, PythonSection
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.control.imperfections.payload_error import PayloadError
     from flexfmu.cosim.control.shapers import Shaper
 
 
@@ -61,9 +63,35 @@ def loop_of(
     # torques are filtered before they meet imperfections, measurements and references after that
     before = [each for each in scene.filter if each.signal == "torque"]
     after = [each for each in scene.filter if each.signal != "torque"]
-    imperfections = [builder.imperfection(each, controllers) for each in (*before, *scene.imperfection, *after)]
+    signals = [each for each in (*before, *scene.imperfection, *after) if not isinstance(each, PayloadErrorSection)]
+    inline_blocks = [inline_block(builder.imperfection(each, controllers)) for each in signals]
     disturbances = [builder.disturbance(each, shaped.motion.stop_time) for each in scene.disturbance]
-    return close_loop(shaped, controllers, imperfections, builder.connect, names, disturbances)
+    if disturbances:
+        from flexfmu.cosim.control.sums import with_sums
+
+        disturbances = with_sums(disturbances, names.unused)
+    return replace(
+        shaped,
+        controllers=with_sum(controllers, builder.connect, names),
+        inline_blocks=(*shaped.inline_blocks, *inline_blocks),
+        connect=builder.connect,
+        parameters=_payload(scene),
+        disturbances=tuple(disturbances),
+    )
+
+
+def _payload(scene: Scene) -> dict[str, float]:
+    """The parameter of the payload that the robot really carries, where a payload error says so.
+
+    Raises:
+        InputError: the scene has no payload of which there could be an error.
+    """
+    errors = [each.relative for each in scene.imperfection if isinstance(each, PayloadErrorSection)]
+    if not errors:
+        return {}
+    from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+
+    return {"payload.mass": with_payload_error(scene, errors[-1]).payload.mass}
 
 
 def _repeated(scene: Scene, with_cycles: bool, motion: MotionPlan) -> MotionPlan:
@@ -115,23 +143,17 @@ class _Builder:
         if isinstance(section, (PythonSection, FmuSection)):
             return self.slave(section, self._planned)
         if isinstance(section, ObjectSection):
-            return _described(section) or self.slave(section, self._planned)
+            return _given_shaper(section) or self.slave(section, self._planned)
         shaper: Shaper = self._built(section, self._planned, "", 0.0)
         return shaper
 
-    def imperfection(self, section: Any, controllers: Sequence[Slave]) -> PayloadError | Slave:
+    def imperfection(self, section: Any, controllers: Sequence[Slave]) -> Slave:
         """The imperfection or filter of a section; its default sample time is that of the first sampled controller.
 
         Of a cascade it is that of the loop that exchanges the signal; encoders count as velocities.
         """
-        if isinstance(section, ObjectSection):
-            own: PayloadError | Slave = _described(section) or self.slave(section, self._planned)
-            return own
         sample_time = _rate(getattr(section, "signal", "velocity"), controllers)
         sample_time = sample_time or self._scene.cosimulation.communication_step
-        if isinstance(section, PayloadErrorSection):
-            error: PayloadError = self._built(section, self._planned, "", sample_time)
-            return error
         return self.slave(section, self._planned, sample_time)
 
     def disturbance(self, section: Any, stop_time: float) -> Slave:
@@ -236,14 +258,15 @@ class _Builder:
         return self._holding_torques
 
 
-def _described(section: ObjectSection) -> Any:
-    """The object of a section if it is no slave but describes a shaper or a payload error; None otherwise."""
-    from flexfmu.cosim.control.imperfections.payload_error import PayloadError
+def _given_shaper(section: ObjectSection) -> Shaper | None:
+    """The shaper that an object is, an impulse sequence being one of the joint references; None for a slave."""
     from flexfmu.cosim.control.shapers import Shaper
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
     value = section.object.value
-    return value if isinstance(value, (Shaper, ImpulseSequence, PayloadError)) else None
+    if isinstance(value, ImpulseSequence):
+        return Shaper(value)
+    return value if isinstance(value, Shaper) else None
 
 
 def _without_coulomb(scene: Scene, section: Any) -> tuple[Scene, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date, time
 from pathlib import Path
 from sys import float_info
 from typing import Annotated, Any, Literal, TypedDict
@@ -144,6 +145,19 @@ class ObjectSection(LoopSection):
 
     kind: Literal["object"]
     object: Annotated[Any, BeforeValidator(_held), PlainSerializer(repr, return_type=str, when_used="json")]
+
+
+FILE_TYPES = (str, int, float, bool, list, dict, date, time)
+"""Types of the values in a scene file."""
+
+
+def as_parts(value: Any) -> Any:
+    """The parts of a list as a tuple: sections and tables as they are, objects of the caller's program in sections of their own."""
+    if not isinstance(value, (list, tuple)):
+        return value
+    return tuple(
+        each if isinstance(each, (Section, *FILE_TYPES)) else {"kind": "object", "object": Held(each)} for each in value
+    )
 
 
 OwnPart = PythonSection | FmuSection | SkipJsonSchema[ObjectSection]

@@ -18,7 +18,7 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.filters import FilterTable
 from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.keys import set_value
-from flexfmu.model.scene.loop import FOLDER, ObjectSection
+from flexfmu.model.scene.loop import FOLDER, ObjectSection, as_parts
 from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.messages import sentences
 from flexfmu.model.scene.motion import TrajectorySection, with_kind
@@ -48,9 +48,9 @@ class Scene(Section):
     effects: Effects
     trajectory: Annotated[TrajectorySection | TableSection, BeforeValidator(with_kind), Field(discriminator="kind")]
     cosimulation: Cosimulation
-    controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_tuple)] = ()
-    shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
-    imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
+    controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_parts)] = ()
+    shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_parts)] = ()
+    imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_parts)] = ()
     filter: Annotated[tuple[FilterTable, ...], BeforeValidator(as_tuple)] = ()
     disturbance: Annotated[tuple[DisturbanceKind, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None

@@ -16,7 +16,6 @@ from flexfmu.cosim.engine.master.system import connect as connect_slaves
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
-from flexfmu.model.scene.loop import Held
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
 
@@ -107,7 +106,7 @@ def _table(entry: Part, family: str) -> Any:
         )
     if isinstance(entry, str | PathLike):
         return {"kind": "fmu", "path": fspath(entry)}
-    return {"kind": "object", "object": Held(entry)}
+    return entry
 
 
 def slave(

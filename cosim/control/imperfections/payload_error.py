@@ -2,20 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isfinite
 
-from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.schema import Scene
-
-
-@dataclass(frozen=True)
-class PayloadError:
-    """The robot carries (1 + relative) times the scene's payload; controllers and shapers assume the scene's."""
-
-    relative: float
 
 
 def with_payload_error(scene: Scene, relative: float) -> Scene:
@@ -39,8 +29,3 @@ def with_payload_error(scene: Scene, relative: float) -> Scene:
             "give the mass itself: scene.replace({'payload.mass': 0.1})"
         )
     return scene.replace({"payload.mass": mass * (1.0 + relative)})
-
-
-@builds(PayloadErrorSection)
-def _from_section(section: PayloadErrorSection, context: LoopContext) -> PayloadError:
-    return PayloadError(section.relative)

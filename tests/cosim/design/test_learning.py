@@ -17,7 +17,7 @@ from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.learning import LearningLoop, contraction_of
 from flexfmu.cosim.engine.errors import InputError, LearningWarning
-from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -82,7 +82,7 @@ def test_response_is_that_of_the_robot(rate: float, late: float) -> None:
             torques[pulse, 0] = 1.0
         controllers = [pd(**gains, sample_time=rate), tabulated_feedforward(torques, sample_time=H)]
         imperfections = [delay(joint_channels("torque"), late, sample_time=rate)] if late else []
-        recording = run_loop(scene, controllers, imperfections=imperfections, tolerance=1e-10).recording
+        recording = flexfmu.run(scene, controllers=controllers, imperfections=imperfections, tolerance=1e-10).recording
         angles = np.array([recording[f"joint{i}.position"].values for i in (1, 2)])
         instants = np.searchsorted(recording.time, H * ((pulse or begin) + np.arange(count)) - 1e-9)
         runs.append((recording.time, angles, instants))

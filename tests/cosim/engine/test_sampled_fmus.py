@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import flexfmu
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu, fmu_slave
@@ -18,7 +19,7 @@ from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.experiment.prepared_scene import Run, run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -60,15 +61,17 @@ def test_a_fixed_step_controller_equals_its_python_twin(
 ) -> None:
     """Whether it calculates in its step or puts out at once: sampled at its own instants, equal steps, none late."""
     found = run_scene(with_task(robot, make_task(), sample_time=1e-3, **keys))
-    agree(found, run_loop(robot, [pid(*GAINS.values(), sample_time=1e-3, offset=keys.get("offset", 0.0))]))
+    agree(
+        found, flexfmu.run(robot, controllers=[pid(*GAINS.values(), sample_time=1e-3, offset=keys.get("offset", 0.0))])
+    )
     assert {each.seconds for each in found.delays} == {0.0}
 
 
 @pytest.mark.slow
 def test_the_default_experiment_is_the_sample_time(robot: Scene, make_task: MakeTask) -> None:
     """An FMU that can't vary its step takes it from its default experiment; from Python by its path alone."""
-    found = run_loop(robot, [fmu_slave(make_task(), "task", GAINS)])
-    agree(found, run_loop(robot, [pid(*GAINS.values(), sample_time=1e-3)]))
+    found = flexfmu.run(robot, controllers=[fmu_slave(make_task(), "task", GAINS)])
+    agree(found, flexfmu.run(robot, controllers=[pid(*GAINS.values(), sample_time=1e-3)]))
     assert {each.name: each.sample_time for each in found.slaves}["task"] == 1e-3
 
 

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import flexfmu
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import Run, run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
@@ -77,7 +78,7 @@ def test_sampled_references_are_shaped_by_the_split_sequence(motion_driven: Scen
     """The sampled shaper's positions at its instants are those of the trajectory shaped by the split impulses, exactly:
     that is the plan that the metrics compare with."""
     sequence = zero_vibration(Oscillator(**MODE), 1)
-    run = run_loop(motion_driven, shapers=[Shaper(sequence, "sampled", sample_time=1e-3)])
+    run = flexfmu.run(motion_driven, shapers=[Shaper(sequence, "sampled", sample_time=1e-3)])
     shaped = at_samples(run, "joint1.reference.position", 1e-3)
     planned = run.plan.joints.evaluate(1e-3 * np.arange(shaped.size), 0)[0, :, 0]
     np.testing.assert_allclose(shaped, planned, rtol=0.0, atol=1e-12)
@@ -169,7 +170,7 @@ def test_an_exported_controller_in_the_scene_file(robot: Scene, tmp_path: Path) 
     gains = {f"joint{joint}.proportional_gain": 1e4 for joint in (1, 2)}
     section = {"kind": "fmu", "path": str(tmp_path / "pd.fmu"), "name": "mine", "parameters": gains}
     exported = run_scene(short.replace({"controller": [section]})).recording
-    python = run_loop(short, [pd(1e4, 100.0, sample_time=1e-3)]).recording
+    python = flexfmu.run(short, controllers=[pd(1e4, 100.0, sample_time=1e-3)]).recording
     for name in ("joint1.position", "end_effector.position.y"):
         twin = np.interp(exported.time, python.time, python[name].values)
         np.testing.assert_allclose(exported[name].values, twin, rtol=0.0, atol=1e-12)
@@ -181,11 +182,11 @@ def test_an_exported_controller_by_its_path(robot: Scene, tmp_path: Path) -> Non
     short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
     block = pd(5e3, 100.0, sample_time=1e-3)
     build_block_fmu(block, tmp_path / "mine.fmu")
-    exported = run_loop(short, [tmp_path / "mine.fmu"])
+    exported = flexfmu.run(short, controllers=[tmp_path / "mine.fmu"])
     assert {each.name: each.sample_time for each in exported.slaves}["mine"] == 1e-3
     for delay in exported.delays:
         assert delay.seconds == 0.0
-    python = run_loop(short, [block]).recording["joint1.position"]
+    python = flexfmu.run(short, controllers=[block]).recording["joint1.position"]
     found = exported.recording["joint1.position"]
     np.testing.assert_allclose(found.values, python.values, rtol=0.0, atol=1e-12)
 
@@ -220,7 +221,7 @@ def test_foreign_names_are_connected_explicitly(robot: Scene) -> None:
     }
     loop = loop_of(robot.replace({"controller": [section]}))
     assert loop.connect == {"foreign.in": "joint1.position", "plant.joint1.torque": "foreign.out"}
-    run = run_loop(robot.replace({"trajectory.dwell": 0.0}), [Constant(-15.0)], connect=loop.connect)
+    run = flexfmu.run(robot.replace({"trajectory.dwell": 0.0}), controllers=[Constant(-15.0)], connect=loop.connect)
     assert run.recording["joint1.torque"].values[-1] == -15.0
 
 

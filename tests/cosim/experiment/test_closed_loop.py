@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import flexfmu
 from flexfmu.cosim.cli import run_scene as command
 from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.control.imperfections.payload_error import PayloadError
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.parameters import holding_torques
-from flexfmu.cosim.experiment.prepared_scene import Run, run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, LOOP_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
@@ -125,7 +125,7 @@ def test_the_python_way_gives_the_same_numbers(robot: Scene) -> None:
     """A controller of the scene file and the same block in Python are the same loop, bit by bit."""
     section = {"kind": "pd", "proportional": 1e4, "derivative": [100.0, 90.0], "sample_time": 1e-3, "offset": 5e-4}
     by_file = run_scene(robot.replace({"controller": [section]}))
-    by_python = run_loop(robot, [pd(1e4, [100.0, 90.0], sample_time=1e-3, offset=5e-4)])
+    by_python = flexfmu.run(robot, controllers=[pd(1e4, [100.0, 90.0], sample_time=1e-3, offset=5e-4)])
     for name, column in by_file.recording.columns.items():
         np.testing.assert_array_equal(column.values, by_python.recording[name].values)
 
@@ -137,7 +137,11 @@ def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run
     assert heavy.scene.payload.mass == 6.0
     assert heavy.robot.payload.mass == pytest.approx(7.8)
     assert (values(heavy)["peak_tracking_error_1"] or 0.0) > 5.0 * (values(run)["peak_tracking_error_1"] or 1.0)
-    by_python = run_loop(controlled, heavy_controllers(controlled), imperfections=[PayloadError(0.3)])
+    by_python = flexfmu.run(
+        controlled,
+        controllers=heavy_controllers(controlled),
+        imperfections=[flexfmu.imperfections.payload_error(relative=0.3)],
+    )
     np.testing.assert_array_equal(by_python.recording["joint1.torque"].values, heavy.recording["joint1.torque"].values)
 
 
@@ -185,7 +189,7 @@ class Failing:
 
 def test_a_failing_controller_keeps_the_beginning(robot: Scene) -> None:
     """The message names slave, time and reason, and what was recorded until then is there."""
-    run = run_loop(robot, [Failing()])
+    run = flexfmu.run(robot, controllers=[Failing()])
     assert run.outcome is Outcome.STEP_FAILED
     assert run.message.startswith("mine failed at 0.1 s: RuntimeError: no idea what to do")
     assert run.recording.time[-1] == pytest.approx(0.1)

@@ -12,7 +12,7 @@ import flexfmu
 from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -64,7 +64,7 @@ def test_a_singularity_is_still_one(undamped: Scene, torques: tuple[float, float
 
     scene = undamped.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
     for settings in ({}, {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 5e-5}):
-        run = run_loop(scene.replace(settings), [push])
+        run = flexfmu.run(scene.replace(settings), controllers=[push])
         assert not run.completed
         assert "(type-2 singularity) is 0.0" in run.message
 
@@ -77,7 +77,9 @@ def test_an_absurd_input_is_named(undamped: Scene, torque: float) -> None:
     def absurd(reference, measurement):  # type: ignore[no-untyped-def]
         return [0.0, torque]
 
-    run = run_loop(undamped.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}), [absurd])
+    run = flexfmu.run(
+        undamped.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}), controllers=[absurd]
+    )
     assert f"check the inputs, of which joint2.torque = {torque:.6g} N.m is the largest" in run.message
     assert "assembled" not in run.message
 

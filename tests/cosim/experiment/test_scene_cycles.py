@@ -13,7 +13,7 @@ import flexfmu
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_loop
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
@@ -84,7 +84,7 @@ def test_a_rigid_robot_has_the_same_torques_in_all_cycles() -> None:
 def test_shaped_motions_are_repeated_as_they_are() -> None:
     """Every motion of the cycles is longer by the shaper's duration, in scripts and in scenes."""
     sequence = ImpulseSequence((0.0, 0.02), (0.5, 0.5))
-    run = run_loop(robot().replace(TWICE), shapers=[Shaper(sequence)])
+    run = flexfmu.run(robot().replace(TWICE), shapers=[Shaper(sequence)])
     assert run.plan.duration == pytest.approx(4 * 0.32 + 3 * 0.05)
     assert run.plan.once.duration == pytest.approx(0.32)
 

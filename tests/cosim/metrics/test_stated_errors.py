@@ -15,9 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
 from flexfmu.cosim.metrics.metric_table import display, display_error, printed
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import coarse_metrics
@@ -133,7 +134,7 @@ class Spring:
 def test_a_companion_leaves_a_user_s_slaves_alone(run: Run) -> None:
     """Whoever looks into their own slave after the run finds what the run left there, not what the companion did."""
     spring, scene = Spring(), run.scene.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
-    own = run_loop(scene, [spring], communication_step=5e-3)
+    own = flexfmu.run(scene, controllers=[spring], communication_step=5e-3)
     samples = spring.samples
     assert samples > 100
     assert (measure_run(own)["peak_tracking_error_1"].error or math.inf) < 1e-3

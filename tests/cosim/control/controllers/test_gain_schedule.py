@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
+import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.cascade import velocity_loop
 from flexfmu.cosim.control.controllers.gain_schedule import scheduled
@@ -18,7 +19,7 @@ from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -140,7 +141,7 @@ def test_gains_over_the_payload(robot: Scene) -> None:
     table = {"over": "payload.mass", "at": [0.0, 8.0], "proportional": [1.0, 3.0]}
     scene = robot.replace({"controller": [{**PD, "schedule": table}]})
     alone = run_scene(scene).recording
-    followed = run_loop(robot, [Load(), *loop_of(scene).controllers]).recording
+    followed = flexfmu.run(robot, controllers=[Load(), *loop_of(scene).controllers]).recording
     for recording, factors in ((alone, (2.5, 2.5)), (followed, (1.5, 2.5))):
         for instant, factor in zip((0.1, 0.3), factors, strict=True):
             at = np.searchsorted(recording.time, instant + 1e-9) - 1

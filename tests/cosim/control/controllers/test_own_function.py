@@ -20,7 +20,7 @@ from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.controllers.python_slave import FunctionSlave
 from flexfmu.cosim.engine.errors import InputError, SlaveError
 from flexfmu.cosim.exchange.slave_export import export_slaves
-from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.user_slaves import as_slave
 from flexfmu.model.scene.schema import Scene
 
@@ -71,10 +71,10 @@ def sampled(slave: Any, inputs: np.ndarray) -> np.ndarray:
 
 def test_both_ways_are_the_built_in_pd(robot: Scene) -> None:
     """As a block and in Python: 1e-12 of the built-in PD in the loop of a robot."""
-    expected = run_loop(robot, [pd(5e3, 50.0, sample_time=H)]).recording
+    expected = flexfmu.run(robot, controllers=[pd(5e3, 50.0, sample_time=H)]).recording
     for function, kind in ((springs, BlockSlave), (branching, FunctionSlave)):
         assert isinstance(as_slave(function), kind)
-        run = run_loop(robot, [function])
+        run = flexfmu.run(robot, controllers=[function])
         assert run.completed, run.message
         for name in ("joint1.position", "joint2.torque"):
             values = expected[name].values
@@ -139,7 +139,7 @@ def test_traced_function_leaves_as_an_fmu(robot: Scene, tmp_path: Path) -> None:
     scene = robot.replace({"controller": [section | {"arguments": {"stiffness": 4000, "damping": 40.0}}]})
     fmu = export_slaves(scene, tmp_path, names=["springs"]).slaves[0].path
     exported = run_scene(robot.replace({"controller": [{"kind": "fmu", "path": str(fmu)}]})).recording
-    expected = run_loop(robot, [pd(4e3, 40.0, sample_time=H)]).recording["joint1.position"].values
+    expected = flexfmu.run(robot, controllers=[pd(4e3, 40.0, sample_time=H)]).recording["joint1.position"].values
     np.testing.assert_allclose(exported["joint1.position"].values, expected, rtol=0.0, atol=1e-12)
     other = robot.replace({"controller": [section | {"source": "test_own_function:branching"}]})
     with pytest.raises(InputError, match=r"'branching' can't be exported.*can't trace.*casadi\.if_else in place of if"):
@@ -245,11 +245,11 @@ def test_failures_in_the_run_end_it(robot: Scene) -> None:
     def undefined(t: float) -> Any:
         return [0.0, np.nan if t > 0.01 else 0.0]
 
-    run = run_loop(robot, [fails])
+    run = flexfmu.run(robot, controllers=[fails])
     assert not run.completed
     assert "fails" in run.message
     assert "KeyError: 'gone'" in run.message
-    run = run_loop(robot, [undefined])
+    run = flexfmu.run(robot, controllers=[undefined])
     assert run.message == "undefined failed at 0.011 s: joint2.torque isn't finite"
     with pytest.raises(SlaveError):
         sampled(fails.slave(), np.zeros((20, 8)))

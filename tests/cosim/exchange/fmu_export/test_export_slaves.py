@@ -18,8 +18,6 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.exchange.slave_export import ExportedSystem, export_slaves
-from flexfmu.cosim.experiment.loop import make_loop
-from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -127,9 +125,9 @@ def test_one_slave_alone(scene: Scene, tmp_path: Path) -> None:
 
 def test_python_classes_stay(scene: Scene, tmp_path: Path) -> None:
     """A class of the user's own has no equations: it is named before anything is written."""
-    loop = make_loop(plan(scene), [Constant()])
+    own = scene.replace({"controller": [Constant()]})
     with pytest.raises(InputError, match=r"slave 'mine' is a Constant in Python .* SymbolicBlock"):
-        export_slaves(scene, tmp_path / "none", loop=loop)
+        export_slaves(own, tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
