@@ -151,7 +151,7 @@ def test_connect_and_python_control() -> None:
         ({"controllers": flexfmu.control.pd(**PD)}, r"controllers is a list of parts, .* write controllers=\[...\]"),
         ({"filters": [springs]}, "filters are made by flexfmu.filters, got FunctionController"),
         ({"connect": {"a.b": "c.d"}}, "connect needs a controller"),
-        ({"controllers": [3]}, "a int can't be a slave"),
+        ({"controllers": [3]}, r"`controller\[0\]` must be a table like"),
         ({"controllers": ["none.fmu"]}, "can't read the FMU none.fmu"),
         ({"imperfections": [flexfmu.control.pd(**PD)]}, r"`imperfection\[0\].kind` must be one of .* got 'pd'"),
         ({"controllers": [{"kind": "object", "object": 1}]}, "objects are given in Python"),

@@ -125,7 +125,7 @@ def test_one_slave_alone(scene: Scene, tmp_path: Path) -> None:
 
 def test_python_classes_stay(scene: Scene, tmp_path: Path) -> None:
     """A class of the user's own has no equations: it is named before anything is written."""
-    own = scene.replace({"controller": [Constant()]})
+    own = scene.replace({"controller": [Constant()], "imperfection": []})
     with pytest.raises(InputError, match=r"slave 'mine' is a Constant in Python .* SymbolicBlock"):
         export_slaves(own, tmp_path / "none")
     assert not (tmp_path / "none").exists()
