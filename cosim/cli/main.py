@@ -38,7 +38,6 @@ from flexfmu.cosim.cli.sweep import sweep
 app = typer.Typer(
     name="flexfmu",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     # plain help: loading rich's would take as long as all the rest
     rich_markup_mode=None,

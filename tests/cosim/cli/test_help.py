@@ -94,3 +94,11 @@ def test_the_page_is_the_help() -> None:
     assert all(
         f"| `{option.get_help_record(context)[0]}".partition("|")[0] in written for _, context, option in OPTIONS
     )
+
+
+@pytest.mark.parametrize(("typed", "expected"), [("flexfmu mar", ["margins"]), ("flexfmu run --stop", ["--stop-time"])])
+def test_shells_complete_commands_and_options(typed: str, expected: list[str]) -> None:
+    """What `flexfmu --install-completion` writes for bash asks the command itself, in this way."""
+    asked = {"_FLEXFMU_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
+    result = CliRunner().invoke(app, [], prog_name="flexfmu", env=asked)
+    assert (result.exit_code, result.stdout.split()) == (0, expected)
