@@ -70,7 +70,7 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff check .
 	rm -rf build/typing && mkdir -p build/typing/flexfmu/benchmarks
 	for part in src/flexfmu/*.py* model fmu_build trajectories cosim; do ln -s ../../../$$part build/typing/flexfmu; done
-	ln -s ../../../../benchmarks/hard_cases build/typing/flexfmu/benchmarks
+	ln -s ../../../../benchmarks/hard_cases ../../../../benchmarks/peers build/typing/flexfmu/benchmarks
 	$(BIN)/mypy build/typing/flexfmu
 	$(BIN)/python generators/size.py
 

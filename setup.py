@@ -20,7 +20,7 @@ from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
 ROOT = Path(__file__).parent
-FOLDERS = ("model", "fmu_build", "trajectories", "cosim", "benchmarks/hard_cases")
+FOLDERS = ("model", "fmu_build", "trajectories", "cosim", "benchmarks/hard_cases", "benchmarks/peers")
 
 
 class BuildWithFolders(build_py):

@@ -131,7 +131,7 @@ def coarser(scene: Scene, motion: MotionPlan, instants: RealArray) -> Iterator[t
     for elements in FEWER_ELEMENTS:
         yield f"{elements} elements", run_elements(scene, motion, instants, elements)
     if HAS_EXUDYN:
-        from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
+        from flexfmu.benchmarks.peers.exudyn_peer import simulate_exudyn
 
         for elements, step in EXUDYN_MESHES:
             run = simulate_exudyn(scene, motion, instants, step, elements)

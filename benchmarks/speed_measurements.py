@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the comparison w
 
 from formulations import SHAPES
 
+from flexfmu.benchmarks.peers.exudyn_trials import comparable
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
@@ -30,7 +31,6 @@ from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.signals import segments
 from flexfmu.cosim.studies.workprec.solver_trials import scipy_run, system_of
-from flexfmu.cosim.studies.workprec.tool_trials import comparable
 from flexfmu.cosim.studies.workprec.trial import completed, subject_of
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.toolchain import find_compiler

@@ -7,7 +7,7 @@
 
 Code lines are lines with a token that is neither a docstring, a comment nor a line break. A room is a folder of `model`,
 `fmu_build` or `cosim` (files directly in them count as a room of their own), `trajectories`, or `src`; benchmarks aren't counted,
-not even the hard cases, which a wheel has. C is counted in
+not even the hard cases and peers, which a wheel has. C is counted in
 lines of all `.c` and `.h` files of the four folders, tests in lines of `tests/**/*.py` and `tests/**/*.[ch]`.
 """
 

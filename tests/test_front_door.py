@@ -28,7 +28,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("model", "fmu_build", "trajectories", "cosim", "benchmarks/hard_cases")
+FOLDERS = ("model", "fmu_build", "trajectories", "cosim", "benchmarks/hard_cases", "benchmarks/peers")
 LIGHT = "barnard2012-0.1kg"
 
 

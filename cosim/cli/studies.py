@@ -166,6 +166,7 @@ def _study(
     """Measure, write the results, and print them; the exit status."""
     from rich.text import Text
 
+    from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
 
@@ -180,7 +181,7 @@ def _study(
     folder = OutputFolder(out or usual_folder(scene.name, settings) / "workprec")
     folder.prepare()
     with progress() as show:
-        study = run_study(scene, families or FAMILIES, lambda text: show(text, None))
+        study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=(exudyn_trials,))
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))
         show("pictures", None)

@@ -17,8 +17,8 @@ from rich.table import Column, Table
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
-from flexfmu.cosim.studies.workprec import solver_trials, tool_trials
-from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE
+from flexfmu.cosim.studies.workprec import solver_trials
+from flexfmu.cosim.studies.workprec.solver_trials import PAPER_LINE
 from flexfmu.cosim.studies.workprec.trial import (
     Announce,
     SceneUnderTest,
@@ -71,7 +71,13 @@ FAMILIES = ("integrators", "communication", "algorithms", "effects", "formulatio
 """Questions that can be asked, in this order."""
 
 
-def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP) -> WorkPrecisionStudy:
+Peer = Callable[[SceneUnderTest, WorkCurve, Announce], Iterator[WorkPrecisionTrial]]
+"""Trials of another program, as far as they compare with the curve of our best settings."""
+
+
+def run_study(
+    scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP, peers: Sequence[Peer] = ()
+) -> WorkPrecisionStudy:
     """Measure a scene.
 
     Args:
@@ -79,6 +85,7 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
         families: which of `FAMILIES`; those that a scene has no answer for are left out.
         announce: called with what is being tried.
         step: communication step of the comparisons [s].
+        peers: other programs for the same robot, which stand among the tools.
 
     Raises:
         RunError: the reference can't be calculated.
@@ -95,14 +102,18 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
         references += "; SciPy's DOP853 at 1e-11"
     # families in their order, since later ones use the trials of earlier ones
     trials: list[WorkPrecisionTrial] = []
-    makers = _makers(subject, step, announce, trials)
+    makers = _makers(subject, step, announce, trials, peers)
     for name in (each for each in FAMILIES if each in families):
         trials += makers[name]()
     return WorkPrecisionStudy(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
 
 
 def _makers(
-    subject: SceneUnderTest, step: float, announce: Announce, known: Sequence[WorkPrecisionTrial]
+    subject: SceneUnderTest,
+    step: float,
+    announce: Announce,
+    known: Sequence[WorkPrecisionTrial],
+    peers: Sequence[Peer],
 ) -> dict[str, Callable[[], Iterator[WorkPrecisionTrial]]]:
     """Family → function that makes its trials; it may use those of the families before it."""
     has_equations = is_differential_equation(subject.scene)
@@ -119,10 +130,11 @@ def _makers(
         # the same equations in other solvers
         yield from solver_trials.scipy_trials(subject, ours, announce)
         yield from solver_trials.sundials_trials(subject, ours, announce)
-        # the same FMU, the paper's setting, and another multibody code
-        yield from tool_trials.model_exchange_trials(subject, ours, announce)
-        yield tool_trials.paper_trial(subject, announce)
-        yield from tool_trials.exudyn_trials(subject, ours, announce)
+        # the same FMU, the paper's setting, and other programs
+        yield from solver_trials.model_exchange_trials(subject, ours, announce)
+        yield solver_trials.paper_trial(subject, announce)
+        for peer in peers:
+            yield from peer(subject, ours, announce)
 
     return {
         "integrators": lambda: integrator_trials(subject, step, announce),

@@ -112,6 +112,6 @@ def by_elements(scene: Scene, motion: MotionPlan, instants: RealArray) -> Comput
 
 
 def by_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray) -> ComputedMotion:
-    from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
+    from flexfmu.benchmarks.peers.exudyn_peer import simulate_exudyn
 
     return simulate_exudyn(scene, motion, instants, step=1e-4 if scene.payload.mass > 1.0 else 5e-5, elements=4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.studies.workprec import tool_trials
+from flexfmu.benchmarks.peers import exudyn_trials
 from flexfmu.cosim.studies.workprec.trial import WorkCurve, WorkPrecisionTrial, subject_of
 from flexfmu.model.scene.file import load_scene
 
@@ -15,7 +15,7 @@ SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 def trials(**changes: object) -> list[WorkPrecisionTrial]:
     """Exudyn's trials of the scene with changed keys."""
     scene = SCENE.replace({key.replace("__", "."): value for key, value in changes.items()})
-    return list(tool_trials.exudyn_trials(subject_of(scene), WorkCurve(()), lambda text: None))
+    return list(exudyn_trials.exudyn_trials(subject_of(scene), WorkCurve(()), lambda text: None))
 
 
 @pytest.mark.slow
@@ -23,7 +23,7 @@ def test_errors_fall_with_the_steps_square(monkeypatch: pytest.MonkeyPatch) -> N
     """Counted from its own converged run, generalised-alpha has the second order that it should have, so that errors of its
     time steps are what is seen, not another model's."""
     pytest.importorskip("exudyn", reason="exudyn isn't installed: pip install flexfmu[peers]")
-    monkeypatch.setattr(tool_trials, "EXUDYN_STEPS", (5e-4, 2.5e-4))
+    monkeypatch.setattr(exudyn_trials, "EXUDYN_STEPS", (5e-4, 2.5e-4))
     coarse, fine = trials()
     assert coarse.error is not None
     assert fine.error is not None
@@ -42,7 +42,7 @@ def test_what_exudyn_lacks_is_told() -> None:
 
 def test_exudyn_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the extra a study says what to install."""
-    monkeypatch.setattr(tool_trials, "find_spec", lambda name: None)
+    monkeypatch.setattr(exudyn_trials, "find_spec", lambda name: None)
     (trial,) = trials()
     assert trial.failed
     assert "flexfmu[peers]" in trial.note

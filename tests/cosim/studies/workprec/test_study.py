@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
-from flexfmu.cosim.studies.workprec import solver_trials, tool_trials
+from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
 from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
@@ -95,7 +95,7 @@ def test_other_tools_reach_our_errors(subject: SceneUnderTest) -> None:
     trials = [*solver_trials.scipy_trials(subject, ours, silent), *solver_trials.sundials_trials(subject, ours, silent)]
     for line in ("SciPy Radau", "SciPy BDF", "SciPy LSODA", "SciPy DOP853", "CasADi cvodes"):
         assert WorkCurve.of(each for each in trials if each.line == line).least <= 1e-5, line
-    held = [each.error or 1.0 for each in tool_trials.model_exchange_trials(subject, ours, silent)]
+    held = [each.error or 1.0 for each in solver_trials.model_exchange_trials(subject, ours, silent)]
     assert held[-1] < 0.3 * held[1]
 
 

@@ -1,0 +1,1 @@
+"""Other programs for the same robot, which accuracy and time are compared with."""
