@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from base64 import b64encode
+from io import BytesIO
 from textwrap import wrap
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ShowProgress = Callable[[str, float | None], None]
 """Called with the current activity and the finished fraction, 0..1; None where it isn't known."""
@@ -16,6 +22,9 @@ def quiet(text: str, fraction: float | None) -> None:
 
 WIDTH = 79
 """Columns of a line; the narrowest terminals have 80."""
+
+PIXELS = 90
+"""Of a picture in a notebook, for an inch."""
 
 
 def few_lines(head: str, items: Sequence[str], lines: int = 4) -> str:
@@ -49,6 +58,13 @@ def shown_unit(unit: str) -> str:
     """Return a unit as people read it, from its name in files: ``N·m`` of ``N.m``, ``m/s²`` of ``m/s2``, nothing of ``1``."""
     powers = re.sub(r"(?<=[a-zA-Z])\d+", lambda digits: digits[0].translate(SUPERSCRIPTS), unit.replace(".", "·"))
     return "" if unit == "1" else powers
+
+
+def html_picture(figure: Figure) -> str:
+    """Return a figure as an image in HTML."""
+    content = BytesIO()
+    figure.savefig(content, format="png", dpi=PIXELS)
+    return f'<img alt="" style="max-width: 100%" src="data:image/png;base64,{b64encode(content.getvalue()).decode()}">'
 
 
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -11,6 +11,8 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexfmu.cosim.engine.formats.drawing import NotebookFigure
+
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
 """Colours of text and mechanism, of secondary lines, and of fills."""
 
@@ -39,12 +41,12 @@ _RC: Mapping[str, Any] = {
 
 
 def draw(width: float, height: float) -> Figure:
-    """Return an empty drawing that belongs to no window and no global state; call it within `style`.
+    """Return an empty drawing that belongs to no window and no global state, which notebooks show; call it within `style`.
 
     Args:
         width, height: size in inches.
     """
-    return Figure(figsize=(width, height), layout="constrained")
+    return NotebookFigure(figsize=(width, height), layout="constrained")
 
 
 def style() -> AbstractContextManager[None]:

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.journal import TrialJournal
@@ -18,14 +21,20 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet
+from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
-from flexfmu.cosim.reports.rows import Rows
+from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 METHODS = ("gradient", "sample")
 """What follows the first points: a descent by gradients, or further points of the sequence."""
@@ -97,6 +106,47 @@ class TuneResult(Rows):
             }
             for number, trial in enumerate(self.trials)
         ]
+
+    def shown_rows(self) -> list[dict[str, Any]]:
+        """The given trial, then the others, the best first."""
+        first, *others = self.rows()
+        return [first, *sorted(others, key=lambda row: self.study.rank(self.trials[row["trial"]]))]
+
+    def row_units(self) -> Mapping[str, str]:
+        """Figure → unit."""
+        return {part: goal.unit for goal in self.study.goals for part in goal.parts if goal.unit}
+
+    def plot(self) -> Figure:
+        """The figure that is minimised, of each trial and the best so far; trials that miss a limit are hollow."""
+        from flexfmu.cosim.reports.figure_style import GREY, INK, draw, style
+
+        goal = self.study.minimise
+        values = np.array([nan if (found := goal.of(each.figures)) is None else found for each in self.trials])
+        kept = np.array([self.study.rank(each)[0] == 0 for each in self.trials])
+        number = np.arange(len(values))
+        with style():
+            figure = draw(7.0, 3.6)
+            axes = figure.add_subplot()
+            for some, label, face in ((kept, "keeps all limits", INK), (~kept, "misses a limit", "none")):
+                if some.any():
+                    axes.plot(
+                        number[some], values[some], "o", markersize=3.5, color=INK, markerfacecolor=face, label=label
+                    )
+            best = np.fmin.accumulate(np.where(kept, values, np.nan))
+            axes.step(number, best, where="post", color="#c7394f", label="best so far")
+            if self.best in self.trials:
+                place = self.trials.index(self.best)
+                axes.plot(
+                    place, values[place], "o", markersize=9, markerfacecolor="none", color="#c7394f", label="chosen"
+                )
+            axes.axhline(values[0], color=GREY, linewidth=1.0, linestyle="--", label="given")
+            positive = values[np.isfinite(values)]
+            if positive.size and positive.min() > 0.0 and positive.max() > 20.0 * positive.min():
+                axes.set_yscale("log")
+            axes.set(xlabel="trial", ylabel=f"{goal.name} [{shown_unit(goal.unit)}]" if goal.unit else goal.name)
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+            figure.suptitle(f"{self.study.scene.name}: {len(self.trials)} trials", fontsize=10)
+        return figure
 
     def __repr__(self) -> str:
         """Return at most five lines."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import degrees, isfinite, isnan, log, nan, pi
 from pathlib import Path
@@ -21,9 +21,10 @@ from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metric_table import metric
-from flexfmu.cosim.reports.rows import Rows
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
@@ -34,11 +35,20 @@ if TYPE_CHECKING:
 POSES = 5
 """Usual number of poses."""
 
+UNITS = {
+    **dict.fromkeys(("x", "y"), "m"),
+    "payload": "kg",
+    "phase_margin": "rad",
+    "delay_margin": "s",
+    **dict.fromkeys(("bandwidth", "crossover"), "rad/s"),
+}
+"""Column of the rows → unit."""
+
 BETTER_IF_LESS = ("gain_reduction", "sensitivity_peak")
 """Margins that are worse the larger they are."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MarginsResult(Rows):
     """Margins of a loop along a path.
 
@@ -53,6 +63,10 @@ class MarginsResult(Rows):
     poses: tuple[PoseMargins, ...]
     linear: tuple[LinearLoop, ...]
     coarse_counts: str | None = None
+
+    def __repr__(self) -> str:
+        """Return a line: what the margins say."""
+        return f"Margins of {self.scene.name}. {self.verdict}"
 
     @property
     def is_stable(self) -> bool:
@@ -104,6 +118,14 @@ class MarginsResult(Rows):
         from flexfmu.cosim.design.margins.pictures import draw_margins  # Matplotlib takes longer than most commands
 
         return draw_margins(self.poses, f"{self.scene.name}. {self.verdict}")
+
+    def row_units(self) -> Mapping[str, str]:
+        """Margin → unit."""
+        return UNITS
+
+    def shown_rows(self) -> list[dict[str, Any]]:
+        """The rows with the smallest disk margins first, then gain margins."""
+        return sorted(self.rows(), key=lambda row: (row["disk_margin"], row["gain_margin"]))
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each pose and each cut, in SI units."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,14 +21,17 @@ from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time
-from flexfmu.cosim.reports.rows import Rows
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Stage = Callable[[Goals, Sequence[Assessment], int, ShowProgress], Iterator[Candidate]]
 """A method: from the goals, what was assessed before, the number of processes and where to show progress to ever better candidates."""
@@ -44,6 +47,9 @@ SCREENED, JUDGED = 7, 25
 
 FRONT = ("time", "residual", "torque", "energy", "off_path")
 """Figures that the Pareto front weighs against each other."""
+
+DRAWN: Mapping[str, tuple[float, str]] = {"residual": (1e6, "µm"), "off_path": (1e3, "mm")}
+"""Figures that diagrams have in another unit: factor and unit."""
 
 ALIKE = 1e-3
 """Relative difference of all figures of `FRONT` below which the front has one of two motions."""
@@ -143,6 +149,46 @@ class PlanResult(Rows):
         )
         so_far = " so far" if self.interrupted else ""
         return f"no motion found{so_far} keeps all limits; the nearest misses {listed}"
+
+    def row_units(self) -> Mapping[str, str]:
+        """Figure → unit."""
+        return FRONT
+
+    def plot(self) -> Figure:
+        """What all motions need: each figure over the motion's time; those that miss a limit are hollow."""
+        from flexfmu.cosim.reports.figure_style import INK, draw, style
+
+        names = [name for name in FRONT if name != "time"]
+        with style():
+            figure = draw(9.0, 5.6)
+            for axes, name in zip(figure.subplots(2, 2, sharex=True).ravel(), names, strict=True):
+                factor, unit = DRAWN.get(name, (1.0, shown_unit(FRONT[name])))
+                for each in self.assessed:
+                    face = INK if each.feasible else "none"
+                    axes.plot(
+                        each.time, factor * getattr(each, name), "o", markersize=3.5, color=INK, markerfacecolor=face
+                    )
+                for each, sign, colour, label in (
+                    (self.given, "s", "#1f8a5f", "given"),
+                    (self.chosen, "D", "#c7394f", "chosen"),
+                ):
+                    face = colour if each.feasible else "none"
+                    axes.plot(
+                        each.time,
+                        factor * getattr(each, name),
+                        sign,
+                        markersize=7,
+                        color=colour,
+                        markerfacecolor=face,
+                        label=label,
+                    )
+                if min(getattr(each, name) for each in (*self.assessed, self.given)) > 0.0:
+                    axes.set_yscale("log")
+                axes.set(xlabel="time [s]", ylabel=f"{name.replace('_', ' ')} [{unit}]")
+                axes.label_outer()
+            figure.axes[0].legend(fontsize=8)
+            figure.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
+        return figure
 
     def rows(self) -> list[dict[str, Any]]:
         """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""

@@ -11,7 +11,7 @@ from rich.table import Table
 from flexfmu.cosim.design.shapers.alternatives import DesignModes
 from flexfmu.cosim.design.shapers.recommendation import Recommendation, shaper_toml
 from flexfmu.cosim.design.shapers.study import CandidateResult, PayloadTrial
-from flexfmu.cosim.reports.rows import csv_text
+from flexfmu.cosim.engine.rows import csv_text
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table
 

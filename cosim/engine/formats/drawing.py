@@ -12,7 +12,7 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 
 
-class SignalFigure(Figure):
+class NotebookFigure(Figure):
     """A figure that belongs to no window; notebooks show it once, scripts save it by `savefig`."""
 
     def _repr_png_(self) -> bytes:
@@ -21,7 +21,7 @@ class SignalFigure(Figure):
         return content.getvalue()
 
 
-def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = "") -> SignalFigure:
+def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = "") -> NotebookFigure:
     """Return a figure of signals over time, those of a unit in one pair of axes; a jump is a vertical line.
 
     Args:
@@ -30,7 +30,7 @@ def draw_signals(time: RealArray, columns: Mapping[str, Column], title: str = ""
         title: heading; empty for none.
     """
     units = list(dict.fromkeys(column.unit for column in columns.values()))
-    figure = SignalFigure(figsize=(8.0, 1.0 + 2.0 * max(len(units), 1)), layout="constrained")
+    figure = NotebookFigure(figsize=(8.0, 1.0 + 2.0 * max(len(units), 1)), layout="constrained")
     figure.suptitle(title)
     all_axes = figure.subplots(max(len(units), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, unit in zip(all_axes, units, strict=False):

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
-from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.results import USUAL, Recording
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.engine.showing import few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
@@ -29,7 +30,6 @@ from flexfmu.cosim.reports.comparison import (
 )
 from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table
-from flexfmu.cosim.reports.rows import Rows
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.svg import INK, PALETTE
 from flexfmu.cosim.reports.text import to_json
@@ -49,6 +49,10 @@ POINTS, FEWEST = 12000, 40
 
 POORLY = 0.5
 """Correlation below which measurement and simulation hardly look alike."""
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -172,8 +176,37 @@ class Comparison(Rows):
         measured = [] if self.measured is None else [difference_table(self.measured)]
         return [table for table in (metrics_table(self.runs), *loop_tables(self.runs), *measured) if table.rows]
 
-    def _repr_html_(self) -> str:
+    def html_tables(self) -> str:
+        """The tables of a notebook."""
         return "".join(html_table(table.header, table.rows) for table in self.tables())
+
+    def plot(self) -> Figure:
+        """Torques, end-effector positions and tip deflections of all runs over each other, and of the measurement."""
+        from flexfmu.cosim.reports.figure_style import draw, style
+
+        found = {run.name: run.recording for run in self.runs}
+        names = [name for name in USUAL if any(name in each.columns for each in found.values())]
+        with style():
+            figure = draw(8.0, 0.8 + 1.5 * max(len(names), 1))
+            panels = figure.subplots(max(len(names), 1), 1, sharex=True, squeeze=False)[:, 0]
+            for axes, name in zip(panels, names, strict=False):
+                for run, recording in found.items():
+                    if name in recording.columns:
+                        axes.plot(recording.time, recording[name].values, label=run, linewidth=1.2)
+                if self.measured is not None and name in self.measured.recording.columns:
+                    time = self.measured.recording.time - self.measured.delay.seconds
+                    axes.plot(
+                        time,
+                        self.measured.recording[name].values,
+                        color="black",
+                        linewidth=0.8,
+                        label=self.measured.name,
+                    )
+                unit = next(each[name].unit for each in found.values() if name in each.columns)
+                axes.set_title(f"{name} [{shown_unit(unit)}]", fontsize=8.5)
+            panels[-1].set_xlabel("time [s]")
+            panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+        return figure
 
 
 def compare_runs(

@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.text import Text
 
 from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.rows import csv_text
 from flexfmu.cosim.reports.page import render
-from flexfmu.cosim.reports.rows import csv_text
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table, to_json
 from flexfmu.cosim.studies.paper.comparison import (

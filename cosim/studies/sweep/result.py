@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +14,10 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import metric
-from flexfmu.cosim.reports.rows import Rows
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.store import TABLE, signal_file, text_of
 
@@ -159,11 +159,6 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             f"  results: {self.folder or 'in memory'}\n"
             f"  see .to_pandas(), .plot(), .failed, .summary(), [number]"
         )
-
-    def _repr_html_(self) -> str:
-        """The first cases as a table."""
-        title = f"Sweep of {self.name}: {len(self)} cases, {len(self.messages)} failed"
-        return f"<p>{escape(title)}</p>{super()._repr_html_()}"
 
 
 def _value_text(value: Any) -> str:

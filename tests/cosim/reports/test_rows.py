@@ -6,7 +6,7 @@ import json
 from math import nan
 from typing import Any
 
-from flexfmu.cosim.reports.rows import Rows
+from flexfmu.cosim.engine.rows import Rows
 
 
 class Runs(Rows):
