@@ -126,6 +126,7 @@ ALONE = {
     "model.finite_elements.motion": "time integration",
     "model.finite_elements.element": "the beam element, whose sections other programs use too",
     "model.foreshortening": "an effect",
+    "model.scene.picture": "drawing",
     "model.multipliers": "the second form of the equations",
     "model.plant_functions": "functions of a plant, which hard cases check too",
     "model.reference_design.optimal_control": "the transcription",

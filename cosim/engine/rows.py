@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-SHOWN = 10
+SHOWN = 12
 """Number of rows that a notebook shows."""
 
 
@@ -76,9 +76,11 @@ class Rows(ABC):
         units, rows = self.row_units(), self.shown_rows()
         shown = rows[:SHOWN]
         names = [name for name in (rows[0] if rows else ()) if any(row[name] not in ("", None) for row in shown)]
-        header = [f"{name} [{shown_unit(units[name])}]" if units.get(name) else name for name in names]
+        header = [f"{name} [{unit}]" if (unit := shown_unit(units.get(name, ""))) else name for name in names]
         table = html_table(header, ([_cell(row[name]) for name in names] for row in shown))
-        return table + (f"<p>{len(rows) - SHOWN} more</p>" if len(rows) > SHOWN else "")
+        return f'<div style="overflow-x: auto">{table}</div>' + (
+            f"<p>{len(rows) - SHOWN} more</p>" if len(rows) > SHOWN else ""
+        )
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>{self.html_tables()}{html_picture(self.plot())}"

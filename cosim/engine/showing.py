@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
 from base64 import b64encode
+from collections.abc import Callable, Iterable, Sequence
 from io import BytesIO
 from textwrap import wrap
 from typing import TYPE_CHECKING

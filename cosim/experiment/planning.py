@@ -8,17 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.table import TableSection
-from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point, Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import RealArray
@@ -28,6 +30,8 @@ from flexfmu.trajectories.profiles import PROFILES
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits, merged
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from flexfmu.model.reference_design.inverse_dynamics import FlexibleReferences
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
@@ -116,13 +120,18 @@ class Tabulated:
         return found
 
 
+DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s2"}
+"""Derivatives of a motion by their order, with what their unit has behind that of the position."""
+
 POSES = 401
 """Number of poses at which a motion is examined."""
 
 
 @dataclass(frozen=True, repr=False)
-class MotionPlan:
+class MotionPlan(Rows):
     """The planned motion of a scene; during the dwell it stands still at the end point.
+
+    Its rows are `POSES` equidistant instants of the motion, without the dwell.
 
     Attributes:
         scene: the scene.
@@ -154,6 +163,46 @@ class MotionPlan:
             f"MotionPlan of {self.scene.name}: {self.duration:g} s of motion{cycles}, "
             f"{self.stop_time - self.duration:g} s of dwell"
         )
+
+    row_name: ClassVar[str] = "time"
+
+    def _sampled(self) -> Recording:
+        """Joints and end effector with their derivatives at `POSES` instants."""
+        time = np.linspace(0.0, self.duration, POSES)
+        columns = {}
+        for trajectory, names, unit in (
+            (self.joints, ("joint1", "joint2"), "rad"),
+            (self.task, ("end_effector.x", "end_effector.y"), "m"),
+        ):
+            found = trajectory.evaluate(time, len(DERIVATIVES) - 1, "left")
+            for order, (derivative, per) in enumerate(DERIVATIVES.items()):
+                for k, name in enumerate(names):
+                    columns[f"{name}.{derivative}"] = Column(unit + per, found[order, :, k])
+        return Recording(time, columns)
+
+    def rows(self) -> list[dict[str, float]]:
+        """Joint angles, end effector, their velocities and accelerations at each instant, in SI units."""
+        recording = self._sampled()
+        table = {"time": recording.time} | {name: column.values for name, column in recording.items()}
+        return [
+            dict(zip(table, row, strict=True)) for row in zip(*(each.tolist() for each in table.values()), strict=True)
+        ]
+
+    def row_units(self) -> Mapping[str, str]:
+        """Column → unit; that of a largest value too."""
+        return self._sampled().units
+
+    def shown_rows(self) -> list[dict[str, Any]]:
+        """Smallest and largest value of each signal."""
+        return [
+            {"signal": f"{name} [{shown_unit(column.unit)}]", "smallest": min(values), "largest": max(values)}
+            for name, column in self._sampled().items()
+            for values in [column.values.tolist()]
+        ]
+
+    def plot(self) -> Figure:
+        """Joint angles with their velocities and accelerations over time."""
+        return self._sampled().plot("joint*", f"{self.scene.name}: joint references")
 
     @property
     def once(self) -> MotionPlan:
@@ -260,8 +309,7 @@ def plan_rigid(scene: Scene) -> MotionPlan:
         task, joints = table_motion(section, scene.mechanism)
         source = section.table.description(section.degree, section.noise)
         return MotionPlan(scene, task, RigidKinematics(scene.mechanism), task, joints, source=source)
-    corner = section.blend.kind, section.blend.height, section.blend.width
-    path = _path(section.start, section.lift, section.height, section.width, corner)
+    path = section.path
     law = section.profile.kind, tuple(section.profile.parameters.items())
     try:
         joints = _motion_in_a_second(path, law, scene.mechanism)
@@ -284,13 +332,6 @@ def _motion(path: PickAndPlacePath, law: Law, mechanism: Mechanism, duration: fl
 def _motion_in_a_second(path: PickAndPlacePath, law: Law, mechanism: Mechanism) -> JointTrajectory:
     """The motion with a duration of 1 s, cached, since durations don't change where it goes."""
     return _motion(path, law, mechanism, 1.0)
-
-
-@lru_cache(maxsize=64)
-def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[str, float, float]) -> PickAndPlacePath:
-    """The path, cached, so that equal paths share their table of arc lengths."""
-    kind, *extent = corner
-    return PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))
 
 
 def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:

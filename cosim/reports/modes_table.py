@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.engine.showing import few_lines
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.trajectories.jets import Jet
 from flexfmu.trajectories.trajectory import positions_along
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHOWN_FREQUENCIES = 6
 """Largest number of frequency columns in the table; the JSON has all frequencies."""
@@ -45,10 +50,73 @@ class ModalPose:
         return asdict(self) | {"frequencies": list(self.frequencies)}
 
 
+class ModesAlongPath(Rows, list[ModalPose]):
+    """The robot's frequencies along its path: a list of poses that is also a table and a diagram.
+
+    Args:
+        name: of the scene.
+        poses: from start to end of the path.
+    """
+
+    row_name = "s"
+
+    def __init__(self, name: str = "", poses: Iterable[ModalPose] = ()) -> None:
+        super().__init__(poses)
+        self.name = name
+
+    def __repr__(self) -> str:
+        """Return at most five lines: the range of each frequency."""
+        items = [
+            f"f{k} {min(each):.4g} to {max(each):.4g} Hz"
+            for k, each in enumerate(zip(*(pose.frequencies for pose in self), strict=True), start=1)
+        ]
+        return few_lines(f"Natural frequencies of {self.name} at {len(self)} poses, motors locked:", items)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each pose, in m, rad and Hz."""
+        return [
+            {name: getattr(pose, name) for name in UNITS}
+            | {f"f{k}": frequency for k, frequency in enumerate(pose.frequencies, start=1)}
+            for pose in self
+        ]
+
+    def row_units(self) -> Mapping[str, str]:
+        """Column → unit."""
+        return UNITS | {f"f{k + 1}": "Hz" for k in range(len(self[0].frequencies) if self else 0)}
+
+    def plot(self) -> Figure:
+        """The lowest frequencies over the path."""
+        from flexfmu.cosim.reports.figure_style import draw, style  # Matplotlib takes longer than the frequencies
+
+        with style():
+            figure = draw(7.0, 4.0)
+            axes = figure.add_subplot()
+            shown = np.array([pose.frequencies[:SHOWN_FREQUENCIES] for pose in self], ndmin=2)
+            for k, frequency in enumerate(shown.T, start=1):
+                axes.plot([pose.s for pose in self], frequency, "o-", markersize=3, label=f"f{k}")
+            axes.set(xlabel="share of the path", ylabel="natural frequency [Hz]")
+            if shown.size and shown.max() > 10.0 * shown.min() > 0.0:
+                axes.set_yscale("log")
+            else:
+                axes.set_ylim(0.0, None)
+            if axes.lines:
+                axes.legend(
+                    *(each[::-1] for each in axes.get_legend_handles_labels()),
+                    loc="upper left",
+                    bbox_to_anchor=(1.0, 1.0),
+                )
+            figure.suptitle(f"{self.name}: natural frequencies, motors locked", fontsize=10)
+        return figure
+
+
+UNITS = {"s": "", "x": "m", "y": "m", "q11": "rad", "q21": "rad"}
+"""Column of a pose → unit."""
+
+
 @one_blas_thread()
 def modes_along_path(
     plan: MotionPlan, count: int, progress: Callable[[float], None] = lambda fraction: None
-) -> list[ModalPose]:
+) -> ModesAlongPath:
     """Return the robot's frequencies at ``count`` poses, equally spaced by arc length from start to end of the path.
 
     Args:
@@ -75,7 +143,7 @@ def modes_along_path(
         frequencies = tuple(float(f) for f in natural_frequencies(plan.scene, (q11, q21)))
         poses.append(ModalPose(float(s), float(x), float(y), float(q11), float(q21), frequencies))
         progress(index / count)
-    return poses
+    return ModesAlongPath(plan.scene.name, poses)
 
 
 def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, RealArray]:

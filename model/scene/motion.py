@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, create_model, model_validator
@@ -10,7 +11,9 @@ from pydantic import BeforeValidator, create_model, model_validator
 from flexfmu.model.scene.mechanism import Length
 from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
 from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES, Coefficients, Parameter
 
 StartPoint = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
@@ -145,6 +148,16 @@ class TrajectorySection(MotionSection):
     blend: BlendSection
     profile: Annotated[Profile, BeforeValidator(named_kind)]
 
+    @property
+    def path(self) -> PickAndPlacePath:
+        """The path; equal ones share their table of arc lengths.
+
+        Raises:
+            TrajectoryError: blend and path don't fit.
+        """
+        corner = self.blend.kind, self.blend.height, self.blend.width
+        return _path(self.start, self.lift, self.height, self.width, corner)
+
     @model_validator(mode="after")
     def _blends_fit(self) -> Self:
         if math.hypot(*self.lift) == 0.0:
@@ -154,3 +167,10 @@ class TrajectorySection(MotionSection):
         if self.blend.width > self.width / 2:
             raise ValueError(f"`blend.width` must be at most `width`/2 = {self.width / 2} m, got {self.blend.width} m")
         return self
+
+
+@lru_cache(maxsize=64)
+def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[str, float, float]) -> PickAndPlacePath:
+    """The path, cached."""
+    kind, *extent = corner
+    return PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -30,6 +31,9 @@ from flexfmu.model.scene.table import TableSection
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.curves import Point
+
+PATH_POINTS = 200
+"""Pieces of a path in a picture."""
 
 LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
 """Limits [m, kg/m3, Pa] of usual robots and structural materials; values beyond them suggest a wrong unit."""
@@ -68,9 +72,6 @@ class Scene(Section):
 
     def __repr__(self) -> str:
         """Return five lines with the beginning of each section; `print` shows all keys."""
-        sections = {
-            key: self.model_dump(mode="json", include={key}, exclude_unset=True) for key in type(self).model_fields
-        }
         parts = {
             "controllers": self.controller,
             "shapers": self.shaper,
@@ -80,9 +81,38 @@ class Scene(Section):
         counts = "".join(f", {what}: {len(each)}" for what, each in parts.items() if each)
         lines = [f"Scene {self.name}, payload {self.payload.mass:g} kg{counts}"]
         for key in ("mechanism", "effects", "trajectory", "cosimulation"):
-            text = f"  {key}: " + ", ".join(f"{name} = {value}" for name, value in sections[key].get(key, {}).items())
+            text = f"  {key}: {_listed(getattr(self, key))}"
             lines.append(text if len(text) < 80 else text[:78] + "…")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return a table of all sections, and a picture of mechanism and path."""
+        from flexfmu.model.scene.picture import scene_html, scene_picture  # for notebooks alone
+
+        sections = list[tuple[str, str]]()
+        for key in type(self).model_fields:
+            value = getattr(self, key)
+            many = value if isinstance(value, tuple) else (value,)
+            sections += [(key, _listed(each)) for each in many if isinstance(each, Section)]
+        return scene_html(f"Scene {self.name}", sections, scene_picture(self.mechanism, self.path_points))
+
+    @property
+    def path_points(self) -> list[Point]:
+        """Points x, y [m] along the path of the rigid end effector, as many as a picture needs; of a table those of its rows."""
+        section = self.trajectory
+        if isinstance(section, TrajectorySection):
+            length = section.path.length
+            x, y = section.path.jets([length * k / PATH_POINTS for k in range(PATH_POINTS + 1)], 0)
+            return list(zip(x.value.tolist(), y.value.tolist(), strict=True))
+        rows = [(first, second) for first, second in section.table.derivatives[0].tolist()]
+        if section.table.coordinates == "end-effector":
+            return rows
+        points = [self.start]
+        for row in rows:
+            # a table may lead beyond the workspace, which planning it tells
+            with suppress(ValueError):
+                points.append(end_effector(self.mechanism, row))
+        return points
 
     @model_validator(mode="before")
     @classmethod
@@ -238,6 +268,12 @@ class Scene(Section):
         for key, value in changes.items():
             set_value(data, key, value, f"scene {self.name}")
         return parse_scene(data, source=f"scene {self.name}")
+
+
+def _listed(section: Section) -> str:
+    """The keys of a section that differ from their defaults, with their values."""
+    data = section.model_dump(mode="json", exclude_defaults=True)
+    return ", ".join(f"{name} = {value}" for name, value in data.items())
 
 
 def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -> Scene:

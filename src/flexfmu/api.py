@@ -19,7 +19,7 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.run_options import RunOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
+from flexfmu.cosim.reports.modes_table import ModesAlongPath, modes_along_path
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -310,7 +310,7 @@ def plan_motion(
     return result
 
 
-def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:
+def modes(scene: SceneSource, poses: int = 11) -> ModesAlongPath:
     """Natural frequencies of the robot at poses along its path: undamped, motors locked, about the static equilibrium.
 
     Calls `flexfmu.cosim.reports.modes_table.modes_along_path`.

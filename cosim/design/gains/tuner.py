@@ -21,15 +21,12 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
-from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
 
@@ -118,6 +115,8 @@ class TuneResult(Rows):
 
     def plot(self) -> Figure:
         """The figure that is minimised, of each trial and the best so far; trials that miss a limit are hollow."""
+        from matplotlib.ticker import MaxNLocator
+
         from flexfmu.cosim.reports.figure_style import GREY, INK, draw, style
 
         goal = self.study.minimise
@@ -143,6 +142,7 @@ class TuneResult(Rows):
             positive = values[np.isfinite(values)]
             if positive.size and positive.min() > 0.0 and positive.max() > 20.0 * positive.min():
                 axes.set_yscale("log")
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             axes.set(xlabel="trial", ylabel=f"{goal.name} [{shown_unit(goal.unit)}]" if goal.unit else goal.name)
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
             figure.suptitle(f"{self.study.scene.name}: {len(self.trials)} trials", fontsize=10)

@@ -23,8 +23,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.metrics.metric_table import metric
-from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES, metric
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
@@ -34,15 +33,6 @@ if TYPE_CHECKING:
 
 POSES = 5
 """Usual number of poses."""
-
-UNITS = {
-    **dict.fromkeys(("x", "y"), "m"),
-    "payload": "kg",
-    "phase_margin": "rad",
-    "delay_margin": "s",
-    **dict.fromkeys(("bandwidth", "crossover"), "rad/s"),
-}
-"""Column of the rows → unit."""
 
 BETTER_IF_LESS = ("gain_reduction", "sensitivity_peak")
 """Margins that are worse the larger they are."""
@@ -121,7 +111,7 @@ class MarginsResult(Rows):
 
     def row_units(self) -> Mapping[str, str]:
         """Margin → unit."""
-        return UNITS
+        return {"x": "m", "y": "m", "payload": "kg"} | {name: each.unit for name, each in LOOP_FIGURES.items()}
 
     def shown_rows(self) -> list[dict[str, Any]]:
         """The rows with the smallest disk margins first, then gain margins."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from time import monotonic
@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.baselines import BASELINES, installed
 from flexfmu.cosim.design.plans.checks import check_holding_torque, checked_goals
 from flexfmu.cosim.design.plans.goals import Goals, judged_scene
 from flexfmu.cosim.design.plans.required_effects import most_robust
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.engine.showing import ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
-from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.model.one_thread import one_blas_thread
@@ -50,6 +50,9 @@ FRONT = ("time", "residual", "torque", "energy", "off_path")
 
 DRAWN: Mapping[str, tuple[float, str]] = {"residual": (1e6, "µm"), "off_path": (1e3, "mm")}
 """Figures that diagrams have in another unit: factor and unit."""
+
+MANY = 20.0
+"""Ratio of the largest to the smallest value from which on a diagram is logarithmic."""
 
 ALIKE = 1e-3
 """Relative difference of all figures of `FRONT` below which the front has one of two motions."""
@@ -152,7 +155,7 @@ class PlanResult(Rows):
 
     def row_units(self) -> Mapping[str, str]:
         """Figure → unit."""
-        return FRONT
+        return {name: FIGURES[name][1] for name in FRONT}
 
     def plot(self) -> Figure:
         """What all motions need: each figure over the motion's time; those that miss a limit are hollow."""
@@ -162,7 +165,7 @@ class PlanResult(Rows):
         with style():
             figure = draw(9.0, 5.6)
             for axes, name in zip(figure.subplots(2, 2, sharex=True).ravel(), names, strict=True):
-                factor, unit = DRAWN.get(name, (1.0, shown_unit(FRONT[name])))
+                factor, unit = DRAWN.get(name, (1.0, shown_unit(FIGURES[name][1])))
                 for each in self.assessed:
                     face = INK if each.feasible else "none"
                     axes.plot(
@@ -182,10 +185,12 @@ class PlanResult(Rows):
                         markerfacecolor=face,
                         label=label,
                     )
-                if min(getattr(each, name) for each in (*self.assessed, self.given)) > 0.0:
+                values = [getattr(each, name) for each in (*self.assessed, self.given)]
+                if max(values) > MANY * min(values) > 0.0:
                     axes.set_yscale("log")
-                axes.set(xlabel="time [s]", ylabel=f"{name.replace('_', ' ')} [{unit}]")
-                axes.label_outer()
+                axes.set_title(f"{FIGURES[name][0]} [{unit}]", fontsize=8.5)
+            for axes in figure.axes[2:]:
+                axes.set_xlabel("time [s]")
             figure.axes[0].legend(fontsize=8)
             figure.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
         return figure

@@ -136,7 +136,8 @@ def _title(result: Swept, i: int) -> str:
     """Label of a metric with its unit."""
     name = result.metrics[i]
     label = ALL_METRICS[name].label if name in ALL_METRICS else name
-    return f"{label} [{shown_unit(result.units.get(name, ''))}]"
+    unit = shown_unit(result.units.get(name, ""))
+    return f"{label} [{unit}]" if unit else label
 
 
 def _lines(axes: Axes, result: Swept, keys: Sequence[_Axis], i: int) -> None:

@@ -17,7 +17,6 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import metric
-from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
 from flexfmu.cosim.studies.sweep.store import TABLE, signal_file, text_of
 

@@ -3,16 +3,35 @@
 from __future__ import annotations
 
 import json
+import pickle
+from base64 import b64decode
+from dataclasses import replace
 from math import nan
 from typing import Any
 
-from flexfmu.cosim.engine.rows import Rows
+import numpy as np
+from matplotlib.figure import Figure
+
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.rows import SHOWN, Rows
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.reports.figure_style import draw
+from flexfmu.cosim.reports.modes_table import ModalPose, ModesAlongPath
+from flexfmu.model.scene.file import load_scene
 
 
 class Runs(Rows):
     """Two runs."""
 
     row_name = "run"
+
+    def __repr__(self) -> str:
+        """What HTML must not take for an element."""
+        return "<two runs>"
+
+    def plot(self) -> Figure:
+        """An empty figure."""
+        return draw(2.0, 1.0)
 
     def rows(self) -> list[dict[str, Any]]:
         """One of them without a figure."""
@@ -34,3 +53,77 @@ def test_rows_are_told_in_every_form() -> None:
     html = found._repr_html_()
     assert "<th>torque [N·m]</th>" in html
     assert "<td>1.5</td>" in html
+    # text, table, picture
+    assert html.startswith("<pre>&lt;two runs&gt;</pre>")
+    picture = b64decode(html.split('src="data:image/png;base64,')[1].split('"')[0])
+    assert picture.startswith(b"\x89PNG")
+
+
+class ManyRuns(Runs):
+    """More runs than a notebook shows, with a column that is empty."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """None failed."""
+        return [{"run": f"r{k}", "torque": float(k), "message": "", "error": None} for k in range(SHOWN + 5)]
+
+
+def test_a_notebook_shows_the_first_rows_without_empty_columns() -> None:
+    """The others are counted."""
+    html = ManyRuns().html_tables()
+    assert html.count("<tr>") == 1 + SHOWN
+    assert "5 more" in html
+    assert "message" not in html
+    assert "error" not in html
+    assert list(ManyRuns().to_pandas().columns) == ["torque", "message", "error"]
+
+
+def test_signals_that_would_be_flat_have_axes_of_their_own() -> None:
+    """A deflection of 0.2 mm beside a path of 350 mm; what is constant stays."""
+    t = np.linspace(0.0, 1.0, 50)
+    columns = {
+        "x": Column("m", 0.35 * t),
+        "torque": Column("N.m", t),
+        "deflection": Column("m", 2e-4 * np.sin(20.0 * t)),
+        "y": Column("m", np.full(50, 0.3)),
+    }
+    figure = Recording(t, columns).plot(list(columns))
+    assert [[line.get_label() for line in axes.lines] for axes in figure.axes] == [
+        ["x", "y"],
+        ["torque"],
+        ["deflection"],
+    ]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["[m]", "[N·m]", "[m]"]
+
+
+def test_modes_are_a_list_a_table_and_a_diagram() -> None:
+    """Length, index, slices and equality as of a list of poses; copies have the name."""
+    poses = [ModalPose(0.5 * k, 0.1 * k, 0.3, 1.0, 2.0, (50.0 + k, 80.0, 2000.0)) for k in range(3)]
+    found = ModesAlongPath("robot", poses)
+    assert (len(found), found[1], found[-1], [*found]) == (3, poses[1], poses[2], poses)
+    assert found == poses
+    assert isinstance(found, list)
+    frame = found.to_pandas()
+    assert list(frame.columns) == ["x", "y", "q11", "q21", "f1", "f2", "f3"]
+    assert frame.index.name == "s"
+    assert frame.loc[1.0, "f1"] == 52.0
+    assert frame.attrs["units"]["f3"] == "Hz"
+    assert repr(found).splitlines()[1] == "  f1 50 to 52 Hz, f2 80 to 80 Hz, f3 2000 to 2000 Hz"
+    assert [line.get_label() for line in found.plot().axes[0].lines] == ["f1", "f2", "f3"]
+    again = pickle.loads(pickle.dumps(found))
+    assert (again, again.name) == (found, "robot")
+    for rigid in (ModesAlongPath("rigid", [replace(each, frequencies=()) for each in poses]), ModesAlongPath()):
+        assert "<img" in rigid._repr_html_()
+
+
+def test_a_motion_is_a_table_of_instants() -> None:
+    """Its rows are those of the trajectories; a notebook shows smallest and largest values."""
+    motion = plan(load_scene("barnard2012-6kg"))
+    frame = motion.to_pandas()
+    time = frame.index.to_numpy()
+    assert (time[0], time[-1]) == (0.0, motion.duration)
+    expected = motion.joints.evaluate(time, 2, "left")
+    np.testing.assert_array_equal(frame["joint2.velocity"], expected[1, :, 1])
+    assert frame.attrs["units"]["end_effector.x.acceleration"] == "m/s2"
+    shown = {row["signal"]: row for row in motion.shown_rows()}
+    assert shown["joint2.velocity [rad/s]"]["largest"] == expected[1, :, 1].max()
+    assert len(motion.plot().axes) == 3
