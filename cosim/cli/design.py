@@ -209,10 +209,9 @@ def shaper(
         max_torque (N.M): Largest torque of a motor over the payload band. Default: no limit.
         output (--output, -o FILE.toml): Write the scene with the recommended shaper here. Default: nowhere.
     """
-    from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data
+    from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, markdown, report, study_data, to_csv
     from flexfmu.cosim.design.shapers.figure import save_sensitivity
     from flexfmu.cosim.design.shapers.recommendation import write_shaped
-    from flexfmu.cosim.design.shapers.table import markdown, to_csv
     from flexfmu.model.scene.keys import parse_setting
 
     # usage

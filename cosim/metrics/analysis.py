@@ -18,16 +18,20 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import gauss_legendre, integrals_of_parts, last_time_above, maximum_norm, norms
-from flexfmu.cosim.metrics.segments import HermiteSegments
-from flexfmu.cosim.metrics.two_point import (
+from flexfmu.cosim.metrics.bernstein import (
     SAMPLES,
     control_matrix,
     ends_matrix,
+    gauss_legendre,
     highest_matrix,
+    integrals_of_parts,
+    last_time_above,
+    maximum_norm,
     node_polynomial,
+    norms,
     value_matrix,
 )
+from flexfmu.cosim.metrics.segments import HermiteSegments
 
 LARGEST = 5, 2
 """Largest numbers of derivatives and channels for which the C code has memory."""

@@ -16,14 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import gauss_legendre, maximum_norm, norms
-from flexfmu.cosim.metrics.two_point import (
+from flexfmu.cosim.metrics.bernstein import (
     SAMPLES,
     contributions,
     control_matrix,
     ends_matrix,
+    gauss_legendre,
     highest_matrix,
+    maximum_norm,
     node_polynomial,
+    norms,
     two_point_matrix,
     value_matrix,
 )
@@ -243,7 +245,7 @@ class HermiteSegments:
 
     @cached_property
     def _two_point(self) -> tuple[RealArray, RealArray]:
-        """Coefficients alpha and beta (m, n, c) of the two-point form; see `flexfmu.cosim.metrics.two_point`."""
+        """Coefficients alpha and beta (m, n, c) of the two-point form; see `flexfmu.cosim.metrics.bernstein`."""
         start, end = self._mapped(two_point_matrix(len(self.left))).reshape(2, *self.left.shape)
         return start, end
 
@@ -254,12 +256,12 @@ class HermiteSegments:
         return ends / self._scales
 
     def _mapped(self, matrix: RealArray) -> RealArray:
-        """Return the product (k, n, c) of a matrix (k, 2 m) with the ends; see `flexfmu.cosim.metrics.two_point`."""
+        """Return the product (k, n, c) of a matrix (k, 2 m) with the ends; see `flexfmu.cosim.metrics.bernstein`."""
         return np.asarray((matrix @ self._ends).reshape(len(matrix), *self.left.shape[1:]))
 
     @cached_property
     def _ends(self) -> RealArray:
-        """(2 m, n c) Taylor coefficients at both ends of each segment; see `flexfmu.cosim.metrics.two_point`."""
+        """(2 m, n c) Taylor coefficients at both ends of each segment; see `flexfmu.cosim.metrics.bernstein`."""
         return (np.stack([self.left, self.right]) * self._scales).reshape(2 * len(self.left), -1)
 
     @cached_property

@@ -13,8 +13,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.design.gains.goals import Condition
-from flexfmu.cosim.design.gains.journal import TrialJournal
-from flexfmu.cosim.design.gains.trial import Study, Trial
+from flexfmu.cosim.design.gains.trial import Study, Trial, TrialJournal
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.engine.slave import RealArray
 

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
-from flexfmu.cosim.design.gains.journal import TrialJournal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
-from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys
+from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, TrialJournal, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.rows import Rows
 from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet, shown_unit

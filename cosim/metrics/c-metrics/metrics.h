@@ -2,7 +2,7 @@
  * flexfmu.cosim.metrics.segments computes with numpy, one segment after the other.
  *
  * A segment has the derivatives of order 0 to m - 1 at both ends, of each channel. Over theta = 0 .. 1 its polynomial has
- * the two-point form, see flexfmu.cosim.metrics.two_point:
+ * the two-point form, see flexfmu.cosim.metrics.bernstein:
  *
  *   p(theta) = sum over k < m of (theta (1 - theta))^k ((1 - theta) alpha_k + theta beta_k)
  *

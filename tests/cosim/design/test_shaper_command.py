@@ -16,6 +16,7 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.design.shapers import alternatives as shaping_design
 from flexfmu.cosim.design.shapers.alternatives import Alternative, alternatives, design_modes
+from flexfmu.cosim.design.shapers.examination import markdown, to_csv
 from flexfmu.cosim.design.shapers.recommendation import compare_slower, recommend, write_shaped
 from flexfmu.cosim.design.shapers.study import (
     CandidateResult,
@@ -29,7 +30,6 @@ from flexfmu.cosim.design.shapers.study import (
     studied,
     study,
 )
-from flexfmu.cosim.design.shapers.table import markdown, to_csv
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
 from flexfmu.cosim.experiment.prepared_scene import run_scene

@@ -19,7 +19,7 @@ from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
 from flexfmu.cosim.cli.run_summary import _motors_table as motors_table
 from flexfmu.cosim.cli.scenes import _table as scenes_table
 from flexfmu.cosim.design.effects.study import comparison_table, contribution_table, frequency_table
-from flexfmu.cosim.design.shapers.table import terminal_table as shaper_table
+from flexfmu.cosim.design.shapers.examination import terminal_table as shaper_table
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import METRICS

@@ -15,8 +15,7 @@ from typer.testing import CliRunner, Result
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
-from flexfmu.cosim.design.gains.journal import FILE, TrialJournal
-from flexfmu.cosim.design.gains.trial import Interval, Study, Trial
+from flexfmu.cosim.design.gains.trial import FILE, Interval, Study, Trial, TrialJournal
 from flexfmu.cosim.design.gains.tuned_files import summary, write_tuned, write_tuning
 from flexfmu.cosim.design.gains.tuner import tune_scene, tune_study
 from flexfmu.cosim.engine.errors import InputError, ResultsError
