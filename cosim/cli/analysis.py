@@ -48,13 +48,13 @@ def margins(
 ) -> int:
     """Gain, phase, delay and disk margins of a sampled loop, about standstill along the path.
 
-    The worst poses are searched, wherever on the path they are. The loop is cut at each torque, then at both at once. Holds, delays,
+    The worst poses along the path are searched. The loop is cut at each torque, then at both at once. Holds, delays,
     encoders, lags and several sample rates count exactly;
     rounding and limits don't count. The exit status is 1 if the loop is unstable.
 
     Args:
-        poses (N): Poses, equally spaced along the path, beside the worst ones; 1 for its end alone.
-        payload_band (BAND): Payloads among which the worst one is searched, which controllers don't know: 0.2 for 20 % to both
+        poses (N): Equally spaced poses along the path, in addition to the worst ones; 1 for its end alone.
+        payload_band (BAND): Payloads among which the worst one is searched, unknown to the controllers: 0.2 for 20 % to both
             sides, or 4,8 for 4 to 8 kg. Default: the scene's alone.
         out (DIR): Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
     """
@@ -90,12 +90,12 @@ def effects(
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
-    """Choose the cheapest elastic effects within a tolerance; shows what each is worth and what it costs.
+    """Choose the cheapest elastic effects within a tolerance; shows the accuracy and the cost of each.
 
     Args:
         tolerance (RELATIVE): Largest error. Default: the scene's, or 0.01.
         of (METRIC): A metric to hold; may be repeated. Default: the scene's, or three of them.
-        check: Run the chosen set beside the next richer ones; builds their FMUs. Default: don't.
+        check: Also run the next richer sets and compare; builds their FMUs. Default: skip.
     """
     from flexfmu.cosim.design.effects.study import check_choice, comparison_table, report, study_data, study_effects
 

@@ -37,7 +37,7 @@ def tune(
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
-    """Tune gains and other keys of a scene: what minimises a figure within limits.
+    """Search gains and other keys of a scene that minimise a metric within limits.
 
     Writes tuned.toml, which every command takes, and all trials as tune.csv. Every trial is kept at once: after Ctrl-C the best
     so far is written, and the same command continues.
@@ -45,15 +45,14 @@ def tune(
     Args:
         over (KEY=FROM:TO): A key of the scene and the interval of its values: pd.kp=1e3:1e5, controller[0].derivative=10:500;
             may be repeated, or several with commas. Default: none, at least one is needed.
-        minimise (FIGURE): A metric, of both joints the larger without a number at its end: rms_tracking_error, settling_time.
+        minimise (FIGURE): A metric; without a joint number the larger value of both joints: rms_tracking_error, settling_time.
         subject_to (CONDITION): FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms,
             margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.
-        payload_band (BAND): Payloads for which the figures hold, which controllers don't know: 0.2 for 20 % to both sides, or
+        payload_band (BAND): Payloads for which the limits hold, unknown to the controllers: 0.2 for 20 % to both sides, or
             4,8 for 4 to 8 kg. Default: the scene's alone.
         start (KIND:HZ): Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10;
             feedforward stays. Default: the scene's.
-        method (NAME): What improves the best of the first trials: gradient, by differences of runs. sample makes first trials
-            alone.
+        method (NAME): How the best first trials are improved: gradient, by differences of runs; sample, not at all.
         trials (N): Number of trials. Default: some 50 for each key.
         seed (N): Seed of the first trials.
         output (-o, --output FILE.toml): Write the tuned scene here. Default: into the folder of the results.

@@ -234,9 +234,9 @@ def validate(
     time_limit: Annotated[float | None, typer.Option(min=1.0)] = None,
     json: bool = False,
 ) -> int:
-    """Check any FMU 2.0: archive, description, binaries, and each claim tried for real.
+    """Check any FMU 2.0: archive, description, binaries, and a test of each capability that it claims.
 
-    Of an FMU 3.0 the description alone is checked.
+    For an FMU 3.0 only the description is checked.
 
     Prints one line for each kind of finding, the worst first: what is wrong, the remedy, the section of the standard.
 

@@ -41,9 +41,9 @@ def compare(
 ) -> int:
     """Compare runs with each other and with a measurement: metrics side by side, signals over each other, spectra.
 
-    Differences are relative to the first run. Scenes with different controllers or shapers have their margins, processor times and
-    the worst over a band of payloads side by side, too. A measurement is aligned in time with it; RMS, mean and largest difference of each
-    signal are those over the time that both have.
+    Differences are relative to the first run. For scenes margins, processor times and the worst values over a band of
+    payloads are compared too. A measurement is aligned in time with the first run; RMS, mean and largest difference of each
+    signal are those over their common time.
 
     Args:
         runs (RUN): A folder of results, a results file (.csv, .parquet, .mat), or a scene, which is run now; NAME=SCENE gives it
@@ -55,8 +55,8 @@ def compare(
         delay (SECONDS): Time of an event in the measurement minus that in the simulation. Default: estimated by correlation.
         variant (NAME:KEY=VALUE): The first scene with other values, as one more run; several with commas:
             stiff:pd.kp=2e4,pd.kd=200. May be repeated. Default: none.
-        payload_band (BAND): Run scenes with other payloads too, which controllers don't know: 0.2 for 20 % to both sides, or
-            4,8 for 4 and 8 kg. Default: not.
+        payload_band (BAND): Also run scenes with other payloads, unknown to the controllers: 0.2 for 20 % to both sides, or
+            4,8 for 4 and 8 kg. Default: skip.
         out (DIR): Write comparison.html and comparison.json there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.robustness import parse_band
@@ -109,7 +109,7 @@ def paper(
     out: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Repeat the paper's experiment: every table beside the printed one, and the figures.
+    """Repeat the paper's experiment: compare every table with the printed one, and draw the figures.
 
     Barnard, Briot and Caro, "Trajectory Generation for High Speed Pick-and-Place Robots", ESDA 2012.
 

@@ -158,7 +158,7 @@ def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
     """Return the frequencies as a table for the terminal, with a note if it doesn't show all of them."""
     total = len(poses[0].frequencies)
     shown = min(total, SHOWN_FREQUENCIES)
-    headings = "s", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))
+    headings = "path", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))
     table = titled_table(
         f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium",
         numbers=headings,

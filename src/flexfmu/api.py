@@ -257,7 +257,7 @@ def plan_motion(
     progress: Callable[[str, float | None], None] | None = None,
     **wishes: Any,
 ) -> PlanResult:
-    """Plan the motion that serves best within limits that hold over a band of payloads: the fastest one by default.
+    """Plan the best motion within limits that hold over a band of payloads: the fastest one by default.
 
         result = flexfmu.plan_motion("barnard2012-6kg", payload_band=0.2, limits={"torque": 80.0}, out="planned")
         result.chosen.time, result.to_pandas()
@@ -268,10 +268,10 @@ def plan_motion(
         scene: a scene, the path of a scene file, or the name of a shipped scene.
         methods: which of ``search``, ``flexible`` and ``optimal``, and of the planners to compare with, ``ruckig`` and ``toppra``;
             None for all that are installed.
-        candidates: name → further motion that is judged beside those found, as `run` takes it.
+        candidates: name → further motion to compare with those found, as `run` takes it.
         processes: number of processes of the search; None for one on each processor.
-        budget: time [s] after which nothing new is begun; None for no limit.
-        robust: whether the chosen motion is judged in richer models too, up to half a minute.
+        budget: time [s] after which no further candidate is started; None for no limit.
+        robust: whether the chosen motion is also run in richer models, up to half a minute.
         out: folder for ``planned.toml``, which every command takes, ``front.csv``, ``plan.json`` and ``plan.html``; None for no
             files.
         progress: function that is called with what is being done, and the finished fraction where it is known.
@@ -374,7 +374,7 @@ def margins(
     payload_band: float | tuple[float, float] | None = None,
     **parts: Unpack[Parts],
 ) -> MarginsResult:
-    """How far the sampled loop of a torque-driven scene is from instability, about equilibria along its path.
+    """Gain, phase, delay and disk margins of the sampled loop of a torque-driven scene, about equilibria along its path.
 
         result = flexfmu.margins("examples/controller_scene.toml")
         result.worst.gain_margin, result.to_pandas()
@@ -383,8 +383,8 @@ def margins(
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive it, with controllers.
-        poses: number of poses, equally spaced along the path, beside the worst ones, which are searched; 1 for its end alone.
-        payload_band: payloads among which the worst one is searched, too, which controllers don't know: a fraction to both sides,
+        poses: number of equally spaced poses along the path, in addition to the worst ones, which are searched; 1 for its end alone.
+        payload_band: payloads among which the worst one is searched too, unknown to the controllers: a fraction to both sides,
             or the lightest and the heaviest [kg].
         parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
@@ -529,7 +529,7 @@ def tune(
     progress: Callable[[str, float | None], None] | None = None,
     **parts: Unpack[Parts],
 ) -> TuneResult:
-    """Tune gains and other keys of a scene: what minimises a figure within limits.
+    """Search gains and other keys of a scene that minimise a metric within limits.
 
         result = flexfmu.tune("loop.toml", {"pd.kp": (1e3, 1e5), "pd.kd": (10, 500)}, subject_to=["peak_torque < 80"])
         result.values, result.scene, result.to_pandas()

@@ -249,7 +249,7 @@ def contribution_table(study: EffectStudy) -> Table:
 def frequency_table(study: EffectStudy) -> Table:
     """Tabulate the natural frequencies along the path of the chosen set and of each neighbouring set."""
     # a column for each pose
-    places = [f"s = {pose.s:g}" for pose in study.poses]
+    places = [f"path {pose.s:g}" for pose in study.poses]
     table = _table(
         f"lowest {SHOWN_FREQUENCIES} natural frequencies along the path [Hz], motors locked",
         (" ", "Effect", "Change"),

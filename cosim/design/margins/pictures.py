@@ -146,7 +146,7 @@ def loop_curves(poses: Sequence[PoseMargins]) -> list[LoopCurve]:
         for row, cut in zip(pose.loops, pose.open, strict=True):
             if row.channel == ALL:
                 continue
-            place = f"s = {pose.s:.2f}" + (f", {pose.payload:.4g} kg" if several else "")
+            place = f"path {pose.s:.2f}" + (f", {pose.payload:.4g} kg" if several else "")
             label = f"{row.channel.removesuffix('.torque')}, {place}"
             found.append(LoopCurve(label, row, pose.is_stable, *_response(cut)))
     return sorted(found, key=lambda each: each.margins.disk_margin)
@@ -374,7 +374,7 @@ def draw_root_locus(poses: Sequence[PoseMargins], linear: Sequence[LinearLoop], 
             now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
             points, colour = np.concatenate(values), f"C{k % 10}"
             axes.plot(points.real, points.imag, ".", markersize=1.5, color=colour)
-            axes.plot(now.real, now.imag, "x", color=colour, label=f"s = {pose.s:.2f}")
+            axes.plot(now.real, now.imag, "x", color=colour, label=f"path {pose.s:.2f}")
         axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part", ylabel="imaginary part")
         axes.set_aspect("equal", adjustable="box")
         axes.set_title(

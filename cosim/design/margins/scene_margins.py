@@ -99,7 +99,7 @@ class MarginsResult(Rows):
         )
         growth = max(pose.poles[0].real for pose in self.poses)
         return (
-            f"The loop is unstable at s = {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
+            f"The loop is unstable at path {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
             f"(eigenvalues over a period reach {max(pose.radius for pose in self.poses):.4g})."
         )
 
@@ -200,7 +200,7 @@ def margins_table(result: MarginsResult) -> list[RenderableType]:
     tables, payloads = list[Table](), list(dict.fromkeys(each.payload for each in result.poses))
     for payload in payloads:
         several = f", {payload:.4g} kg" if len(payloads) > 1 else ""
-        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "s", "cut", numbers=HEADS, keys=2))
+        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "path", "cut", numbers=HEADS, keys=2))
         for pose in (each for each in result.poses if each.payload == payload):
             for row in pose.loops:
                 # of an unstable loop the crossover alone means something
@@ -228,7 +228,7 @@ def _slowest(result: MarginsResult) -> str:
         else f"{pole.real:.4g} ± {pole.imag:.4g}j (damping ratio {-pole.real / abs(pole):.3g})"
         for pole in poles
     ]
-    return f"slowest poles at s = {result.poses[-1].s:.2f}, 1/s: " + "; ".join(texts)
+    return f"slowest poles at path {result.poses[-1].s:.2f}, 1/s: " + "; ".join(texts)
 
 
 def margins_data(result: MarginsResult) -> dict[str, Any]:

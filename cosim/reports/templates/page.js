@@ -118,7 +118,7 @@
   const chart = svg => {
     const panels = [...svg.querySelectorAll(".panel")].map(readPanel), figure = svg.parentElement;
     const tip = html("div", { className: "tip", hidden: true }, figure), cursor = make("g", { class: "cursor" }, svg);
-    const reset = html("button", { className: "reset", hidden: true, textContent: "whole" }, figure);
+    const reset = html("button", { className: "reset", hidden: true, textContent: "reset zoom" }, figure);
     let place = null, began = null;
     svg.tabIndex = 0;
     // limits: horizontal ones for all panels, vertical ones for the one that is zoomed or of what is visible

@@ -188,7 +188,7 @@ def test_zooming_and_back(report: Any) -> None:
     assert report.evaluate(texts) != before
     shown = [float(each) for each in figure.locator(".ticks text[text-anchor=middle]").all_text_contents()]
     assert 0.02 < shown[-1] - shown[0] < 0.08
-    figure.get_by_role("button", name="whole").click()
+    figure.get_by_role("button", name="reset zoom").click()
     assert report.evaluate(texts) == before
     path = [
         np.array(re.findall(r"[\d.]+", each or ""), dtype=float).reshape(-1, 2)

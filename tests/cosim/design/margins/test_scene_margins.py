@@ -184,7 +184,7 @@ def test_the_command_prints_margins_and_draws_pictures(tmp_path: Path) -> None:
 def test_an_unstable_loop_fails(tmp_path: Path) -> None:
     found = command(tmp_path, "--set", "controller.pd.proportional=5e4")
     assert found.exit_code == 1
-    assert "The loop is unstable at s = 1.00" in found.stdout
+    assert "The loop is unstable at path 1.00" in found.stdout
 
 
 def test_a_function_in_c_is_linearised(tmp_path: Path) -> None:
