@@ -39,7 +39,7 @@ class SceneOptions(TypedDict, total=False):
     isolate: Annotated[
         bool | None,
         Option(
-            "Simulate in a child process, so that a slave that crashes, exits or hangs ends the run alone. Default: what the "
+            "Simulate in a child process, so that a slave that crashes, exits or hangs ends only the run. Default: what the "
             "scene says, or where other tools' FMUs or Python slaves take part."
         ),
     ]

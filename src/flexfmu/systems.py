@@ -165,7 +165,7 @@ def simulate(
         step: communication step [s]; instants of sampled slaves are met exactly beside it.
         tolerance: relative tolerance of the slaves' integrators; None for their own.
         record: names of the signals to record; None for all.
-        isolate: whether slaves run in a child process (Linux), so that one that crashes or hangs ends the run alone; None for other
+        isolate: whether slaves run in a child process (Linux), so that one that crashes or hangs ends only the run; None for other
             tools' FMUs.
         progress: function that is called with the simulated fraction, 0 to 1.
 

@@ -1,4 +1,4 @@
-"""Tunes gains and other keys of a scene by runs: what serves best within limits.
+"""Tunes gains and other keys of a scene by runs: what minimises a metric within limits.
 
 First the scene's own values and points of a scrambled Sobol sequence over all intervals are tried, by all processors. The best of
 them are then improved, by gradients. Equal intervals and seeds try equal values whatever the number of processors, so
