@@ -24,4 +24,4 @@ second = flexfmu.run(thick, fmu=first.fmu_path)
 before, after = first.metrics, second.metrics
 print(f"{'':32} {'30 mm tubes':>18} {'36 mm tubes':>18}")
 for name in METRICS:
-    print(f"{name:32} {flexfmu.display(name, before[name]):>18} {flexfmu.display(name, after[name]):>18}")
+    print(f"{before[name].label:32} {flexfmu.display(name, before[name]):>18} {flexfmu.display(name, after[name]):>18}")
