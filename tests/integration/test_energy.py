@@ -43,7 +43,6 @@ def open_slave(path: Path, tolerance: float) -> tuple[FMU2Slave, dict[str, int]]
     return slave, {variable.name: variable.valueReference for variable in description.modelVariables}
 
 
-@pytest.mark.slow
 def test_total_energy_stays_within_1e_9_over_1e5_steps(undamped: Scene, tmp_path: Path) -> None:
     """Ten seconds of free vibration neither gain nor lose energy, measured against the energy of the vibration alone."""
     path = build_fmu(lambda: build_model(undamped), output=tmp_path / "undamped.fmu").path

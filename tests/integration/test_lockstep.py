@@ -76,8 +76,7 @@ def sizes(recording: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return largest
 
 
-@pytest.mark.parametrize("lanes", LANES)
-@pytest.mark.slow
+@pytest.mark.parametrize("lanes", LIBRARIES)
 def test_recordings_are_those_of_the_fmu(lanes: int) -> None:
     """Values within the tolerance; derivatives lose up to two digits an order, as between runs of other tolerances."""
     variants = np.array(BASE) * np.linspace(0.5, 1.0, 5)[:, None] ** np.array([2.0, 0.1, 0.2, 1.0, 0.05])
@@ -91,8 +90,7 @@ def test_recordings_are_those_of_the_fmu(lanes: int) -> None:
         assert error[2] < 1e4 * TOLERANCE
 
 
-@pytest.mark.parametrize("lanes", LANES)
-@pytest.mark.slow
+@pytest.mark.parametrize("lanes", LIBRARIES)
 @settings(max_examples=10)
 @given(st.lists(factors, min_size=1, max_size=11), st.randoms(use_true_random=False))
 def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], random: Any) -> None:
@@ -113,7 +111,6 @@ def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], r
     np.testing.assert_array_equal(peaks[:, 0], peaks[:, 4])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lanes", LIBRARIES)
 @pytest.mark.parametrize(
     "bad",
@@ -182,8 +179,10 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", SCENES.values(), ids=SCENES)
+@pytest.mark.parametrize(
+    "changes",
+    [pytest.param(each, marks=[] if id == "undamped" else pytest.mark.slow, id=id) for id, each in SCENES.items()],
+)
 def test_other_scenes(changes: dict[str, Any]) -> None:
     """Effects, tolerances and methods; explicit steps have one time for all, so other durations are left to the FMU.
 
@@ -234,7 +233,6 @@ def test_what_cannot_go_along_is_run_by_the_fmu() -> None:
     assert found[9].value is not None
 
 
-@pytest.mark.slow
 def test_controlled_robots_and_several_processes() -> None:
     """A robot that is driven by torques isn't simulated in lockstep; processes change nothing but the time."""
     measure = measuring(["peak_torque_1"])

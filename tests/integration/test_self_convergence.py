@@ -48,7 +48,6 @@ def test_metrics_are_converged_to_1e_7_at_a_tolerance_of_1e_10(name: str) -> Non
     assert max(changes.values()) <= 1e-7, changes
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_no_metric_depends_on_the_communication_step(name: str) -> None:
     """Between 0.05 ms and 0.5 ms no metric changes by more than 1e-5: metrics belong to the continuous solution."""
@@ -56,7 +55,6 @@ def test_no_metric_depends_on_the_communication_step(name: str) -> None:
     assert max(changes.values()) <= 1e-5, changes
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("changes", ABRUPT.values(), ids=ABRUPT.keys())
 def test_where_the_communication_step_is_too_coarse_the_metric_says_so(name: str, changes: dict[str, object]) -> None:

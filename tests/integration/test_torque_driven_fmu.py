@@ -96,7 +96,6 @@ def replay(scene: Scene, recording: Recording, folder: Path, tolerance: float) -
     return worst
 
 
-@pytest.mark.slow
 def test_recorded_torques_reproduce_the_motion_and_converge(tmp_path: Path) -> None:
     """What the motion-driven plant puts out drives the torque-driven one along the same motion, the nearer the tighter the
     tolerance and the finer the steps: inverse and direct elastodynamic model belong together."""
@@ -122,7 +121,6 @@ def free_fall(tmp_path: Path) -> Iterator[tuple[Plant, SymbolicModel]]:
     plant.close()
 
 
-@pytest.mark.slow
 def test_unforced_and_undamped_it_keeps_its_energy(free_fall: tuple[Plant, SymbolicModel]) -> None:
     """Falling under gravity turns potential into kinetic energy without a loss of 1e-9 of what was turned."""
     from flexfmu.model.numeric import numeric_model
@@ -146,7 +144,6 @@ def test_unforced_and_undamped_it_keeps_its_energy(free_fall: tuple[Plant, Symbo
     assert drift <= 1e-9 * turned
 
 
-@pytest.mark.slow
 def test_a_torque_step_gives_the_response_that_scipy_gives(tmp_path: Path) -> None:
     """The C integrator and SciPy's DOP853 on the CasADi functions agree to 1e-10 of the response."""
     scene = torque_scene()

@@ -205,7 +205,6 @@ def test_payload_has_the_velocity_of_the_end_effector(pushed: tuple[Scene, Run])
     assert np.ptp(links[carried]) > 1e-4 * links[carried].max()
 
 
-@pytest.mark.slow
 def test_a_mass_from_the_start_on_is_the_payload() -> None:
     """2 kg and 4 kg picked up at once move as 6 kg do, in a flexible robot under gravity that is released undeformed."""
     scene = load_scene("barnard2012-6kg").replace(

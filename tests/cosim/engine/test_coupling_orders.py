@@ -106,7 +106,6 @@ def test_an_unsolved_step_is_an_outcome(split_oscillator: Factory) -> None:
     assert result.recording.time.tolist() == [0.0]
 
 
-@pytest.mark.slow
 def test_stiff_couplings(split_oscillator: Factory) -> None:
     """A coupling spring that makes the explicit algorithms explode is named as the cause; repeated steps stay bounded."""
     unstable = simulate(split_oscillator(0, coupling=1e4).system(), 20.0, 0.1, algorithm=Jacobi())

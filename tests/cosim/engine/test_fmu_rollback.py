@@ -36,7 +36,6 @@ def driven(order: int) -> System:
     return connect([references, robot], wires)
 
 
-@pytest.mark.slow
 def test_an_fmu_goes_back_exactly(plant: FmuSlave) -> None:
     """Saved, moved on and restored, again and again: the same numbers to the last bit, in the memory of one state."""
     plant.initialize(0.0, 1.0, 1e-6)

@@ -343,7 +343,6 @@ def test_what_isolated_fmus_print(
     assert "a licence of 1000 lines" in printed.err
 
 
-@pytest.mark.slow
 def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path) -> None:
     """`--json` on standard output is JSON and nothing else, whatever a library prints there."""
     path = make_decay(STATES_DERIVATIVES)

@@ -158,7 +158,6 @@ print(run.outcome.name, run.steps, flush=True)
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("loop", "number"),
     [("time.sleep(60)", signal.SIGINT), ("test_isolation.sleep()", signal.SIGINT), ("time.sleep(60)", signal.SIGKILL)],

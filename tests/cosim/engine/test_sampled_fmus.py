@@ -52,7 +52,6 @@ def agree(found: Run, twin: Run) -> None:
         np.testing.assert_allclose(found.recording[name].values, exact, rtol=0.0, atol=1e-12 * abs(exact).max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "keys", [{}, {"offset": 4e-4}, {"parameters": {"direct": True}}], ids=["task", "offset", "direct"]
 )
@@ -67,7 +66,6 @@ def test_a_fixed_step_controller_equals_its_python_twin(
     assert {each.seconds for each in found.delays} == {0.0}
 
 
-@pytest.mark.slow
 def test_the_default_experiment_is_the_sample_time(robot: Scene, make_task: MakeTask) -> None:
     """An FMU that can't vary its step takes it from its default experiment; from Python by its path alone."""
     found = flexfmu.run(robot, controllers=[fmu_slave(make_task(), "task", GAINS)])

@@ -82,7 +82,6 @@ def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.
         simulate(system, 2.0, 2.0 / 5000)
 
 
-@pytest.mark.slow
 def test_a_cost_is_told_before_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who waits has been warned. The trial for the time happens in a child process, so that the run's own slaves don't notice.
     References are calculated block by block."""

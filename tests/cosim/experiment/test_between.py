@@ -43,12 +43,11 @@ def motion_driven(robot: Scene) -> Scene:
 
 def residual(run: Run) -> float:
     """Residual vibration [m]."""
-    value = measure_run(run)["residual_vibration_amplitude"].value
+    value = measure_run(run, companions=0)["residual_vibration_amplitude"].value
     assert value is not None
     return value
 
 
-@pytest.mark.slow
 def test_shapers_in_a_motion_driven_scene(motion_driven: Scene) -> None:
     """On the joints, analytically and sampled, a shaper cancels the vibration; the run is longer by its duration, and the
     summary says by how much and how far the path is left."""
@@ -58,10 +57,10 @@ def test_shapers_in_a_motion_driven_scene(motion_driven: Scene) -> None:
     sampled = run_scene(motion_driven.replace({"shaper": [shaper | {"apply": "sampled", "sample_time": 2.5e-4}]}))
     assert residual(joints) < 0.1 * residual(unshaped)
     assert residual(sampled) == pytest.approx(residual(joints), rel=0.1)
-    shaping = summarise(joints, measure_run(joints))["shaping"]
+    shaping = summarise(joints, measure_run(joints, companions=0))["shaping"]
     assert shaping["added_time"] == pytest.approx(joints.plan.duration - 0.35)
     assert 1e-4 < shaping["path_deviation"] < 2e-3
-    assert "shaping" not in summarise(unshaped, measure_run(unshaped))
+    assert "shaping" not in summarise(unshaped, measure_run(unshaped, companions=0))
 
 
 def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
@@ -73,7 +72,6 @@ def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
     assert loop.motion.duration > 0.35
 
 
-@pytest.mark.slow
 def test_sampled_references_are_shaped_by_the_split_sequence(motion_driven: Scene) -> None:
     """The sampled shaper's positions at its instants are those of the trajectory shaped by the split impulses, exactly:
     that is the plan that the metrics compare with."""
@@ -119,7 +117,7 @@ def test_every_imperfection_can_act_on_every_signal(robot: Scene, kind: str, sig
     run = run_scene(short.replace({"imperfection": [section]}))
     assert run.completed
     assert run.slaves[-1].sample_time == 1e-3
-    assert (measure_run(run)["peak_tracking_error_1"].value or 1.0) < 1e-3
+    assert (measure_run(run, companions=0)["peak_tracking_error_1"].value or 1.0) < 1e-3
 
 
 def test_delays_and_lags_begin_with_the_static_torque(robot: Scene) -> None:
@@ -135,7 +133,6 @@ def test_delays_and_lags_begin_with_the_static_torque(robot: Scene) -> None:
     assert "lag.joint1.torque" in run.recording.columns
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_lag_without_a_sample_time_is_the_limit_of_short_ones(robot: Scene, signal: str) -> None:
     """In torques, measurements and references: samples that are half as long are half as far from continuous time."""

@@ -34,7 +34,7 @@ def run(controlled: Scene) -> Run:
 
 def values(run: Run) -> dict[str, float | None]:
     """Metrics."""
-    return {name: measurement.value for name, measurement in measure_run(run).items()}
+    return {name: measurement.value for name, measurement in measure_run(run, companions=0).items()}
 
 
 def test_without_a_controller_the_robot_stays_where_it_is(robot: Scene) -> None:
@@ -78,7 +78,6 @@ def test_computed_torque_follows_the_plan(run: Run) -> None:
     assert (found["residual_vibration_amplitude"] or 1.0) < 2e-5
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("offset", [0.0, 5e-4])
 def test_first_row_is_the_standstill(robot: Scene, offset: float) -> None:
@@ -109,12 +108,14 @@ def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:
     """The torque that acts on the robot is the controller's, held between its samples."""
     torque = run.recording["joint1.torque"].values
     np.testing.assert_array_equal(torque, run.recording["computed_torque.joint1.torque"].values)
-    assert measure_run(run)["peak_torque_1"].own == abs(torque[run.recording.time <= run.plan.duration]).max()
+    assert (
+        measure_run(run, companions=0)["peak_torque_1"].own
+        == abs(torque[run.recording.time <= run.plan.duration]).max()
+    )
     held = np.diff(torque)[np.diff(run.recording.time) > 0.0]
     assert abs(held).max() == 0.0
 
 
-@pytest.mark.slow
 def test_motion_driven_scenes_have_their_metrics_alone(robot: Scene) -> None:
     """Joints that follow their references exactly have no tracking error."""
     run = run_scene(robot.replace({"cosimulation.drive": "motion"}))
@@ -130,7 +131,6 @@ def test_the_python_way_gives_the_same_numbers(robot: Scene) -> None:
         np.testing.assert_array_equal(column.values, by_python.recording[name].values)
 
 
-@pytest.mark.slow
 def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run) -> None:
     """The heavier robot lags behind, its controller reckons with the scene's payload, and its equilibrium is its own."""
     heavy = run_scene(controlled.replace({"imperfection": [{"kind": "payload-error", "relative": 0.3}]}))
@@ -152,10 +152,9 @@ def heavy_controllers(scene: Scene) -> list[object]:
     return list(loop_of(scene).controllers)
 
 
-@pytest.mark.slow
 def test_the_summary_lists_slaves_and_delays(run: Run) -> None:
     """Which signal is late by how much is part of the result."""
-    summary = summarise(run, measure_run(run))
+    summary = summarise(run, measure_run(run, companions=0))
     assert [slave["name"] for slave in summary["slaves"]] == ["trajectory", "plant", "computed_torque"]
     assert summary["slaves"][2]["sample_time"] == 1e-3
     delays = {delay["connection"]: delay for delay in summary["delays"]}

@@ -32,7 +32,6 @@ def assert_same(first: Run, second: Run) -> None:
         assert np.array_equal(column.values, second.recording[name].values), name
 
 
-@pytest.mark.slow
 def test_runs_are_those_of_fresh_scenes() -> None:
     """Nothing is left over from the run before: not its parameters, and not its state."""
     prepared = PreparedScene(SCENE, communication_step=1e-3)
@@ -43,7 +42,6 @@ def test_runs_are_those_of_fresh_scenes() -> None:
     assert light.robot.payload.mass == 1.0
 
 
-@pytest.mark.slow
 def test_a_wrong_parameter_leaves_the_scene_usable() -> None:
     """The error names the parameter; the next run is as if nothing had been asked."""
     prepared = PreparedScene(SCENE, communication_step=1e-3)
@@ -52,7 +50,6 @@ def test_a_wrong_parameter_leaves_the_scene_usable() -> None:
     assert_same(prepared.run(), run_scene(SCENE, communication_step=1e-3))
 
 
-@pytest.mark.slow
 def test_another_motion_is_that_of_a_fresh_scene() -> None:
     """Duration, dwell, law and path may change; runs have the bits of a scene prepared alone, before and after a motion that
     can't be planned, and earlier runs keep their motion."""
@@ -81,7 +78,6 @@ def test_another_motion_is_that_of_a_fresh_scene() -> None:
     assert first.plan.duration == 0.2
 
 
-@pytest.mark.slow
 def test_what_depends_on_the_motion_is_not_used_again() -> None:
     """A start, which is a parameter of the FMU, other settings, a controller or a motion of the user's own need a new scene."""
     prepared = PreparedScene(SCENE, communication_step=1e-3)
@@ -114,7 +110,6 @@ SHORT: dict[str, Any] = {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "
 TORQUES: dict[str, Any] = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, TORQUES], ids=["motion", "torques"])
 @pytest.mark.parametrize("parameters", [{}, {"payload.mass": 2.0}, {"proximal.length": 0.241}], ids=str)
 def test_the_fmu_rests_where_the_equations_do(changes: dict[str, Any], parameters: dict[str, float]) -> None:
@@ -124,7 +119,6 @@ def test_the_fmu_rests_where_the_equations_do(changes: dict[str, Any], parameter
     np.testing.assert_allclose(rest_position(run), static_equilibrium(run.robot, joints).position, rtol=0, atol=1e-15)
 
 
-@pytest.mark.slow
 def test_the_fmu_vibrates_as_the_equations_do() -> None:
     """Its natural frequencies at rest are those of the mass and stiffness matrices, for each payload; a robot driven by torques
     has no locked motors, and one that deflects statically or not at all doesn't vibrate."""

@@ -34,7 +34,6 @@ def softened(scene: Scene, factor: float) -> Scene:
     return scene.replace({"mechanism.material.youngs_modulus": 70e9 / factor})
 
 
-@pytest.mark.slow
 def test_sag_beyond_foreshortening_is_what_bending_energy_of_fourth_order_takes_away() -> None:
     """Bent by 7 % of a link's length the robot sags 0.4 % too far, against elements: what the hardening forces take away, within a
     tenth."""

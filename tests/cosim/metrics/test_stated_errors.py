@@ -52,7 +52,6 @@ def held_and_near(
     return len(judged), sum(one.is_held for one in judged), sum(one.is_near for one in judged)
 
 
-@pytest.mark.slow
 def test_stated_errors_hold(study: dict[str, Any]) -> None:
     """Three scenes of the study, with motions, torques and friction: of all metrics 99 % are within the
     stated error, 90 % above a hundredth of it."""
@@ -141,7 +140,6 @@ def test_a_companion_leaves_a_user_s_slaves_alone(run: Run) -> None:
     assert spring.samples == samples
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "step", "error"), [(1e-6, 2e-4, 1e-3), (1e-8, 1e-3, 1.0)])
 def test_overdamped_links_give_no_false_alarm(tolerance: float, step: float, error: float) -> None:
     """With a stiffness damping of 10 s the links hardly move: the torque is 69.297 N.m, as one learns by tighter and looser

@@ -136,7 +136,6 @@ def test_strengths_that_no_material_has(value: float, message: str) -> None:
         load_scene("barnard2012-6kg").replace({"mechanism.material.yield_strength": value})
 
 
-@pytest.mark.slow
 def test_finite_elements_agree_at_rest(make_run: MakeRun) -> None:
     """At rest under gravity the finite elements hold link 11 by the motor's torque, which is the moment at its clamp."""
     changes = {

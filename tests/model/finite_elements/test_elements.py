@@ -59,7 +59,6 @@ def first_frequency(section: BeamSection, elements: int) -> float:
     return float(np.sqrt(squares[0]))
 
 
-@pytest.mark.slow
 def test_cantilevers_frequency_converges_with_the_fourth_power() -> None:
     """Hermite's cubics: the error falls sixteenfold when elements are halved, towards Blevins' root."""
     exact = BETA**2 * np.sqrt(SLENDER.bending / SLENDER.mass)
@@ -79,7 +78,6 @@ def test_thick_cantilever_sags_by_bending_and_shear() -> None:
     assert beam.x[-2] == pytest.approx(1.0 / (3.0 * THICK.bending) + 1.0 / THICK.shear, rel=1e-9)
 
 
-@pytest.mark.slow
 def test_moment_rolls_a_beam_into_a_circle() -> None:
     """Pure bending without limits: 2 pi EI / l at the tip brings it back to the clamp (the elastica's textbook case)."""
     beam = Cantilever(SLENDER, 24)
@@ -124,7 +122,6 @@ def test_frequencies_converge_with_the_number_of_elements(beam: str) -> None:
     assert few == pytest.approx(many, rel=5e-5)
 
 
-@pytest.mark.slow
 def test_integrator_has_its_order() -> None:
     """Halving the step of Radau's method divides the error of positions and torques by 2^5, within 0.4."""
     motion = plan(SCENE)

@@ -163,7 +163,6 @@ def test_limits_hold_between_the_points(optimum: tuple[RobotLimits, ReferenceLim
     assert all(motion.converged for motion in motions)
 
 
-@pytest.mark.slow
 def test_no_mode_vibrates_at_the_end(optimum: tuple[RobotLimits, ReferenceLimits, list[OptimalMotion]]) -> None:
     """On a finer grid: displacement and rate / frequency of each mode, as displacements of the end effector."""
     robot, _, motions = optimum

@@ -146,7 +146,6 @@ def test_slave_and_fmu_agree(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(recordings[0], recordings[1], rtol=0, atol=1e-12 * scale)
 
 
-@pytest.mark.slow
 def test_lqg_holds_the_robot() -> None:
     """`control.dlqr` and `control.dlqe` on the linearised robot give a controller that connects by its variables' names
     and damps the 28 states of the flexible plant from joint angles alone."""
@@ -174,7 +173,6 @@ def test_lqg_holds_the_robot() -> None:
     np.testing.assert_allclose(angles[-1], [1e-3, -2e-3], atol=1e-7)
 
 
-@pytest.mark.slow
 def test_only_ratios_of_lqg_weights_count() -> None:
     """Twice all costs, or twice all standard deviations, is the same controller; other ratios are another one."""
     scene = load_scene("barnard2012-6kg").replace({"effects.proximal_bending": 1, "effects.distal_axial": 0})

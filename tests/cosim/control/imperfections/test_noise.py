@@ -91,7 +91,6 @@ def test_channels_are_independent(gauss: np.ndarray) -> None:
         assert abs(np.corrcoef(*pair)[0, 1]) < SIX_SIGMA / sqrt(COUNT)
 
 
-@pytest.mark.slow
 def test_uniform_moments(run: Any) -> None:
     """The variance is half_width² / 3, and no value lies outside."""
     y = run(uniform_noise([Channel("a")], 0.3, 5, sample_time=H), np.zeros(COUNT))[:, 0]

@@ -63,7 +63,6 @@ def sample() -> np.ndarray:
     return numbers(["noise/joint1.position", "noise/joint2.position", "jitter"], 1, 200_000)
 
 
-@pytest.mark.slow
 @settings(max_examples=60)
 @given(seed=SEEDS, name=st.text(max_size=20))
 def test_seeding_is_exact(seed: int, name: str) -> None:
