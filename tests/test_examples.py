@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 def run_example(name: str, folder: Path) -> str:
     """Standard output of an example that ran in ``folder``; warnings are errors."""
     command = [sys.executable, "-W", "error", str(EXAMPLES / name)]
-    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=folder)
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, cwd=folder)
     assert (outcome.returncode, outcome.stderr) == (0, ""), outcome.stderr
     return outcome.stdout
 

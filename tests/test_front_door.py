@@ -37,20 +37,18 @@ def python(*arguments: str, executable: str = sys.executable, cwd: Path | None =
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     command = [executable, "-W", "error", *arguments]
     outcome = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd, env=environment
+        command, capture_output=True, text=True, timeout=600, check=False, cwd=cwd, env=environment
     )
     assert outcome.returncode == 0, outcome.stderr
     return outcome.stdout
 
 
 def test_import_is_fast() -> None:
-    """Importing the package loads none of the others and takes less than 0.1 s of processor time."""
-    script = "import sys, time; t = time.process_time(); import flexfmu; print(time.process_time() - t, *sys.modules)"
-    seconds, *modules = python("-c", script).split()
+    """Importing the package loads none of the others; `benchmarks/speed.py` times it."""
+    modules = python("-c", "import sys, flexfmu; print(*sys.modules)").split()
     heavy = {"numpy", "scipy", "casadi", "fmpy", "pydantic", "typer", "matplotlib", "importlib.metadata"}
     assert not heavy & set(modules)
     assert [name for name in modules if name.startswith("flexfmu")] == ["flexfmu"]
-    assert float(seconds) < 0.1
 
 
 @pytest.mark.slow
@@ -197,7 +195,7 @@ def install(executable: str, *arguments: str) -> None:
     """Let pip install into another environment without any download."""
     options = ("--quiet", "--no-deps", "--no-build-isolation", "--ignore-installed", "--disable-pip-version-check")
     command = [sys.executable, "-m", "pip", "--python", executable, "install", *options, *arguments]
-    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert outcome.returncode == 0, outcome.stderr
 
 

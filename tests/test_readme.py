@@ -84,7 +84,7 @@ def test_python_blocks_run(tmp_path: Path) -> None:
     script = tmp_path / "readme.py"
     script.write_text("\n".join(blocks("python")), encoding="utf-8")
     command = [sys.executable, "-W", "error", str(script)]
-    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, cwd=tmp_path)
     assert (outcome.returncode, outcome.stderr) == (0, "")
     assert outcome.stdout.startswith("the simulation reached its stop time ")
     assert (tmp_path / "results.csv").is_file()

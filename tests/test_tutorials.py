@@ -64,7 +64,7 @@ def test_tutorial_runs(path: Path, tmp_path: Path) -> None:
     """From the first cell to the last, without an error, and with the results on the page."""
     book = notebook(path)
     shown = printed(book)
-    NotebookClient(book, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(book, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
     for before, after in zip(shown, printed(book), strict=True):
         assert_same(before, after)
 

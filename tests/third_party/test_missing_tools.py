@@ -45,7 +45,7 @@ def test_a_missing_tool(required: str, summary: str, status: int, tmp_path: Path
         env={**os.environ, "FLEXFMU_REQUIRE_TOOLS": required},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     assert outcome.returncode == status, outcome.stdout

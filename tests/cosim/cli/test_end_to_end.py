@@ -23,7 +23,7 @@ FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main(
 
 def flexfmu(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command in ``folder`` and wait for it."""
-    return subprocess.run([*FLEXFMU, *arguments], capture_output=True, text=True, timeout=300, check=False, cwd=folder)
+    return subprocess.run([*FLEXFMU, *arguments], capture_output=True, text=True, timeout=600, check=False, cwd=folder)
 
 
 def small_scene(folder: Path, **replacements: str) -> Path:
@@ -79,6 +79,6 @@ def test_interrupt_is_one_line(tmp_path: Path) -> None:
         time.sleep(0.02)
     time.sleep(1.5)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=600)
     assert (process.returncode, errors.count("\n")) == (1, 1), errors
     assert "interrupted" in errors

@@ -179,7 +179,7 @@ def test_interrupted_and_killed(loop: str, number: signal.Signals) -> None:
             assert parent.stdout.read() == "INTERRUPTED 50\n"
         else:
             parent.kill()
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + 600.0
     while _runs(child):
         assert time.monotonic() < end
         time.sleep(0.01)

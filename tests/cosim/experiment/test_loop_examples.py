@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 def lines(name: str, folder: Path) -> list[str]:
     """What an example prints when it runs in ``folder``; warnings are errors."""
     command = [sys.executable, "-W", "error", str(EXAMPLES / name)]
-    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=folder)
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, cwd=folder)
     assert (outcome.returncode, outcome.stderr) == (0, ""), outcome.stderr
     return outcome.stdout.splitlines()
 

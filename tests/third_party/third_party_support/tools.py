@@ -34,7 +34,7 @@ def python_tool(name: str) -> ModuleType:
         pytest.skip(f"{name} is not there: {error}")
 
 
-def run(command: Sequence[str], folder: Path, timeout: float = 300.0) -> str:
+def run(command: Sequence[str], folder: Path, timeout: float = 600.0) -> str:
     """Output of a tool that has to succeed."""
     outcome = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, check=False)
     assert outcome.returncode == 0, f"{command[0]} ended with {outcome.returncode}: {outcome.stdout}\n{outcome.stderr}"

@@ -53,7 +53,7 @@ def test_the_block_gives_the_torques_in_turn_and_holds_the_last() -> None:
     np.testing.assert_array_equal(found, torques[[0, 1, 2, 3, 4, 4, 4, 4]])
 
 
-@pytest.mark.parametrize(("sample_time", "better"), [(1e-3, 5.0), (2.5e-4, 50.0)])
+@pytest.mark.parametrize(("sample_time", "better"), [(1e-3, 5.0), pytest.param(2.5e-4, 50.0, marks=pytest.mark.slow)])
 def test_motors_follow_their_references_better_than_with_the_rigid_torques(sample_time: float, better: float) -> None:
     scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
     pd = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": sample_time}

@@ -261,7 +261,7 @@ from flexfmu.cosim.cli.console import one_line_errors, orderly_termination
 with suppress(Exit), orderly_termination(), one_line_errors(), mapping(abs, 2) as mapped:
     list(mapped([1.0] * 4))
     print("started", flush=True)
-    time.sleep(20.0)
+    time.sleep(600.0)
 """
 
 
@@ -273,5 +273,5 @@ def test_processes_that_are_stopped_are_silent(number: signal.Signals) -> None:
     assert process.stdout is not None
     assert process.stdout.readline() == "started\n"
     os.killpg(process.pid, number)
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=600)
     assert errors == "flexfmu: interrupted\n"

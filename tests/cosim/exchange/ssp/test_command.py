@@ -187,12 +187,12 @@ def test_sigterm_leaves_nothing_behind(isolated: bool, make_ssp: MakeSsp, tmp_pa
     options = ["--step", "0.1", "--out", str(tmp_path / "out"), "--isolate" if isolated else "--no-isolate"]
     command = [sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main()", "run", str(path), *options]
     running = subprocess.Popen(command, env={**os.environ, "TMPDIR": str(temporary)}, stderr=subprocess.PIPE, text=True)
-    end, begin = monotonic() + 60.0, dict[str, float]()
+    end, begin = monotonic() + 600.0, dict[str, float]()
     while not (list(temporary.glob("flexfmu-*")) and hanging(running.pid, isolated, begin)) and monotonic() < end:
         sleep(0.1)
     assert list(temporary.glob("flexfmu-*"))
     running.send_signal(signal.SIGTERM)
-    _, problem = running.communicate(timeout=60)
+    _, problem = running.communicate(timeout=600)
     assert running.returncode == 143, problem
     if isolated:
         assert not list(temporary.glob("flexfmu-*"))

@@ -89,14 +89,14 @@ def interrupted(folder: Path, number: int, sent: signal.Signals, processes: int)
         text=True,
         start_new_session=True,
     ) as process:
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + 600.0
         while lines(folder) < number:
             assert process.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.005)
         # Ctrl-C reaches all processes of the terminal, kill -9 one
         os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)
-        _, said = process.communicate(timeout=60.0)  # its processes hold the pipe until they have ended
+        _, said = process.communicate(timeout=600)  # its processes hold the pipe until they have ended
     return process.returncode, said
 
 

@@ -39,7 +39,7 @@ def signals_in(
     step: float,
     instants: Sequence[float],
     signals: Sequence[tuple[str, str]],
-    limit: float = 120,
+    limit: float = 600,
 ) -> NDArray[np.float64]:
     """Signals (element, variable) at the instants, in a tool that has a process of its own: (instants, signals).
 
