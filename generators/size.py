@@ -55,13 +55,9 @@ def body_length(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (node.end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
-def measure(root: Path = ROOT) -> dict[str, Any]:
-    """The figures of each room, their totals, and the names of modules with one importer and of classes whose name is used twice."""
-    rooms: dict[str, Counter[str]] = defaultdict(Counter)
-    functions: dict[str, list[int]] = defaultdict(list)
-    classes: dict[str, list[str]] = defaultdict(list)
-    importers: dict[str, set[str]] = defaultdict(set)
-    modules: dict[str, str] = {}
+def parse(root: Path = ROOT) -> tuple[dict[str, str], dict[str, str], dict[str, ast.Module]]:
+    """Each module's room, text and syntax tree."""
+    rooms: dict[str, str] = {}
     texts: dict[str, str] = {}
     for folder in FOLDERS:
         for path in sorted((root / folder).rglob("*.py")):
@@ -69,10 +65,38 @@ def measure(root: Path = ROOT) -> dict[str, Any]:
             parts = relative.with_suffix("").parts
             name = ".".join(parts[1:]) if folder == "src" else "flexfmu." + ".".join(parts)
             name = name.removesuffix(".__init__")
-            modules[name] = room(relative)
+            rooms[name] = room(relative)
             texts[name] = path.read_text(encoding="utf-8")
+    return rooms, texts, {name: ast.parse(text) for name, text in texts.items()}
+
+
+def shared_names(trees: dict[str, ast.Module]) -> tuple[list[str], dict[str, list[str]]]:
+    """Modules with one importer, and classes whose name is used twice with their modules."""
+    classes: dict[str, list[str]] = defaultdict(list)
+    importers: dict[str, set[str]] = defaultdict(set)
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                classes[node.name] += [] if node.name.startswith("_") else [name]
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("flexfmu"):
+                for each in node.names:
+                    target = f"{node.module}.{each.name}"
+                    importers[target if target in trees else str(node.module)].add(name)
+            elif isinstance(node, ast.Import):
+                for each in node.names:
+                    importers[each.name].add(name)
+    single = sorted(name for name in trees if len(importers[name]) == 1)
+    return single, {name: homes for name, homes in sorted(classes.items()) if len(homes) > 1}
+
+
+def measure(root: Path = ROOT) -> dict[str, Any]:
+    """The figures of each room, their totals, and the names of modules with one importer and of classes whose name is used twice."""
+    modules, texts, trees = parse(root)
+    single, twice = shared_names(trees)
+    rooms: dict[str, Counter[str]] = defaultdict(Counter)
+    functions: dict[str, list[int]] = defaultdict(list)
     for name, text in texts.items():
-        tree, count = ast.parse(text), rooms[modules[name]]
+        tree, count = trees[name], rooms[modules[name]]
         docs = docstring_lines(tree)
         code: set[int] = set()
         comments: set[int] = set()
@@ -83,21 +107,11 @@ def measure(root: Path = ROOT) -> dict[str, Any]:
                 code |= set(range(token.start[0], token.end[0] + 1))
         code -= docs
         count.update(modules=1, lines=len(text.splitlines()), code=len(code), docs=len(docs), comments=len(comments))
+        count["one_importer"] += name in single
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 functions[modules[name]].append(body_length(node))
-            elif isinstance(node, ast.ClassDef):
-                count["classes"] += 1
-                classes[node.name] += [] if node.name.startswith("_") else [name]
-            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("flexfmu"):
-                for each in node.names:
-                    target = f"{node.module}.{each.name}"
-                    importers[target if target in modules else str(node.module)].add(name)
-            elif isinstance(node, ast.Import):
-                for each in node.names:
-                    importers[each.name].add(name)
-    for name, where in modules.items():
-        rooms[where]["one_importer"] += len(importers[name]) == 1
+            count["classes"] += isinstance(node, ast.ClassDef)
     table = {}
     for where, count in sorted(rooms.items()):
         lengths = sorted(functions[where]) or [0]
@@ -117,9 +131,7 @@ def measure(root: Path = ROOT) -> dict[str, Any]:
 
     total["c_lines"] = lines(FOLDERS, (".c", ".h"))
     total["test_lines"] = lines(("tests",), (".py", ".c", ".h"))
-    twice = {name: homes for name, homes in sorted(classes.items()) if len(homes) > 1}
     total["class_names_used_twice"] = len(twice)
-    single = sorted(name for name in modules if len(importers[name]) == 1)
     return {"rooms": table, "total": total, "one_importer": single, "class_names_used_twice": twice}
 
 
