@@ -159,6 +159,7 @@ def test_frequencies(tmp_path: Path) -> None:
     assert numbers(last)[2] < 620.0
 
 
+@pytest.mark.slow
 def test_own_trajectory(tmp_path: Path) -> None:
     """The robot makes the arch of 0.2 m, whose largest speed is twice its mean one: 2 * 0.2 m / 0.4 s, a little more aslant."""
     torque, speed = run_example("own_trajectory.py", tmp_path).splitlines()

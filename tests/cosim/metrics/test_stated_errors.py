@@ -52,6 +52,7 @@ def held_and_near(
     return len(judged), sum(one.is_held for one in judged), sum(one.is_near for one in judged)
 
 
+@pytest.mark.slow
 def test_stated_errors_hold(study: dict[str, Any]) -> None:
     """Three scenes of the study, with motions, torques and friction: of all metrics 99 % are within the
     stated error, 90 % above a hundredth of it."""

@@ -90,7 +90,10 @@ def test_agrees_with_differences_at_the_start(instantiate: Any, name: str) -> No
     agree(plant, plant.jacobian(plant.outputs, parameters) * steps, differences(outputs, at, steps))
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=[] if each in ("torque", "rigid motion") else pytest.mark.slow) for each in SCENES],
+)
 def test_agrees_with_differences_by_inputs_at_the_start(instantiate: Any, name: str) -> None:
     """Inputs deflect the static start; rates among them don't, but move the accelerations."""
     plant = instantiate(SCENES[name])

@@ -24,9 +24,9 @@ EXAMPLES = Path(__file__).parents[4] / "examples"
         # 0.62 % and 0.90 %
         ("barnard2012-0.1kg", {"effects.beam", "effects.distal_bending"}),
         # 2.1 %; the scene has bending distal links
-        (EXAMPLES / "tubes.toml", {"effects.beam"}),
+        pytest.param(EXAMPLES / "tubes.toml", {"effects.beam"}, marks=pytest.mark.slow),
         # 0.20 %
-        (EXAMPLES / "steel.toml", {"effects.beam"}),
+        pytest.param(EXAMPLES / "steel.toml", {"effects.beam"}, marks=pytest.mark.slow),
     ],
     ids=["6kg", "0.1kg", "tubes", "steel"],
 )
