@@ -37,7 +37,7 @@ def statically(scene: Scene, *families: str) -> Scene:
     return scene.replace({"effects.quasi_static": list(families)})
 
 
-@pytest.mark.parametrize(("variant", "family"), zip(VARIANTS, FAMILIES, strict=True))
+@pytest.mark.parametrize(("variant", "family"), list(zip(VARIANTS, FAMILIES, strict=True)))
 def test_the_dynamics_are_those_without_the_family(variant: str, family: str) -> None:
     """No state and not one operation more in the equations of motion, whichever the family and its shapes."""
     scene = load_scene("barnard2012-6kg").replace(VARIANTS[variant])
