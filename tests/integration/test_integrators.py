@@ -56,13 +56,13 @@ def reference(name: str) -> Run:
 
 @cache
 def reference_metrics(name: str) -> Mapping[str, float | None]:
-    return {metric: each.value for metric, each in measure_run(reference(name)).items()}
+    return {metric: each.value for metric, each in measure_run(reference(name), companions=0).items()}
 
 
 def metric_errors(run: Run, name: str) -> Mapping[str, float]:
     """Errors of the metrics, relative to the peak of the quantity that each is about; without the settling time, an instant
     that moves by any amount where the vibration just touches the band."""
-    values = {name: each.value for name, each in measure_run(run).items()}
+    values = {name: each.value for name, each in measure_run(run, companions=0).items()}
     errors = {}
     for metric, exact in reference_metrics(name).items():
         value = values[metric]

@@ -109,7 +109,7 @@ def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:
     torque = run.recording["joint1.torque"].values
     np.testing.assert_array_equal(torque, run.recording["computed_torque.joint1.torque"].values)
     assert (
-        measure_run(run, companions=0)["peak_torque_1"].own
+        measure_run(run, companions=0)["peak_torque_1"].value
         == abs(torque[run.recording.time <= run.plan.duration]).max()
     )
     held = np.diff(torque)[np.diff(run.recording.time) > 0.0]
