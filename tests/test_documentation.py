@@ -104,7 +104,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("material", reason="needs mkdocs-material")
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
-    outcome = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
+    outcome = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     return folder
 
@@ -142,7 +142,7 @@ def test_search_finds_what_people_look_for(site: Path, query: str) -> None:
         [node, str(ROOT / "tests" / "search_site.js"), str(site), query],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     assert outcome.returncode == 0, outcome.stderr
