@@ -95,7 +95,7 @@ def test_what_depends_on_the_motion_is_not_used_again() -> None:
 
 def test_an_unknown_option_is_told_the_nearest() -> None:
     """Before anything is planned or built."""
-    with pytest.raises(TypeError, match="no option 'tolerence'; did you mean 'tolerance'"):
+    with pytest.raises(TypeError, match="run has no argument 'tolerence'; did you mean 'tolerance'"):
         flexfmu.run(SCENE, tolerence=1e-6)  # type: ignore[call-arg]
 
 
