@@ -3,7 +3,7 @@ offline page on which every point shows its setting, error, time and work."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,12 @@ PLACES = (
 )
 """Where a label may stand: from its point [pt], and which side or corner of the text is there; the usual place first."""
 
+END, MIDDLE = "end", "middle"
+"""Places of a label on its line."""
+
+DARKER = 0.75
+"""Of the colour of a line in its labels, which are thin."""
+
 CLEARANCE = 2.0
 """Around every point [px]."""
 
@@ -47,19 +53,18 @@ Box = tuple[float, float, float, float]
 """Left, bottom, right, top [px]."""
 
 
-def label_points(axes: Axes, points: RealArray, texts: Iterable[str]) -> None:
-    """Write a text beside each of the points, shape (n, 2), in the usual place."""
+def label_points(axes: Axes, points: RealArray, texts: Sequence[str], colour: Any = GREY) -> None:
+    """Write a text beside each of the points, shape (n, 2), in the usual place, in the colour of their line."""
     x, y, across, upright = PLACES[0]
-    for point, text in zip(points, texts, strict=True):
-        axes.annotate(
-            text, point, (x, y), textcoords="offset points", ha=across, va=upright, fontsize=FONT_SIZE, color=GREY
-        )
+    for k, (point, text) in enumerate(zip(points, texts, strict=True)):
+        label = axes.annotate(text, point, (x, y), textcoords="offset points", ha=across, va=upright)
+        label.set(fontsize=FONT_SIZE, color=colour, gid=END if k in (0, len(texts) - 1) else MIDDLE)
 
 
 def keep_apart(figure: Figure) -> None:
-    """Move the labels of all diagrams where they cover neither each other nor points nor legend, and few lines.
+    """Move the labels of all diagrams where they cover neither each other nor points, lines or legend.
 
-    A label for which there is no such place is left out; tables have all settings.
+    A label for which there is no such place is left out; tables have all settings. The ends of lines come first.
     """
     figure.draw_without_rendering()  # sizes are known from here on
     for axes in figure.axes:
@@ -69,29 +74,24 @@ def keep_apart(figure: Figure) -> None:
             legend.set_loc(tuple(axes.transAxes.inverted().transform(taken[0][:2])))  # it would follow the labels
         points, lines = _drawn(axes)
         taken += [(x - CLEARANCE, y - CLEARANCE, x + CLEARANCE, y + CLEARANCE) for x, y in points]
-        for label in [each for each in axes.texts if isinstance(each, Annotation)]:
+        labels = [each for each in axes.texts if isinstance(each, Annotation)]
+        for label in sorted(labels, key=lambda each: each.get_gid() != END):
             box = _move(label, _box(axes), taken, lines)
             label.set_visible(box is not None)
             taken += [box] if box is not None else []
 
 
 def _move(label: Annotation, frame: Box, taken: Sequence[Box], lines: RealArray) -> Box | None:
-    """Put a label where it crosses the fewest lines, the usual place first; None where every place is taken."""
-    free = []
+    """Put a label into the first place that is free, the usual one first; None where every place is taken."""
     for place in PLACES:
         _put(label, place)
         left, bottom, right, top = box = _box(label)
         # within the diagram, and apart from all that is there
         inside = left >= frame[0] and bottom >= frame[1] and right <= frame[2] and top <= frame[3]
         covers = any(left < x1 and x0 < right and bottom < y1 and y0 < top for x0, y0, x1, y1 in taken)
-        if inside and not covers:
-            crossed = int(np.count_nonzero(((lines > box[:2]) & (lines < box[2:])).all(axis=1)))
-            free.append((crossed, place, box))
-    if not free:
-        return None
-    _, place, box = min(free, key=lambda each: each[0])
-    _put(label, place)
-    return box
+        if inside and not covers and not ((lines > box[:2]) & (lines < box[2:])).all(axis=1).any():
+            return box
+    return None
 
 
 def _put(label: Annotation, place: tuple[float, float, str, str]) -> None:
@@ -160,9 +160,10 @@ def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
                 keep_apart(figure)
                 save(figure, folder / f"workprec-{name}")
             # all diagrams beside each other
-            rows = max(1, (len(names) + 1) // 2)
-            figure = draw(13.0, 4.8 * rows)
-            places = np.atleast_1d(figure.subplots(rows, 2, squeeze=False).ravel())
+            columns = min(2, max(len(names), 1))
+            rows = max(1, -(-len(names) // columns))
+            figure = draw(6.5 * columns, 4.8 * rows)
+            places = figure.subplots(rows, columns, squeeze=False).ravel()
             for place, name in zip(places, names, strict=False):
                 draw_family(place, study, name)
             for place in places[len(names) :]:
@@ -192,7 +193,7 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
         points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
         label = line + (f" ({failed} failed)" if failed else "")
         axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
-        label_points(axes, points, [each.label for each in good])
+        label_points(axes, points, [each.label for each in good], DARKER * colour[:3])
         if failed:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     # axes, and real time at the right
