@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
+from math import pi
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -50,6 +51,29 @@ def shorten(text: str, most: int) -> str:
     line = " ".join(text.split())
     return line if len(line) <= most else line[: most - 1].rstrip() + "…"
 
+
+UNITS: Mapping[str, tuple[str, float]] = {
+    name: (unit, factor)
+    for unit, factors in {
+        "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
+        "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
+        "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+        "m/s2": {"m/s2": 1.0, "m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665},
+        "rad": {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180.0, "°": pi / 180.0},
+        "rad/s": {"rad/s": 1.0, "deg/s": pi / 180.0, "°/s": pi / 180.0, "rpm": pi / 30.0, "1/min": pi / 30.0},
+        "rad/s2": {"rad/s2": 1.0, "rad/s²": 1.0, "deg/s2": pi / 180.0},
+        "N": {"N": 1.0, "kN": 1e3},
+        "N.m": {
+            **dict.fromkeys(("N.m", "N·m", "Nm", "N*m"), 1.0),
+            **dict.fromkeys(("mN.m", "mN·m", "mNm"), 1e-3),
+            **dict.fromkeys(("kN.m", "kN·m", "kNm"), 1e3),
+        },
+        "W": {"W": 1.0, "kW": 1e3},
+        "J": {"J": 1.0, "kJ": 1e3},
+    }.items()
+    for name, factor in factors.items()
+}
+"""Unit as people write it in conditions and in logs → SI unit as files have it, and factor to that."""
 
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.engine.errors import InputError, suggestion
+from flexfmu.cosim.engine.showing import UNITS
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
 
 MARGINS = ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak")
@@ -20,31 +21,8 @@ SHORT = {"margin": "gain_margin"}
 DECIBEL = "dB"
 """Unit of ratios: 20 times the decimal logarithm."""
 
-UNITS: Mapping[str, tuple[str, float]] = {
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", math.pi / 180.0),
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "µs": ("s", 1e-6),
-    "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),
-    "N.m": ("N.m", 1.0),
-    "N·m": ("N.m", 1.0),
-    "Nm": ("N.m", 1.0),
-    "W": ("W", 1.0),
-    "J": ("J", 1.0),
-    "m/s": ("m/s", 1.0),
-    "m/s2": ("m/s2", 1.0),
-    "rad/s": ("rad/s", 1.0),
-}
-"""Unit of a limit → SI unit, and factor to it."""
-
 _CONDITION = re.compile(
-    r"\s*(?P<name>[\w.-]+)\s*(?P<sign><=?|>=?)\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ%][\w./·]*)?\s*"
+    r"\s*(?P<name>[\w.-]+)\s*(?P<sign><=?|>=?)\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ%°][\w./·*^]*)?\s*"
 )
 
 
@@ -165,7 +143,7 @@ def _in_si(number: float, unit: str | None, goal: Goal, text: str) -> float:
         return float(10.0 ** (number / 20.0))
     base, factor = UNITS.get(unit, ("", 1.0))
     if base != goal.unit:
-        own = [each for each, (si, _) in UNITS.items() if si == goal.unit] or (
+        own = [each for each, (si, _) in UNITS.items() if si == goal.unit and each != "1/min"] or (
             [DECIBEL] if goal.is_margin else ["no unit"]
         )
         raise InputError(f"{text!r}: {goal.name} is in {', '.join(own)}, not in {unit}")

@@ -14,27 +14,13 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.showing import UNITS
 
 if TYPE_CHECKING:
     import pandas
 
 Log = Union[str, Path, Recording, "pandas.DataFrame"]
 """A file, or signals in memory; the time of a data frame is its column `time` or its index."""
-
-UNITS: Mapping[str, float] = {
-    **dict.fromkeys(
-        ("s", "m", "rad", "m/s", "m/s2", "m/s^2", "m/s²", "rad/s", "rad/s2", "N", "N.m", "Nm", "N·m", "N*m"), 1.0
-    ),
-    **dict.fromkeys(("ms", "mm", "mrad", "mm/s", "mN.m", "mNm", "mN·m"), 1e-3),
-    **dict.fromkeys(("us", "µs", "um", "µm"), 1e-6),
-    **dict.fromkeys(("kN", "kN.m", "kNm"), 1e3),
-    **dict.fromkeys(("deg", "°", "deg/s", "°/s", "deg/s2"), math.pi / 180.0),
-    **dict.fromkeys(("rpm", "1/min"), math.pi / 30.0),
-    "ns": 1e-9,
-    "min": 60.0,
-    "g": 9.80665,
-}
-"""Unit of a log → factor to the SI unit."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +66,7 @@ def as_mapped(text: str) -> Mapped:
 
 def _number(word: str, text: str) -> float:
     try:
-        value = UNITS[word] if word in UNITS else float(word)
+        value = UNITS[word][1] if word in UNITS else float(word)
     except ValueError:
         raise InputError(
             f"{word!r} in {text!r} is neither a number nor a known unit; units: {', '.join(UNITS)}"
@@ -235,5 +221,5 @@ def _converted(table: Mapping[str, np.ndarray], units: Mapping[str, str], name: 
                 f'column {name!r} has the unknown unit {unit!r}; give the factor to the SI unit, --map "{name}={each.signal}*1e-3" '
                 "for example"
             )
-        factor = UNITS.get(unit, 1.0)
+        factor = UNITS[unit][1] if unit else 1.0
     return np.asarray(factor * table[name] + each.offset, dtype=np.float64)
