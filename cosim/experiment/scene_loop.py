@@ -16,7 +16,6 @@ from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
 from flexfmu.cosim.experiment.wiring import inline_block
-from flexfmu.model.linear import without_coulomb_friction
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, ObjectSection, PythonSection
@@ -273,6 +272,10 @@ def _without_coulomb(scene: Scene, section: Any) -> tuple[Scene, Any]:
     """A scene and a controller's section without Coulomb friction."""
     if isinstance(section, FrictionCompensationSection):
         section = section.model_copy(update={"coulomb": (0.0, 0.0)})
+    from flexfmu.model.linear import (
+        without_coulomb_friction,
+    )  # needs CasADi, which other runs of cached FMUs do without
+
     return without_coulomb_friction(scene), section
 
 

@@ -250,7 +250,8 @@ def measure(recording: Recording, settings: Settings, names: Collection[str] | N
         dict.fromkeys(LOOP_METRICS, "joint angles of a robot driven by torques") if not solution.tracks_joints else {}
     )
     needs |= dict.fromkeys(MOTOR_METRICS, "a scene with `[motor]`") if settings.inertia_ratios is None else {}
-    available = {name: metric for name, metric in ALL_METRICS.items() if name not in needs}
+    # not `metric`, which Python 3.12.1 would not find two comprehensions on
+    available = {name: kind for name, kind in ALL_METRICS.items() if name not in needs}
     for name in names or ():
         if name in needs:
             raise InputError(f"there is no metric {name!r} of this run: it needs {needs[name]}")
