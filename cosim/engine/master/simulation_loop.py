@@ -299,8 +299,7 @@ class SimulationLoop:
     ) -> None:
         self.initialized = False
         self._schedule, self._grid, self._recorder = schedule, grid, recorder
-        self._progress, self._compiled = progress, compiled
-        self._cross = schedule.advance
+        self._progress, self._compiled, self._cross = progress, compiled, schedule.advance
         self._controlled: ControlledSteps | None = None
         # the current block, the steps completed in it, and those before it
         self._block: Block | None = None
