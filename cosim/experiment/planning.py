@@ -131,7 +131,7 @@ POSES = 401
 class MotionPlan(Rows):
     """The planned motion of a scene; during the dwell it stands still at the end point.
 
-    Its rows are `POSES` equidistant instants of the motion, without the dwell.
+    Its rows are `POSES` equidistant instants of the single motion, without repetitions and dwell.
 
     Attributes:
         scene: the scene.
@@ -168,11 +168,12 @@ class MotionPlan(Rows):
 
     def _sampled(self) -> Recording:
         """Joints and end effector with their derivatives at `POSES` instants."""
-        time = np.linspace(0.0, self.duration, POSES)
+        once = self.once
+        time = np.linspace(0.0, once.duration, POSES)
         columns = {}
         for trajectory, names, unit in (
-            (self.joints, ("joint1", "joint2"), "rad"),
-            (self.task, ("end_effector.x", "end_effector.y"), "m"),
+            (once.joints, ("joint1", "joint2"), "rad"),
+            (once.task, ("end_effector.x", "end_effector.y"), "m"),
         ):
             found = trajectory.evaluate(time, len(DERIVATIVES) - 1, "left")
             for order, (derivative, per) in enumerate(DERIVATIVES.items()):

@@ -205,7 +205,8 @@ class Comparison(Rows):
                 unit = next(each[name].unit for each in found.values() if name in each.columns)
                 axes.set_title(f"{name} [{shown_unit(unit)}]", fontsize=8.5)
             panels[-1].set_xlabel("time [s]")
-            panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+            if panels[0].lines:
+                panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
         return figure
 
 
