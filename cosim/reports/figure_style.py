@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.engine.formats.drawing import NotebookFigure
 
@@ -79,3 +80,20 @@ def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:
         fontsize=8,
         color=GREY,
     )
+
+
+class PlainNumbers(LogFormatter):
+    """0.1, 10 and 20 instead of powers of ten, as many as there is room for; each axis needs its own formatter, which follows its range."""
+
+    def __init__(self) -> None:
+        super().__init__(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def logarithmic(axes: Axes) -> None:
+    """Make the vertical axis logarithmic, with plain numbers."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(PlainNumbers())
+    axes.yaxis.set_minor_formatter(PlainNumbers())

@@ -86,7 +86,11 @@ class ModesAlongPath(Rows, list[ModalPose]):
 
     def plot(self) -> Figure:
         """The lowest frequencies over the path."""
-        from flexfmu.cosim.reports.figure_style import draw, style  # Matplotlib takes longer than the frequencies
+        from flexfmu.cosim.reports.figure_style import (
+            draw,
+            logarithmic,
+            style,
+        )  # Matplotlib takes longer than the frequencies
 
         with style():
             figure = draw(7.0, 4.0)
@@ -96,7 +100,7 @@ class ModesAlongPath(Rows, list[ModalPose]):
                 axes.plot([pose.s for pose in self], frequency, "o-", markersize=3, label=f"f{k}")
             axes.set(xlabel="share of the path", ylabel="natural frequency [Hz]")
             if shown.size and shown.max() > 10.0 * shown.min() > 0.0:
-                axes.set_yscale("log")
+                logarithmic(axes)
             else:
                 axes.set_ylim(0.0, None)
             if axes.lines:

@@ -116,7 +116,7 @@ class TuneResult(Rows):
         """The figure that is minimised, of each trial and the best so far; trials that miss a limit are hollow."""
         from matplotlib.ticker import MaxNLocator
 
-        from flexfmu.cosim.reports.figure_style import GREY, INK, draw, style
+        from flexfmu.cosim.reports.figure_style import GREY, INK, draw, logarithmic, style
 
         goal = self.study.minimise
         values = np.array([nan if (found := goal.of(each.figures)) is None else found for each in self.trials])
@@ -140,7 +140,7 @@ class TuneResult(Rows):
             axes.axhline(values[0], color=GREY, linewidth=1.0, linestyle="--", label="given")
             positive = values[np.isfinite(values)]
             if positive.size and positive.min() > 0.0 and positive.max() > 20.0 * positive.min():
-                axes.set_yscale("log")
+                logarithmic(axes)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             axes.set(xlabel="trial", ylabel=f"{goal.name} [{shown_unit(goal.unit)}]" if goal.unit else goal.name)
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)

@@ -159,7 +159,7 @@ class PlanResult(Rows):
 
     def plot(self) -> Figure:
         """What all motions need: each figure over the motion's time; those that miss a limit are hollow."""
-        from flexfmu.cosim.reports.figure_style import INK, draw, style
+        from flexfmu.cosim.reports.figure_style import INK, draw, logarithmic, style
 
         names = [name for name in FRONT if name != "time"]
         with style():
@@ -187,7 +187,7 @@ class PlanResult(Rows):
                     )
                 values = [getattr(each, name) for each in (*self.assessed, self.given)]
                 if max(values) > MANY * min(values) > 0.0:
-                    axes.set_yscale("log")
+                    logarithmic(axes)
                 axes.set_title(f"{FIGURES[name][0]} [{unit}]", fontsize=8.5)
             for axes in figure.axes[2:]:
                 axes.set_xlabel("time [s]")

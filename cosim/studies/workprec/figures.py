@@ -13,12 +13,11 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
-from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.chart import Curve, Panel
-from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
+from flexfmu.cosim.reports.figure_style import GREY, PlainNumbers, draw, save, style
 from flexfmu.cosim.reports.page import Plot, render_page
 from flexfmu.cosim.reports.svg import PALETTE
 from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
@@ -126,16 +125,6 @@ TITLES = {
     "tools": "Other tools, and the fastest of ours",
 }
 """Family → title of its diagram."""
-
-
-class PlainNumbers(LogFormatter):
-    """0.1, 10 and 20 instead of powers of ten, as many as there is room for; each axis needs its own formatter, which follows its range."""
-
-    def __init__(self) -> None:
-        super().__init__(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 PLOT_HEIGHT = 320.0
