@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -148,12 +149,26 @@ def test_connect_and_python_control() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"controllers": flexfmu.control.pd(**PD)}, r"controllers is a list of parts, .* write controllers=\[...\]"),
+        ({"controllers": flexfmu.control.pd(**PD)}, r"controllers is a list, .* write controllers=\[...\]"),
         ({"filters": [springs]}, "filters are made by flexfmu.filters, got FunctionController"),
         ({"connect": {"a.b": "c.d"}}, "connect needs a controller"),
         ({"controllers": [3]}, r"`controller\[0\]` must be a table like"),
         ({"controllers": ["none.fmu"]}, "can't read the FMU none.fmu"),
-        ({"imperfections": [flexfmu.control.pd(**PD)]}, r"`imperfection\[0\].kind` must be one of .* got 'pd'"),
+        ({"imperfections": [flexfmu.control.pd(**PD)]}, r"'pd' is one of the controllers, .* controllers=\[...\]"),
+        ({"controllers": [springs, springs]}, "are both 'springs': give each a name of its own"),
+        ({"shapers": [flexfmu.shapers.zvd()], "connect": "a=b"}, "connect gives the source of each input, got 'a=b'"),
+        (
+            {"imperfections": [flexfmu.imperfections.delay(time=2)]},
+            r"a delay of 2 s is longer than the run, .* 0.002 for 2 ms",
+        ),
+        (
+            {"disturbances": [flexfmu.disturbances.step(signal="force.x", amplitude=1.0)]},
+            "on a robot that torques drive",
+        ),
+        ({"tolerance": float("nan")}, "tolerance must be a finite number above 0, got nan"),
+        ({"communication_step": "1e-3"}, "communication_step must be a finite number above 0, got '1e-3'"),
+        ({"record": "joint1.torque"}, r"record is a list, got str: write record=\[...\]"),
+        ({"progress": 3}, "progress is a function of the simulated fraction, got 3"),
         ({"controllers": [{"kind": "object", "object": 1}]}, "objects are given in Python"),
     ],
 )
@@ -162,6 +177,72 @@ def test_wrong_parts(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(flexfmu.Error, match=message) as caught:
         flexfmu.run(ROBOT, **arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_no_other_kind_by_the_back_door() -> None:
+    """The name of a function is its kind."""
+    with pytest.raises(flexfmu.SceneError, match="'kind' is no argument; there are: name, "):
+        flexfmu.shapers.zvd(kind="zv")  # type: ignore[call-arg]
+
+
+def test_own_parameters_are_keys() -> None:
+    """Parameters of a function are swept like those of a built-in controller, and give the same figures."""
+    metrics = ["peak_tracking_error_1"]
+    own = flexfmu.sweep(ROBOT, {"springs.arguments.stiffness": [5e3, 2e4]}, controllers=[springs], metrics=metrics)
+    built_in = flexfmu.sweep(
+        ROBOT, {"pd.proportional": [5e3, 2e4]}, controllers=[flexfmu.control.pd(**PD)], metrics=metrics
+    )
+    for one, other in zip(own, built_in, strict=True):
+        np.testing.assert_allclose(one["peak_tracking_error_1"], other["peak_tracking_error_1"], rtol=1e-9)
+
+
+def test_a_failed_run_is_told() -> None:
+    """A controller that fails ends the run, with a warning that names it and the instant."""
+
+    @flexfmu.controller(sample_time=1e-3, symbolic=False)
+    def fails(t: float, reference: Any, measurement: Any) -> Any:
+        return springs(reference, measurement) if t < 0.1 else [np.nan, np.nan]
+
+    with pytest.warns(flexfmu.RunWarning, match=r"fails .*at 0\.1 s"):
+        run = flexfmu.run(ROBOT, controllers=[fails])
+    assert not run.completed
+
+
+def test_an_interrupted_run_ends_a_script(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C is raised again in a script; in an interactive session the run until then is given, with a warning."""
+
+    def interrupt(fraction: float) -> None:
+        if fraction > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        flexfmu.run(ROBOT, progress=interrupt)
+    monkeypatch.setattr(sys, "ps1", ">>> ", raising=False)
+    with pytest.warns(flexfmu.RunWarning, match="interrupted"):
+        run = flexfmu.run(ROBOT, progress=interrupt)
+    assert 0.0 < run.recording.time[-1] < run.plan.duration
+
+
+def test_a_sweep_notices_changed_files(tmp_path: Path) -> None:
+    """A file that changed between two calls: the results in the folder belong to the old one."""
+    file = tmp_path / "force.csv"
+    file.write_text("time,force\n0,0\n1,10\n", encoding="utf-8")
+    changes = {"payload.mass": [0.1]}
+    arguments: dict[str, Any] = {"metrics": ["peak_torque_1"], "out": tmp_path / "out"}
+    push = flexfmu.disturbances.csv(signal="force.x", file=file)
+    loop = {"controllers": [flexfmu.control.pd(**PD)], "disturbances": [push]}
+    first = flexfmu.sweep(ROBOT, changes, **arguments, **loop)
+    assert list(flexfmu.sweep(ROBOT, changes, **arguments, **loop)) == list(first)
+    file.write_text("time,force\n0,0\n1,1000\n", encoding="utf-8")
+    with pytest.raises(flexfmu.InputError, match="files"):
+        flexfmu.sweep(ROBOT, changes, **arguments, **loop)
+
+
+def test_a_run_goes_to_another_process() -> None:
+    """Runs pickle, with what their metrics need."""
+    run = flexfmu.run(ROBOT)
+    again = pickle.loads(pickle.dumps(run))
+    assert again.metrics.peak_torque_1 == run.metrics.peak_torque_1
 
 
 def test_misspelt_argument() -> None:

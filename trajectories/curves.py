@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Literal, Protocol, TypeAlias
 
@@ -63,14 +63,16 @@ def piecewise_cubic(x: RealArray, y: RealArray, slopes: RealArray) -> Callable[[
     bend = (slopes[:-1] + slopes[1:] - 2.0 * chord) / width
     coefficients = np.stack([y[:-1], slopes[:-1], (chord - slopes[:-1]) / width - bend, bend / width])
 
-    def value(at: RealArray) -> RealArray:
-        index = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-        distance = at - x[index]
-        c0, c1, c2, c3 = coefficients[:, index]
-        square = distance * distance
-        return np.asarray(c0 + c1 * distance + c2 * square + c3 * (square * distance))
+    return partial(_cubics, x, coefficients)
 
-    return value
+
+def _cubics(x: RealArray, coefficients: RealArray, at: RealArray) -> RealArray:
+    """Cubics between ascending x, (K + 1,), with coefficients (4, K) of ascending powers, evaluated ``at`` places."""
+    index = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    distance = at - x[index]
+    c0, c1, c2, c3 = coefficients[:, index]
+    square = distance * distance
+    return np.asarray(c0 + c1 * distance + c2 * square + c3 * (square * distance))
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,6 +46,8 @@ class Shaper:
     name: str = "shaper"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.sequence, ImpulseSequence):
+            raise InputError(f"a shaper needs an ImpulseSequence of times and amplitudes, got {self.sequence!r}")
         if self.apply not in ("joints", "path", "sampled"):
             raise InputError(f"a shaper acts on joints, path or sampled references, got {self.apply!r}")
         if (self.apply == "sampled") != (self.sample_time is not None):

@@ -78,6 +78,10 @@ class CostWarning(UserWarning):
     """A run will take a long time or much memory."""
 
 
+class RunWarning(UserWarning):
+    """A run ended before its stop time."""
+
+
 class LoopWarning(UserWarning):
     """A control loop is unstable, or nearly."""
 

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf
 from typing import Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
@@ -129,6 +130,10 @@ class PreparedScene:
             raise TypeError(
                 f"a scene has no option {unknown[0]!r}; {suggestion(unknown[0], SceneOptions.__optional_keys__)}"
             )
+        for name in ("communication_step", "tolerance", "call_limit"):
+            value = options.get(name)
+            if value is not None and (isinstance(value, str) or not 0.0 < value < inf):  # type: ignore[operator]
+                raise InputError(f"{name} must be a finite number above 0, got {value!r}")
         if scene.effects.select is not None:
             raise InputError(
                 f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "

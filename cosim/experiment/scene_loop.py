@@ -151,6 +151,11 @@ class _Builder:
 
         Of a cascade it is that of the loop that exchanges the signal; encoders count as velocities.
         """
+        delay = getattr(section, "time", 0.0)
+        if delay >= (end := self._planned.stop_time):
+            raise InputError(
+                f"a {section.kind} of {delay:g} s is longer than the run, {end:g} s: give its `time` in s, 0.002 for 2 ms"
+            )
         sample_time = _rate(getattr(section, "signal", "velocity"), controllers)
         sample_time = sample_time or self._scene.cosimulation.communication_step
         return self.slave(section, self._planned, sample_time)
@@ -188,7 +193,12 @@ class _Builder:
             source = from_source(section.source, section.arguments, section.folder)
             made = as_slave(source, self._names, section.name)
         elif isinstance(section, ObjectSection):
-            made = as_slave(section.object.value, self._names, section.name)
+            own = section.object.value
+            if section.arguments and not hasattr(own, "changed"):
+                raise InputError(
+                    f"`arguments` are those of a function, a {type(own).__name__} has none: leave them out"
+                )
+            made = as_slave(own.changed(section.arguments) if section.arguments else own, self._names, section.name)
         elif isinstance(section, FmuSection):
             made = fmu_slave(
                 section.path,

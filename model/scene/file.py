@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tomllib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,48 @@ def shipped_scenes() -> tuple[str, ...]:
 def scene_schema() -> str:
     """The JSON Schema of scene files, for editors; `generators/scene_schema.py` writes it."""
     return files(__package__).joinpath("scene.schema.json").read_text(encoding="utf-8")
+
+
+def as_scene(source: Scene | Path | str) -> Scene:
+    """Return a scene as it is, or load it from its file or by the name of a shipped scene.
+
+    Raises:
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        TypeError: the source is of another type.
+    """
+    if isinstance(source, Scene):
+        return source
+    if isinstance(source, str | Path):
+        return load_scene(source)
+    raise TypeError(
+        f"expected a Scene, the path of a scene file or the name of a shipped scene, got {type(source).__name__}: {source!r}"
+    )
+
+
+def file_digests(scene: Scene) -> dict[str, str]:
+    """SHA-256 of each file that a scene names: FMUs, C and Python sources, tables."""
+
+    def texts(value: Any) -> Iterator[str]:
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, Mapping):
+            if value.get("kind") == "python":
+                yield f"{value['folder']}/{value['source'].partition(':')[0].replace('.', '/')}.py"
+            for each in value.values():
+                yield from texts(each)
+        elif isinstance(value, list | tuple):
+            for each in value:
+                yield from texts(each)
+
+    named = sorted(set(texts(scene.model_dump(mode="json", exclude={"name"}))))
+    return {text: sha256(Path(text).read_bytes()).hexdigest() for text in named if _is_file(text)}
+
+
+def _is_file(text: str) -> bool:
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):  # too long, or with a zero
+        return False
 
 
 def load_scene(source: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:

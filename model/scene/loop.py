@@ -141,9 +141,11 @@ class ObjectSection(LoopSection):
     """An object of the caller's program: a function with `flexfmu.controller`, a block, a slave, a python-control system, a shaper.
 
     Scene files can't have it. A scene with one runs in every way; it is written with the object's type and address alone.
+    `arguments` are parameters of a function that differ from its defaults.
     """
 
     kind: Literal["object"]
+    arguments: dict[str, Any] = Field(default_factory=dict)
     object: Annotated[Any, BeforeValidator(_held), PlainSerializer(repr, return_type=str, when_used="json")]
 
 
@@ -155,9 +157,13 @@ def as_parts(value: Any) -> Any:
     """The parts of a list as a tuple: sections and tables as they are, objects of the caller's program in sections of their own."""
     if not isinstance(value, (list, tuple)):
         return value
-    return tuple(
-        each if isinstance(each, (Section, *FILE_TYPES)) else {"kind": "object", "object": Held(each)} for each in value
-    )
+    return tuple(each if isinstance(each, (Section, *FILE_TYPES)) else _object_table(each) for each in value)
+
+
+def _object_table(value: Any) -> dict[str, Any]:
+    """The section of an object; functions with parameters have their own names, for keys such as ``mine.arguments.gain``."""
+    name = value.name if hasattr(value, "changed") and value.name not in RESERVED else None
+    return {"kind": "object", "object": Held(value), "name": name}
 
 
 OwnPart = PythonSection | FmuSection | SkipJsonSchema[ObjectSection]

@@ -32,21 +32,31 @@ if TYPE_CHECKING:
     )
     from flexfmu.cosim.control.controllers.own_function import controller
     from flexfmu.cosim.design.effects.study import study_effects
-    from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
+    from flexfmu.cosim.engine.errors import (
+        AlgebraicLoopError,
+        FmuFileError,
+        InputError,
+        LoopWarning,
+        ResultsError,
+        RunWarning,
+        SlaveError,
+        WiringError,
+    )
     from flexfmu.cosim.engine.results import Selection
     from flexfmu.cosim.engine.slave import SlaveVariable
     from flexfmu.cosim.exchange.slave_export import export_slaves
     from flexfmu.cosim.exchange.ssp.export import export_ssp
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
     from flexfmu.cosim.experiment.metric import Metric, RunMetrics
+    from flexfmu.cosim.experiment.scene_run import Run
     from flexfmu.cosim.many.variants import run_variants
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.cosim.metrics.motors import motor_loads
     from flexfmu.cosim.metrics.stress import link_stresses
     from flexfmu.errors import Error
-    from flexfmu.fmu_build.errors import BuildError
-    from flexfmu.model.scene.errors import EquilibriumError, SceneError
+    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError
+    from flexfmu.model.scene.errors import EquilibriumError, SceneError, SceneWarning
     from flexfmu.model.scene.file import load_scene
     from flexfmu.model.scene.motor import Motor
     from flexfmu.model.scene.schema import Scene
@@ -59,21 +69,22 @@ _NAMES = {
     "api": "build compare linearize margins modes plan_motion reference_motion run start_gains sweep tune",
     "cosim.control.controllers.own_function": "controller",
     "cosim.design.effects.study": "study_effects",
-    "cosim.engine.errors": "InputError LoopWarning ResultsError",
+    "cosim.engine.errors": "AlgebraicLoopError FmuFileError InputError LoopWarning ResultsError RunWarning SlaveError WiringError",
     "cosim.engine.results": "Selection",
     "cosim.engine.slave": "SlaveVariable",
     "cosim.exchange.slave_export": "export_slaves",
     "cosim.exchange.ssp.export": "export_ssp",
     "cosim.exchange.ssp.loading": "load_ssp",
     "cosim.experiment.metric": "Metric RunMetrics",
+    "cosim.experiment.scene_run": "Run",
     "cosim.many.variants": "run_variants",
     "cosim.metrics.metric_table": "display",
     "cosim.metrics.metrics": "measure_run",
     "cosim.metrics.motors": "motor_loads",
     "cosim.metrics.stress": "link_stresses",
     "errors": "Error",
-    "fmu_build.errors": "BuildError",
-    "model.scene.errors": "EquilibriumError SceneError",
+    "fmu_build.errors": "BuildError MissingCompilerError",
+    "model.scene.errors": "EquilibriumError SceneError SceneWarning",
     "model.scene.file": "load_scene",
     "model.scene.motor": "Motor",
     "model.scene.schema": "Scene",
@@ -88,20 +99,28 @@ _FAMILIES = ("control", "disturbances", "filters", "imperfections", "motions", "
 """Modules with parts of a scene, `flexfmu.control.pd` ..."""
 
 __all__ = [
+    "AlgebraicLoopError",
     "BuildError",
     "EquilibriumError",
     "Error",
+    "FmuFileError",
     "InputError",
     "LoopWarning",
     "Metric",
+    "MissingCompilerError",
     "Motor",
     "ResultsError",
+    "Run",
     "RunMetrics",
+    "RunWarning",
     "Scene",
     "SceneError",
+    "SceneWarning",
     "Selection",
+    "SlaveError",
     "SlaveVariable",
     "TrajectoryError",
+    "WiringError",
     "__version__",
     "build",
     "compare",

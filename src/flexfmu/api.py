@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from flexfmu.cosim.design.effects.choice import resolved
-from flexfmu.cosim.engine.errors import LoopWarning, suggestion
+from flexfmu.cosim.engine.errors import InputError, LoopWarning, RunWarning, suggestion
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
@@ -21,9 +23,9 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.reports.modes_table import ModesAlongPath, modes_along_path
 from flexfmu.fmu_build.naming import Naming
-from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.file import as_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.systems import Part, Parts, with_parts
+from flexfmu.systems import Part, Parts, listed, with_parts
 
 if TYPE_CHECKING:
     import control
@@ -76,7 +78,8 @@ def run(
             `flexfmu.control`, `flexfmu.shapers` ... return, or tables (dicts) as in a scene file. The first three also take functions
             with `flexfmu.controller`, objects of a class of yours, python-control systems and paths of FMUs. Torques drive the
             robot where controllers or disturbances are given.
-        connect: ``slave.input`` → ``slave.output``, where names differ.
+        connect: ``slave.input`` → ``slave.output``, where names differ; the robot is ``plant``, its references are those of
+            ``trajectory``: ``{"plant.joint1.torque": "motor.y"}``.
         options: ``communication_step`` [s] and relative ``tolerance`` of the FMU's integrator, by default the scene's
             ``cosimulation.step`` and ``tolerance``; ``parameters``, values of FMU parameters that replace the scene's, by name, in SI
             units: ``{"payload.mass": 0.1}``; ``progress``, a function that is called during the run with the simulated fraction, 0
@@ -86,7 +89,8 @@ def run(
     Returns:
         The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
         ``run.completed`` whether it reached the stop time. If a slave fails during the run, nothing is raised: the recording
-        ends there, and the outcome gives the reason. A control loop that is unstable, or nearly, is named in
+        ends there, the outcome gives the reason, and a `RunWarning` says so; Ctrl-C ends a script, and in an interactive session
+        gives the run until then. A control loop that is unstable, or nearly, is named in
         ``run.health.messages`` and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains.
         ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
 
@@ -110,7 +114,11 @@ def run(
     if unknown := options.keys() - RunOptions.__optional_keys__:
         known = sorted(RunOptions.__optional_keys__ | parts.keys())
         raise TypeError(f"run has no argument {min(unknown)!r}; {suggestion(min(unknown), known)}")
-    robot = with_parts(_scene(scene), parts)
+    if (record := options.get("record")) is not None and not isinstance(record, Selection):
+        options["record"] = Selection(listed(record, "record"))
+    if (progress := options.get("progress")) is not None and not callable(progress):
+        raise InputError(f"progress is a function of the simulated fraction, got {progress!r}")
+    robot = with_parts(as_scene(scene), parts)
     loop = None
     if trajectory is not None:
         from flexfmu.cosim.experiment.own_motion import own_loop  # which few runs need
@@ -119,6 +127,10 @@ def run(
     if fmu is not None:
         options["fmu_path"] = Path(fmu)
     found = run_scene(resolved(robot) if loop is None else loop.motion.scene, loop=loop, **options)
+    if found.outcome is Outcome.INTERRUPTED and not hasattr(sys, "ps1"):
+        raise KeyboardInterrupt(found.message)
+    if found.outcome.is_failure and found.outcome is not Outcome.LOOP_UNSTABLE:  # of which `run_scene` has warned
+        warnings.warn(f"{found.outcome.value}: {found.message}", RunWarning, stacklevel=2)
     if not found.scene.controller:
         return found
     from flexfmu.cosim.design.margins.loop_warnings import loop_sentences  # which few runs need
@@ -173,7 +185,9 @@ def compare(
     from flexfmu.cosim.studies.compare.sources import compared_runs
 
     if parts:
-        runs = tuple(with_parts(_scene(each), parts) if isinstance(each, Scene | str | Path) else each for each in runs)
+        runs = tuple(
+            with_parts(as_scene(each), parts) if isinstance(each, Scene | str | Path) else each for each in runs
+        )
     meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
     return compare_runs(compared_runs(runs, payload_band=payload_band), measured, meaning, delay)
 
@@ -209,7 +223,7 @@ def build(
         TypeError: ``scene`` is of another type.
     """
     target = None if output is None else Path(output)
-    chosen = resolved(_scene(scene))
+    chosen = resolved(as_scene(scene))
     return build_scene(chosen, output=target, platforms=platforms, naming=naming, enumerations=enumerations).path
 
 
@@ -237,7 +251,7 @@ def reference_motion(scene: SceneSource, trajectory: OwnMotion | Trajectory | No
     """
     from flexfmu.cosim.experiment.cycles import in_cycles  # which few scenes need
 
-    robot = _scene(scene)
+    robot = as_scene(scene)
     if trajectory is None:
         return in_cycles(plan_of(robot))
     from flexfmu.cosim.experiment.own_motion import plan_own
@@ -293,7 +307,7 @@ def plan_motion(
     from flexfmu.cosim.design.plans.planned_files import write_plan
     from flexfmu.cosim.design.plans.planner import plan_scene, usual_methods
 
-    robot = _scene(scene)
+    robot = as_scene(scene)
     if wishes:
         robot = robot.replace({f"plan.{key}": value for key, value in wishes.items()})
     result = plan_scene(
@@ -333,7 +347,7 @@ def modes(scene: SceneSource, poses: int = 11) -> ModesAlongPath:
             or the run failed.
         TypeError: ``scene`` is of another type.
     """
-    return modes_along_path(plan_of(resolved(_scene(scene))), poses)
+    return modes_along_path(plan_of(resolved(as_scene(scene))), poses)
 
 
 def linearize(
@@ -364,7 +378,7 @@ def linearize(
     """
     from flexfmu.model.linear import linearize as linearize_scene  # needs CasADi, which `run` does without
 
-    return linearize_scene(resolved(_scene(scene)), position, outputs)
+    return linearize_scene(resolved(as_scene(scene)), position, outputs)
 
 
 def margins(
@@ -402,7 +416,7 @@ def margins(
     from flexfmu.cosim.design.gains.robustness import band_masses
     from flexfmu.cosim.design.margins.scene_margins import scene_margins
 
-    robot = with_parts(_scene(scene), parts)
+    robot = with_parts(as_scene(scene), parts)
     return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
 
 
@@ -463,10 +477,10 @@ def sweep(
 
     folder = None if out is None else Path(out)
     result = sweep_scene(
-        resolved(with_parts(_scene(scene), parts)),
+        resolved(with_parts(as_scene(scene), parts)),
         as_cases(cases, sample, seed),
-        metrics=metrics,
-        record=None if record is None else Selection(list(record), step=record_step),
+        metrics=None if metrics is None else listed(metrics, "metrics"),
+        record=None if record is None else Selection(listed(record, "record"), step=record_step),
         processes=processes,
         folder=folder,
         restart=restart,
@@ -510,7 +524,8 @@ def start_gains(
     """
     from flexfmu.cosim.design.gains.starts import start_controller
 
-    return start_controller(resolved(_scene(scene)), kind, bandwidth, pose, sample_time)
+    driven = as_scene(scene).replace({"cosimulation.drive": "torque"})
+    return start_controller(resolved(driven), kind, bandwidth, pose, sample_time)
 
 
 def tune(
@@ -571,7 +586,7 @@ def tune(
 
     folder = None if out is None else Path(out)
     result = tune_scene(
-        resolved(with_parts(_scene(scene), parts)),
+        resolved(with_parts(as_scene(scene), parts)),
         over,
         minimise,
         subject_to,
@@ -588,19 +603,3 @@ def tune(
         write_tuning(result, folder)
         write_tuned(result, folder / "tuned.toml", None if isinstance(scene, Scene) else scene)
     return result
-
-
-def _scene(source: SceneSource) -> Scene:
-    """Return the scene, loaded from its file unless it is a `Scene` already.
-
-    Raises:
-        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
-        TypeError: the source is of another type.
-    """
-    if isinstance(source, Scene):
-        return source
-    if isinstance(source, str | Path):
-        return load_scene(source)
-    raise TypeError(
-        f"expected a Scene, the path of a scene file or the name of a shipped scene, got {type(source).__name__}: {source!r}"
-    )

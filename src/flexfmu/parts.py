@@ -10,6 +10,7 @@ import inspect
 import json
 from collections.abc import Callable, Mapping
 from functools import cache
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -39,6 +40,10 @@ def part(section: type[S], example: str, kind: str | None = None) -> Callable[..
 
     def make(**given: Any) -> S:
         try:
+            if unknown := given.keys() - keys.keys():
+                raise SceneError(
+                    f"{min(unknown)!r} is no argument; there are: {', '.join(keys)} (flexfmu.{family}.{name})"
+                )
             # None leaves a key out
             values = {key: _plain(value) for key, value in given.items() if value is not None}
             return section.model_validate({"kind": chosen, **values})
@@ -104,4 +109,6 @@ def _plain(value: Any) -> Any:
     """A value as a scene file has it: numpy's arrays and numbers become Python's."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, PathLike):
+        return fspath(value)
     return type(value)(map(_plain, value)) if type(value) in (list, tuple) else value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import isfinite
 from os import PathLike, fspath
 from typing import Any, TypedDict
 
@@ -10,6 +11,7 @@ from flexfmu.cosim.engine.child_process import CALL_LIMIT
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.master.isolation import isolation
+from flexfmu.cosim.engine.master.iteration import Anderson
 from flexfmu.cosim.engine.master.master import Progress, Simulation
 from flexfmu.cosim.engine.master.master import simulate as simulate_system
 from flexfmu.cosim.engine.master.system import connect as connect_slaves
@@ -44,12 +46,15 @@ FAMILIES = {
 }
 """Argument → key of the scene."""
 
+HOMES = {name: name for name in FAMILIES}
+"""Module of a section in `flexfmu.model.scene` → family; what users bring belongs to every one."""
+
 OWN = ("controllers", "shapers", "imperfections")
 """Families whose parts may be objects."""
 
 
 def with_parts(scene: Scene, parts: Parts) -> Scene:
-    """The scene with these parts of its loop; torques drive its robot if there are controllers or disturbances among them.
+    """The scene with these parts of its loop; torques drive its robot if there are controllers among them.
 
     Raises:
         TypeError: an argument isn't one of `Parts`.
@@ -62,16 +67,20 @@ def with_parts(scene: Scene, parts: Parts) -> Scene:
         )
     given = {family: parts.get(family) for family in FAMILIES}
     changes: dict[str, Any] = {
-        FAMILIES[family]: [_table(each, family) for each in _listed(entries, family)]
+        FAMILIES[family]: [_table(each, family) for each in listed(entries, family)]
         for family, entries in given.items()
         if entries is not None
     }
-    if changes.get("controller") or changes.get("disturbance"):
+    if changes.get("controller"):
         changes["cosimulation.drive"] = "torque"
     changed = scene.replace(changes) if changes else scene
     connect = parts.get("connect")
     if not connect:
         return changed
+    if not isinstance(connect, Mapping):
+        raise InputError(
+            f"connect gives the source of each input, got {connect!r}: write {{'slave.input': 'slave.output'}}"
+        )
     for key in ("controller", "imperfection", "shaper"):
         for index, section in enumerate(getattr(changed, key)):
             if hasattr(section, "connect"):
@@ -81,14 +90,14 @@ def with_parts(scene: Scene, parts: Parts) -> Scene:
     )
 
 
-def _listed(entries: Any, family: str) -> list[Part]:
+def listed(entries: Any, family: str) -> list[Part]:
     """The entries of a family.
 
     Raises:
-        InputError: it is one part instead of a list of them.
+        InputError: it is one entry instead of a list of them.
     """
-    if isinstance(entries, Section | Mapping | str) or not isinstance(entries, Iterable):
-        raise InputError(f"{family} is a list of parts, got {type(entries).__name__}: write {family}=[...]")
+    if isinstance(entries, Section | Mapping | str | PathLike) or not isinstance(entries, Iterable):
+        raise InputError(f"{family} is a list, got {type(entries).__name__}: write {family}=[...]")
     return list(entries)
 
 
@@ -98,6 +107,9 @@ def _table(entry: Part, family: str) -> Any:
     Raises:
         InputError: it is an object in a family that takes none.
     """
+    right = HOMES.get(type(entry).__module__.rpartition(".")[2], family) if isinstance(entry, Section) else family
+    if right != family:
+        raise InputError(f"{entry.kind!r} is one of the {right}, not of the {family}: give it in {right}=[...]")
     if isinstance(entry, Section | Mapping):
         return entry
     if family not in OWN:
@@ -151,6 +163,7 @@ def simulate(
     tolerance: float | None = None,
     record: Iterable[str] | None = None,
     isolate: bool | None = None,
+    loops: bool = False,
     progress: Progress | None = None,
 ) -> Simulation:
     """Co-simulate slaves without a scene: FMUs of any tool, Python objects, python-control systems.
@@ -167,6 +180,8 @@ def simulate(
         record: names of the signals to record; None for all.
         isolate: whether slaves run in a child process (Linux), so that one that crashes or hangs ends only the run; None for other
             tools' FMUs.
+        loops: whether outputs and inputs that depend on each other at one instant are solved for by iteration (Anderson's), as of
+            FMUs that don't declare what their outputs depend on.
         progress: function that is called with the simulated fraction, 0 to 1.
 
     Returns:
@@ -177,8 +192,15 @@ def simulate(
             times don't fit together.
     """
     names = SlaveNames()
-    made = [as_slave(each, names) for each in slaves]
-    system = connect_slaves(made, [(source, target) for target, source in (connections or {}).items()])
+    made = [as_slave(each, names) for each in listed(slaves, "slaves")]
+    if not made:
+        raise InputError("there is nothing to simulate: give at least one slave")
+    for what, value in (("stop_time", stop_time), ("step", step), ("start_time", start_time)):
+        if isinstance(value, str) or not isfinite(value):
+            raise InputError(f"{what} must be a finite number of seconds, got {value!r}")
+    solver = Anderson() if loops else None
+    wires = [(source, target) for target, source in (connections or {}).items()]
+    system = connect_slaves(made, wires, loops=solver)
     return simulate_system(
         system,
         stop_time,
@@ -186,6 +208,6 @@ def simulate(
         start=start_time,
         tolerance=tolerance,
         progress=progress,
-        record=EVERYTHING if record is None else Selection(list(record)),
+        record=EVERYTHING if record is None else Selection(listed(record, "record")),
         isolation=isolation(isolate, made, CALL_LIMIT, caller_owned=True),
     )

@@ -22,6 +22,7 @@ from flexfmu.cosim.many.journal import Journal
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.file import file_digests
 from flexfmu.model.scene.keys import full_key, value_at
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -267,6 +268,7 @@ def _about(study: Study) -> dict[str, Any]:
     names = sorted({part for goal in study.goals for part in goal.parts})
     return {
         "scene": study.scene.model_dump(mode="json", exclude_none=True),
+        **({"files": files} if (files := file_digests(study.scene)) else {}),
         "keys": [each.key for each in study.over],
         "figures": names,
         "payload band": study.band,

@@ -24,6 +24,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, locked
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, digest
 from flexfmu.cosim.studies.sweep.work import Job, Row
+from flexfmu.model.scene.file import file_digests
 
 NAMED = 20
 """Values of a key that the manifest lists; of more it has the ends and a hash."""
@@ -34,6 +35,7 @@ def make_manifest(job: Job, units: Mapping[str, str]) -> dict[str, Any]:
     return {
         "flexfmu": version("flexfmu"),
         "scene": job.scene.model_dump(mode="json", exclude_none=True),
+        **({"files": files} if (files := file_digests(job.scene)) else {}),
         "cases": _described(job.cases),
         "metrics": list(job.metrics.names),
         "record": None if job.record is None else {"signals": list(job.record.names or ()), "step": job.record.step},
