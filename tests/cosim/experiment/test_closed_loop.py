@@ -186,6 +186,7 @@ class Failing:
             raise RuntimeError("no idea what to do")
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.RunWarning")
 def test_a_failing_controller_keeps_the_beginning(robot: Scene) -> None:
     """The message names slave, time and reason, and what was recorded until then is there."""
     run = flexfmu.run(robot, controllers=[Failing()])

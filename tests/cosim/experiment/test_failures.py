@@ -69,6 +69,7 @@ def test_a_singularity_is_still_one(undamped: Scene, torques: tuple[float, float
         assert "(type-2 singularity) is 0.0" in run.message
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.RunWarning")
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("torque", [1e10, 1e30, 1e300])
 def test_an_absurd_input_is_named(undamped: Scene, torque: float) -> None:

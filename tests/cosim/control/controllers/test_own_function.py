@@ -234,6 +234,7 @@ def test_any_arguments_are_taken_or_refused(arguments: dict[str, Any]) -> None:
     assert all(starts[name] == float(value) for name, value in arguments.items() if name in starts)
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.RunWarning")
 def test_failures_in_the_run_end_it(robot: Scene) -> None:
     """An exception and a NaN are the slave's failures, with its name and what happened."""
 
