@@ -72,7 +72,7 @@ class Peaks:
         residual: largest distance from the rest position after the motion [m].
         energy: mechanical energy that the motors give, without what they take back [J].
         off_path: largest distance of the end effector from the given path [m], and when [s].
-        clearance: smallest distance to what is kept clear [m], and when [s].
+        clearance: smallest distance to the keep-out region [m], and when [s].
         reaction: largest force in a joint [N]; NaN if it isn't limited.
         stress: largest stress of a link [Pa]; NaN if it isn't limited.
     """
@@ -97,7 +97,7 @@ FIGURES: Mapping[str, tuple[str, str]] = {
     "rms_torque": ("Largest RMS torque", "N.m"),
     "energy": ("Largest energy of a run", "J"),
     "off_path": ("Largest distance from the given path", "m"),
-    "clearance": ("Smallest distance to what is kept clear", "m"),
+    "clearance": ("Smallest distance to the keep-out region", "m"),
 }
 """Figure of an assessment → label and SI unit."""
 
@@ -152,7 +152,7 @@ class Assessment:
 
     @property
     def clearance(self) -> float:
-        """Smallest distance to what is kept clear [m], negative within it."""
+        """Smallest distance to the keep-out region [m], negative within it."""
         return min(each.clearance[0] for each in self.peaks)
 
     @cached_property
@@ -248,7 +248,7 @@ class Judge:
         )
 
     def _clear(self, points: RealArray) -> RealArray:
-        """Distances (N,) [m] on the way through points from what is kept clear."""
+        """Distances (N,) [m] on the way through points from the keep-out region."""
         return self.goals.clearance.along(points, self.goals.wishes.margin)
 
     def _off_path(self, points: RealArray) -> RealArray:

@@ -42,7 +42,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
-    """A region that is kept clear.
+    """A keep-out region.
 
     Attributes:
         corners: in order, counter-clockwise (N, 2) [m].

@@ -26,7 +26,7 @@ LEAST = 1e-3
 """Smallest residual vibration on a logarithmic axis [µm]."""
 
 DASHED, DOTTED = "5,3", "2,2"
-"""Lines of second joints, and of what is kept clear."""
+"""Lines of second joints, and of the keep-out region."""
 
 BORDER, LONG = 0.06, 2.0
 """Of the path's view, relative to its size; and half the length of lines [m]."""
@@ -215,7 +215,7 @@ def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:
         outlines.append(origin + np.outer([-LONG, LONG], [-normal[1], normal[0]]))
     shown = [points for outline in outlines if np.isfinite(points := _within(outline, view)).any()]
     for number, points in enumerate(shown):
-        label = "" if number else "kept clear"
+        label = "" if number else "keep-out"
         curves.append(Curve(points[:, 0], points[:, 1], label, GREY, width=1.0, dashes=DOTTED, is_read=False))
     panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
     width, height = view[1] - view[0]

@@ -13,7 +13,7 @@ from flexfmu.cosim.design.plans.quick_runs import QuickRun
 from flexfmu.trajectories.jets import RealArray
 
 CLEARANCE = "clearance"
-"""Name of the limit on the distance to what is kept clear."""
+"""Name of the limit on the distance to the keep-out region."""
 
 WORTH = 2.0
 """Weight of exceeded limits: the relative excess counts twice as much as what is minimised, so that no motion gains by exceeding

@@ -64,6 +64,6 @@ def test_the_documented_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (example,) = re.findall(r"^```python\n(.*?)^```", text.partition("\n### Compare runs")[2], re.DOTALL | re.MULTILINE)
     monkeypatch.chdir(tmp_path)
     exec(compile(example, "docs/results.md", "exec"), {})
-    page = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    page = (tmp_path / "comparison" / "comparison.html").read_text(encoding="utf-8")
     assert "Spectra of the residual vibration" in page
     assert re.search(r"\(−\d+\.\d %\)", page)
