@@ -99,7 +99,7 @@ _FORMS = {
     "dict_type": "a table like {{ key = value }}",
     "string_type": "a text in quotes",
     "string_too_short": "a text that is not empty",
-    "string_pattern_mismatch": "text of letters, digits and the characters of the pattern {pattern}",
+    "string_pattern_mismatch": "made of letters, digits and the characters in the pattern {pattern}",
 }
 """Error type of pydantic → expected value."""
 
