@@ -90,7 +90,7 @@ def test_controller_fmu(tmp_path: Path) -> None:
     """The exported controller moves the robot as its Python twin does."""
     _, result = lines("controller_fmu.py", tmp_path)
     assert value(result, "joint angles:") < 1e-12
-    assert (tmp_path / "pd.fmu").is_file()
+    assert (tmp_path / "fmus" / "pd.fmu").is_file()
 
 
 def test_controller_scene(tmp_path: Path) -> None:
