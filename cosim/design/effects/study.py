@@ -228,7 +228,7 @@ SHOWN_FREQUENCIES = 3
 
 def contribution_table(study: EffectStudy) -> Table:
     """Tabulate every effect with its contribution to each metric and its cost."""
-    metrics = [METRICS[name].label for name in study.choice.of]
+    metrics = [f"{METRICS[name].label} {name}" for name in study.choice.of]
     table = _table(
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
         (" ", "Effect", "Change"),
