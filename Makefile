@@ -16,8 +16,8 @@ EXTRAS := $(if $(shell command -v cc || command -v gcc || command -v clang),,[zi
 VENV := .venv
 BIN := $(VENV)/bin
 
-# a module is compiled once, when it is first imported; most modules of the packages never are
-export PIP_NO_COMPILE := 1
+# modules are compiled once: by the installer, or when they are first imported
+export UV_COMPILE_BYTECODE := 1
 export PYTHONDONTWRITEBYTECODE :=
 # uv installs in seconds what takes pip a minute; pip does it where uv finds no packages (behind a mirror that pip alone knows)
 install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(BIN)/python -m pip install --quiet $(1)

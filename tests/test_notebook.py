@@ -7,9 +7,7 @@ from base64 import b64decode
 from io import BytesIO
 from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 SETUP = """
 import flexfmu
@@ -50,10 +48,12 @@ SHOWN = {
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     """Outputs of the cells of an executed notebook."""
-    cells = [nbformat.v4.new_code_cell(text) for text in (SETUP, *SHOWN)]  # type: ignore[no-untyped-call]
-    book = nbformat.v4.new_notebook(cells=cells)  # type: ignore[no-untyped-call]
+    cells = [pytest.importorskip("nbformat").v4.new_code_cell(text) for text in (SETUP, *SHOWN)]
+    book = pytest.importorskip("nbformat").v4.new_notebook(cells=cells)
     folder = str(tmp_path_factory.mktemp("notebook"))
-    NotebookClient(book, timeout=300, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
+    pytest.importorskip("nbclient").NotebookClient(
+        book, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}}
+    ).execute()
     return {cell.source: [each for each in cell.outputs if each.output_type != "stream"] for cell in book.cells[1:]}
 
 

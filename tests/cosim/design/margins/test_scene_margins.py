@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 from typer.testing import CliRunner
 
 import flexfmu
@@ -160,7 +159,7 @@ def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
     assert "with torques 20 % smaller it is stable" in warning
 
 
-def command(tmp_path: Path, *options: str) -> Result:
+def command(tmp_path: Path, *options: str) -> Any:
     """`flexfmu margins` of the example."""
     scene = Path(__file__).parents[4] / "examples" / "controller_scene.toml"
     return CliRunner().invoke(app, ["margins", str(scene), "--poses", "1", *options])
