@@ -45,6 +45,7 @@ def assert_same(shown: str, found: str) -> None:
         assert float(second) == pytest.approx(float(first), abs=1.01 * digit), (shown, found)
 
 
+@pytest.mark.slow
 def test_there_are_seven() -> None:
     """First run, robot, controller, shaper, accuracy, plan, loop: each in 10 to 25 cells and with what it prints."""
     assert len(TUTORIALS) == 7
