@@ -139,7 +139,9 @@ def test_killed_commands_continue(tmp_path: Path) -> None:
     shown = in_terminal([*COMMAND, "--out", str(out), "-j", "2"], 80)
     table = shown[shown.rindex("45 cases over") :].splitlines()
     assert max(map(len, table)) <= 80
-    assert any(line.split()[:2] == ["end_position_error", "m"] for line in table)
+    # the words with the unit, and below them the name, whole
+    row = next(i for i, line in enumerate(table) if line.split()[:1] == ["end_position_error"])
+    assert table[row - 1].split()[:4] == ["End", "position", "error", "m"], table[row - 1]
     assert " left" in shown
     cases = {"trajectory.duration": "0.2:0.25:45", "payload.mass": "6.0"}
     cases |= {key: str(value) for key, value in SHORT.items() if key != "trajectory.duration"}
