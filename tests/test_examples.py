@@ -102,7 +102,7 @@ def test_results_in_other_tools(tmp_path: Path) -> None:
     """The Python of docs/results.md runs, and writes what it says; the number beside a metric is right."""
     text = (EXAMPLES.parent / "docs" / "results.md").read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
-    shown = re.search(r"peak_torque_1 +# ([\d.]+) N\.m", code)
+    shown = re.search(r"peak_torque_1 +# ([\d.]+) N·m", code)
     assert shown is not None
     script = tmp_path / "results.py"
     script.write_text(f"{code}\nassert abs(run.metrics.peak_torque_1 - {shown[1]}) < 1e-4\n", encoding="utf-8")
