@@ -132,7 +132,6 @@ ALONE = {
     "model.reference_design.robust_correction": "correction over a band",
     "model.rotary_inertia": "an effect",
     "model.selection.cost": "operations of effects",
-    "trajectories.shapers": "the front door names what is in it",
 }
 """Modules with one importer that are an idea of their own, and which."""
 

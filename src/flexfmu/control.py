@@ -4,11 +4,8 @@ A controller may also be a function of yours (`flexfmu.controller`), an object o
 path of an FMU.
 """
 
-from flexfmu.cosim.control.controllers.from_control import control_block, from_control
-from flexfmu.cosim.control.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
-from flexfmu.model.linear import operating_point
 from flexfmu.model.scene import controllers, loop
-from flexfmu.parts import part
+from flexfmu.parts import part, seldom
 
 __all__ = [
     "Equilibrium",
@@ -33,6 +30,17 @@ __all__ = [
     "state_space",
     "static_feedforward",
 ]
+
+__getattr__ = seldom(
+    __name__,
+    {
+        **dict.fromkeys(("control_block", "from_control"), "flexfmu.cosim.control.controllers.from_control"),
+        **dict.fromkeys(
+            ("Equilibrium", "state_feedback", "static_feedforward"), "flexfmu.cosim.control.controllers.state_feedback"
+        ),
+        **dict.fromkeys(("operating_point",), "flexfmu.model.linear"),
+    },
+)
 
 pd = part(controllers.PdSection, "control.pd(proportional=1e4, derivative=100.0, sample_time=1e-3)")
 pid = part(controllers.PidSection, "control.pid(proportional=1e4, integral=1e5, derivative=100.0, sample_time=1e-3)")

@@ -10,6 +10,7 @@ import inspect
 import json
 from collections.abc import Callable, Mapping
 from functools import cache
+from importlib import import_module
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -70,6 +71,22 @@ def _argument(key: str, field: Mapping[str, Any], required: bool) -> inspect.Par
     default = inspect.Parameter.empty if required else field.get("default")
     kind = type_of(field) if default is not None else f"{type_of(field)} | None"
     return inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+
+
+def seldom(module: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """The ``__getattr__`` of a module (PEP 562) that imports these names at their first use: what they need takes long to load.
+
+    Args:
+        module: name of the module.
+        homes: name → module that has it.
+    """
+
+    def __getattr__(name: str) -> Any:  # noqa: N807 - it becomes the module's
+        if name not in homes:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        return getattr(import_module(homes[name]), name)
+
+    return __getattr__
 
 
 @cache

@@ -4,18 +4,8 @@ Without ``modes`` they suppress the lowest ``mode_count`` modes of the robot at 
 sequence of yours; `zero_vibration` and the like design sequences for an `Oscillator`.
 """
 
-from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.model.scene.shapers import ImpulseShaperSection, SpecifiedInsensitivitySection
-from flexfmu.parts import part
-from flexfmu.trajectories.shapers import (
-    ImpulseSequence,
-    Oscillator,
-    extra_insensitive,
-    modified_zero_vibration,
-    specified_insensitivity,
-    unity_magnitude,
-    zero_vibration,
-)
+from flexfmu.parts import part, seldom
 
 __all__ = [
     "ImpulseSequence",
@@ -37,6 +27,25 @@ __all__ = [
     "zvdd",
     "zvddd",
 ]
+
+__getattr__ = seldom(
+    __name__,
+    {
+        **dict.fromkeys(("Shaper",), "flexfmu.cosim.control.shapers"),
+        **dict.fromkeys(
+            (
+                "ImpulseSequence",
+                "Oscillator",
+                "extra_insensitive",
+                "modified_zero_vibration",
+                "specified_insensitivity",
+                "unity_magnitude",
+                "zero_vibration",
+            ),
+            "flexfmu.trajectories.shapers",
+        ),
+    },
+)
 
 zv = part(ImpulseShaperSection, 'shapers.zv(modes=[{"frequency": 58.0, "ratio": 0.1}])', "zv")
 zvd = part(ImpulseShaperSection, "shapers.zvd()", "zvd")

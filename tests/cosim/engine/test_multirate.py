@@ -9,6 +9,8 @@ import pytest
 from python_slave import PythonSlave, SampledSlave
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.couplings import Transport
+from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.grid import Clock, time_grid
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
@@ -177,3 +179,13 @@ def test_the_age_of_a_sample(source: tuple[float, float], target: tuple[float, f
     assert delay.seconds == pytest.approx(age, abs=1e-12)
     assert delay.average == pytest.approx(mean, abs=1e-12)
     assert ("on average" in str(delay)) == (mean < age)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_the_age_of_an_extrapolated_signal(order: int) -> None:
+    """The polynomial of the last point, evaluated over a step of a ramp, lags by this time on average."""
+    step = 0.2
+    within = (np.arange(1000) + 0.5) / 1000 * step
+    seen = within if order else np.zeros(1000)  # value and rate at the last point, or the value alone
+    delay = SignalDelay("a.y -> b.u", step, Transport.EXTRAPOLATED, order, latency=0.05)
+    assert delay.average == pytest.approx(0.05 + np.mean(within - seen), abs=1e-12)
