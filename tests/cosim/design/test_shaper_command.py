@@ -129,8 +129,8 @@ def test_the_fmu_takes_a_shaped_motion_with_another_payload(motion: MotionPlan) 
     shaped = shape_path(motion, design("ei", [Oscillator(58.84, 0.018)]))
     one = simulate(ShapedMotion("ei", "path", UNSHAPED, shaped), 0.3, build_scene(motion.scene).path)
     own = measure_run(run_scene(heavier, motion=replace(shaped, scene=heavier)), companions=0)
-    assert one.residual == pytest.approx(own["residual_vibration_amplitude"].own, rel=1e-9)
-    assert one.settling_time == pytest.approx(own["settling_time"].own, abs=1e-8)
+    assert one.residual == pytest.approx(own["residual_vibration_amplitude"].value, rel=1e-9)
+    assert one.settling_time == pytest.approx(own["settling_time"].value, abs=1e-8)
 
 
 def test_both_ways_report_deviation_and_time(motion: MotionPlan) -> None:

@@ -50,8 +50,8 @@ def test_the_band_is_two_runs_of_the_robot_with_other_payloads(found: Comparison
         ]
         for name, value in run.band.worst.items():
             values = [each[name] for each in ends]
-            assert (value is None) == (None in values), name
-            if value is not None:
+            assert (value.value is None) == (None in values), name
+            if value.value is not None:
                 assert value == pytest.approx(max(each for each in values if each is not None), rel=1e-9), name
         expected = flexfmu.margins(scene, poses=2).worst
         assert run.loop["gain_margin"] == pytest.approx(expected.gain_margin, rel=1e-12)
