@@ -181,7 +181,7 @@ def test_wrong_parts(arguments: dict[str, Any], message: str) -> None:
 
 def test_no_other_kind_by_the_back_door() -> None:
     """The name of a function is its kind."""
-    with pytest.raises(flexfmu.SceneError, match="'kind' is no argument; there are: name, "):
+    with pytest.raises(flexfmu.SceneError, match="the function's name is the kind, got kind='zv'"):
         flexfmu.shapers.zvd(kind="zv")  # type: ignore[call-arg]
 
 
@@ -194,6 +194,12 @@ def test_own_parameters_are_keys() -> None:
     )
     for one, other in zip(own, built_in, strict=True):
         np.testing.assert_allclose(one["peak_tracking_error_1"], other["peak_tracking_error_1"], rtol=1e-9)
+
+
+def test_unknown_own_parameters_are_refused_at_once() -> None:
+    """Before anything is simulated, with those that there are."""
+    with pytest.raises(flexfmu.SceneError, match="stifness"):
+        flexfmu.sweep(ROBOT, {"springs.arguments.stifness": [5e3, 2e4]}, controllers=[springs])
 
 
 def test_a_failed_run_is_told() -> None:

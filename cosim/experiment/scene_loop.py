@@ -194,10 +194,6 @@ class _Builder:
             made = as_slave(source, self._names, section.name)
         elif isinstance(section, ObjectSection):
             own = section.object.value
-            if section.arguments and not hasattr(own, "changed"):
-                raise InputError(
-                    f"`arguments` are those of a function, a {type(own).__name__} has none: leave them out"
-                )
             made = as_slave(own.changed(section.arguments) if section.arguments else own, self._names, section.name)
         elif isinstance(section, FmuSection):
             made = fmu_slave(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, reduce
 from importlib import import_module
@@ -22,8 +22,8 @@ from flexfmu.model.scene.loop import RESERVED
 class SlaveNames:
     """Assigns unique names to slaves."""
 
-    def __init__(self) -> None:
-        self._given = set(RESERVED)
+    def __init__(self, reserved: Iterable[str] = RESERVED) -> None:
+        self._given = set(reserved)
 
     def __contains__(self, name: str) -> bool:
         """Whether the name is assigned or reserved."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import date, time
 from pathlib import Path
 from sys import float_info
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal, Self, TypedDict
 
-from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from flexfmu.model.scene.section import Positive, Seconds, SecondsOrZero, Section, quantity
@@ -147,6 +147,14 @@ class ObjectSection(LoopSection):
     kind: Literal["object"]
     arguments: dict[str, Any] = Field(default_factory=dict)
     object: Annotated[Any, BeforeValidator(_held), PlainSerializer(repr, return_type=str, when_used="json")]
+
+    @model_validator(mode="after")
+    def _knows_its_arguments(self) -> Self:
+        if self.arguments:
+            if not hasattr(self.object.value, "changed"):
+                raise ValueError(f"`arguments` are those of a function, {self.object!r} has none: leave them out")
+            self.object.value.changed(self.arguments)
+        return self
 
 
 FILE_TYPES = (str, int, float, bool, list, dict, date, time)

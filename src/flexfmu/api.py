@@ -116,6 +116,8 @@ def run(
         raise TypeError(f"run has no argument {min(unknown)!r}; {suggestion(min(unknown), known)}")
     if (record := options.get("record")) is not None and not isinstance(record, Selection):
         options["record"] = Selection(listed(record, "record"))
+    if not isinstance(parameters := options.get("parameters") or {}, Mapping):
+        raise InputError(f"parameters are values by name, got {parameters!r}: write {{'payload.mass': 0.1}}")
     if (progress := options.get("progress")) is not None and not callable(progress):
         raise InputError(f"progress is a function of the simulated fraction, got {progress!r}")
     robot = with_parts(as_scene(scene), parts)

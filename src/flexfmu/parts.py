@@ -41,9 +41,9 @@ def part(section: type[S], example: str, kind: str | None = None) -> Callable[..
 
     def make(**given: Any) -> S:
         try:
-            if unknown := given.keys() - keys.keys():
+            if "kind" in given:
                 raise SceneError(
-                    f"{min(unknown)!r} is no argument; there are: {', '.join(keys)} (flexfmu.{family}.{name})"
+                    f"the function's name is the kind, got kind={given['kind']!r} (flexfmu.{family}.{name})"
                 )
             # None leaves a key out
             values = {key: _plain(value) for key, value in given.items() if value is not None}

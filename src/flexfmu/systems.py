@@ -147,10 +147,10 @@ def slave(
     """
     if isinstance(source, str | PathLike):
         path = fspath(source)
-        return fmu_slave(path, SlaveNames().of_file(path, name), dict(parameters or {}), sample_time=sample_time)
+        return fmu_slave(path, SlaveNames(()).of_file(path, name), dict(parameters or {}), sample_time=sample_time)
     if parameters or sample_time is not None:
         raise InputError(f"parameters and sample_time are those of an FMU, got {type(source).__name__}: leave them out")
-    return as_slave(source, name=name)
+    return as_slave(source, SlaveNames(()), name)
 
 
 def simulate(
@@ -191,7 +191,7 @@ def simulate(
         InputError: a slave can't be made, names or units don't fit, outputs and inputs depend on each other at one instant, or
             times don't fit together.
     """
-    names = SlaveNames()
+    names = SlaveNames(())  # nothing is reserved without a scene
     made = [as_slave(each, names) for each in listed(slaves, "slaves")]
     if not made:
         raise InputError("there is nothing to simulate: give at least one slave")
@@ -199,6 +199,10 @@ def simulate(
         if isinstance(value, str) or not isfinite(value):
             raise InputError(f"{what} must be a finite number of seconds, got {value!r}")
     solver = Anderson() if loops else None
+    if not isinstance(connections or {}, Mapping):
+        raise InputError(
+            f"connections give the source of each input, got {connections!r}: write {{'load.u': 'drive.y'}}"
+        )
     wires = [(source, target) for target, source in (connections or {}).items()]
     system = connect_slaves(made, wires, loops=solver)
     return simulate_system(

@@ -230,9 +230,13 @@ def python_callback(function: Callable[[int, float, float], object], when: When,
             return 1
         return 0
 
+    def failure(status: int, begin: float, end: float) -> BaseException:
+        # only a signal raises outside the `try`, and ctypes drops what is raised there
+        return raised.pop() if raised else KeyboardInterrupt()
+
     callback = CALLBACK(guarded)
     pointers: dict[str, int | None] = {"function": pointer(callback)}
-    return Instruction(Opcode.CALL, when, owner, lambda *_: raised.pop(), {}, pointers, (callback,))
+    return Instruction(Opcode.CALL, when, owner, failure, {}, pointers, (callback,))
 
 
 def pointer(function: Any) -> int | None:
