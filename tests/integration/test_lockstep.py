@@ -127,6 +127,7 @@ def test_a_neighbour_that_fails_leaves(lanes: int, bad: tuple[float, ...]) -> No
         np.testing.assert_allclose(np.delete(found, place, axis=0), expected, rtol=10 * TOLERANCE)
 
 
+@pytest.mark.slow
 def test_all_fail() -> None:
     """Nothing is left to go on with."""
     _, failed = lockstep(LANES[-1]).peaks(np.full((3, 5), np.nan), 0.2)

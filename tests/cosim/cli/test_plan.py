@@ -122,6 +122,7 @@ def found() -> PlanResult:
     return plan_scene(scene, methods=(), candidates=[Candidate(label, "search", slow)], robust=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [60, 120])
 def test_tables_fit_the_terminal(found: PlanResult, columns: int) -> None:
     console = Console(file=StringIO(), width=columns)

@@ -63,6 +63,7 @@ def test_stated_errors_hold(study: dict[str, Any]) -> None:
     assert near >= 0.90 * count
 
 
+@pytest.mark.slow
 def test_no_metric_is_exact(run: Run) -> None:
     """Metrics at the motion's end aren't interpolated, but integrated: none has an error of 0, and a second companion
     confirms what the first one states."""
@@ -141,6 +142,7 @@ def test_a_companion_leaves_a_user_s_slaves_alone(run: Run) -> None:
     assert spring.samples == samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "step", "error"), [(1e-6, 2e-4, 1e-3), (1e-8, 1e-3, 1.0)])
 def test_overdamped_links_give_no_false_alarm(tolerance: float, step: float, error: float) -> None:
     """With a stiffness damping of 10 s the links hardly move: the torque is 69.297 N.m, as one learns by tighter and looser
@@ -219,6 +221,7 @@ def test_companions_are_more_accurate_than_they_say(study: dict[str, Any]) -> No
     assert np.median(gains) > 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -58,6 +58,7 @@ def judged(robot: Scene, motion: PiecewisePolynomial, motors: JointSpline) -> tu
     return sizes[0], sizes[1], np.abs(run.torque).max(axis=1)
 
 
+@pytest.mark.slow
 def test_corrected_references_hold_for_the_band(
     robot: Scene, motion: PiecewisePolynomial, nominal: JointSpline, found: Correction
 ) -> None:

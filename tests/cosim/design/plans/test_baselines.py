@@ -19,6 +19,8 @@ from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory
 from flexfmu.trajectories.table import write_table
 
+pytestmark = pytest.mark.slow
+
 FEW = {"effects.proximal_bending": 1, "effects.distal_axial": 1}
 SCENE = flexfmu.load_scene("barnard2012-6kg").replace(FEW)
 
@@ -36,7 +38,6 @@ def found(request: pytest.FixtureRequest, goals: Goals) -> list[Candidate]:
     return list(method(goals, [], 1, lambda text, fraction: None))
 
 
-@pytest.mark.slow
 def test_ends(found: list[Candidate], goals: Goals) -> None:
     """They move from rest to rest, from the scene's start to its end."""
     for candidate in found:
@@ -48,7 +49,6 @@ def test_ends(found: list[Candidate], goals: Goals) -> None:
         np.testing.assert_allclose(values[1], 0.0, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_limits(found: list[Candidate], goals: Goals) -> None:
     """The first keeps to the limits that its planner knows, one of them nearly used up; the last keeps to all but the residual
     and the clearance."""

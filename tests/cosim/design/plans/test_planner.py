@@ -30,6 +30,8 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.scene.file import load_scene
 
+pytestmark = pytest.mark.slow
+
 FEW = {"effects.proximal_bending": 1, "effects.distal_axial": 1}
 SCENE = load_scene("barnard2012-6kg").replace(FEW)
 GOALS = goals_of(SCENE)
@@ -215,7 +217,6 @@ def test_the_front_door_takes_wishes_and_motions() -> None:
     assert found.to_pandas()["motion"].tolist() == [row["motion"] for row in found.rows()]
 
 
-@pytest.mark.slow
 def test_an_undeformed_start_is_planned_from_rest() -> None:
     """What the robot swings from there is no motion's: figures are those of a static start, and a note says so."""
     undeformed = SCENE.replace({"cosimulation.initial": "undeformed"})
@@ -248,7 +249,6 @@ def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float)
     assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.peaks[0].torque[0], rel=1e-6)
 
 
-@pytest.mark.slow
 @settings(max_examples=12)
 @drawn(st.floats(-0.2, 0.2))
 def test_a_ratio_below_the_holding_torque_is_refused_at_once(shift: float) -> None:

@@ -24,6 +24,8 @@ from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicBlock
 
+pytestmark = pytest.mark.slow
+
 COUNT = 200
 """Samples: four stages of the source, five cycles of what learns, and more than the memory of what delays."""
 
@@ -80,7 +82,6 @@ def test_sampled_without_python(name: str) -> None:
     assert None not in [slave.sample_calls(phase) for phase in phases]
 
 
-@pytest.mark.slow
 def test_fast_shaper(export: Callable[..., Any]) -> None:
     """A long line of samples."""
     block = shaper_block(SEQUENCE, SAMPLE_TIME / 200.0)
@@ -107,7 +108,6 @@ def test_rate_of_an_encoder_in_fmpy(window: int) -> None:
     np.testing.assert_allclose(rate, [0.0, *np.minimum(np.arange(19) / window, 1.0) * 2.0], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "computed_torque", "iterative_learning", "shaper_block"])
 def test_exported_block_is_valid(name: str) -> None:
     """Descriptions with every unit and limit, and a short life with the start values of all inputs."""
