@@ -231,6 +231,7 @@ def test_impulses_on_the_grid_stay_whole() -> None:
     assert len(zero_vibration(Oscillator(1.0 / 0.6)).split(0.1).times) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.0, 0.1357])
 @pytest.mark.parametrize("width", [0.0, 0.05, 0.2, 0.39, 0.6, 0.72, 1.0])
 def test_specified_insensitivity_keeps_the_tolerance(width: float, ratio: float) -> None:

@@ -119,6 +119,7 @@ def test_stiction_at_the_tightest_tolerance() -> None:
     assert abs(found[0] - found[1]).max() < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("integrator", "step"), [("rk4", 5e-5), ("rk4", 7e-5), ("dopri5", 5e-5), ("dopri5", 3e-4)])
 def test_a_long_fixed_step_is_not_the_loops_fault(integrator: str, step: float) -> None:
     """A stable loop whose explicit integrator diverges: the step is the cause, the loop is named in the second place."""

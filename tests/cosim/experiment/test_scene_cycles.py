@@ -97,6 +97,7 @@ def test_summary_and_report_tell_of_the_cycles(cycles: flexfmu.Run) -> None:
     assert "there and back 2 times with pauses of 0.05 s" in render_report(summary, ())
 
 
+@pytest.mark.slow
 def test_variants_of_cycles_are_their_own_runs() -> None:
     """Numbers of cycles, pauses and durations vary, side by side or not, and each is what its scene alone gives."""
     varied: Sequence[dict[str, Any]] = [

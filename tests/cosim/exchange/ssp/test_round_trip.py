@@ -18,6 +18,8 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
+pytestmark = pytest.mark.slow
+
 TIGHT = 1e-11
 """Of the magnitude of a signal: what passes between the slaves and the end effector's motion differ by what the trajectory's
 FMU differs from the trajectory, 1e-12 or so."""
@@ -33,7 +35,6 @@ SENSITIVITY = 5.0
 whatever goes in, by up to 1e6 in their fourth derivatives."""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motion", "controlled", "summed", "furnished"])
 def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureRequest) -> None:
     """Same instants, same signals: derivatives are streamed, blocks are sampled at their own instants, all slaves are there, and the
@@ -85,7 +86,6 @@ def derivatives(column: Column) -> list[np.ndarray]:
     return [each for each in (column.values, column.first, column.second) if each is not None]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motion", "controlled"])
 def test_fmpy_finds_nothing_to_complain_about(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """SSD and SSV are valid against the standard's schemas, the FMUs within are valid too."""
@@ -138,7 +138,6 @@ def test_times_come_with_the_file(motion_scene: Scene, motion_ssp: Path) -> None
     assert (other.start, other.stop, other.step) == (0.1, 0.2, 1e-3)
 
 
-@pytest.mark.slow
 def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scene, tmp_path: Path) -> None:
     """The torques that hold the start pose are in the parameter set: inputs that nothing feeds keep them."""
     scene = controlled_scene.replace({"controller": [], "shaper": [], "imperfection": []})
@@ -152,7 +151,6 @@ def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scen
     assert simulation.recording["joint1.torque"].values[-1] == expected["joint1.torque"].values[-1] != 0.0
 
 
-@pytest.mark.slow
 def test_a_continuous_lag_leaves_as_a_sampled_one(tmp_path: Path) -> None:
     """The end effector is off by what half a sample of a tenth of the time constant makes, as the page says."""
     lag, pd = {"kind": "lag", "time_constant": 2e-4}, {"kind": "pd", "proportional": 5e3, "derivative": 50.0}

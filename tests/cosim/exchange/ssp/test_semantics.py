@@ -14,6 +14,8 @@ from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 from flexfmu.cosim.exchange.ssp.structure import SspError, SspUnit, ValueMap
 
+pytestmark = pytest.mark.slow
+
 MakeSsp = Callable[..., Path]
 STEP, COUNT = 0.125, 8
 
