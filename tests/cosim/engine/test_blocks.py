@@ -181,8 +181,9 @@ def test_late_steps_end_at_their_references() -> None:
     for times in (early, late):
         slave.prepare(times)
         width = np.diff(times)[:, None]
-        reached = sum(slave.announced[:-1, j] * width**j / factorial(j) for j in range(10))
-        scale = abs(slave.ended[:, 0]).max(axis=0)
-        errors.append((abs(reached - slave.ended[1:, 0]) / scale).max())
+        terms = np.array([slave.announced[:-1, j] * width**j / factorial(j) for j in range(10)])
+        # at corners terms of accelerations are larger than their sum, and so is its rounding
+        largest = abs(terms).sum(axis=0).max(axis=0)
+        errors.append((abs(terms.sum(axis=0) - slave.ended[1:, 0]) / largest).max())
     assert abs(np.diff(late) - np.diff(early)).max() > 4e-13
-    assert max(errors) < 1e-14
+    assert max(errors) < 32 * np.finfo(float).eps
