@@ -1,373 +1,579 @@
-"""Optimal control of the flexible robot: joint references with free end time, within limits, from rest to rest.
+"""Optimal joint references within limits that hold for several variants of a robot, by sequential convex programming.
 
-Joint angles are B-splines, the elastic motion of one or several robots under them is collocated (`transcription`), and IPOPT
-minimises time or effort with exact derivatives. Constraints: equations of motion, torques, end effector in its area, speed,
-acceleration and jerk of the joints, no vibration of any mode at the end. A coarse grid finds the motion, a fine one corrects it, and
-what exceeds a limit between the points is taken off the limit for a last correction.
+The first stage has few variants and a loose bound on the residual vibration; the bound then falls, with more variants. In the end
+all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
+what still lies between them tightens the limits.
 
-Unknowns are [free coefficients of joint 1, of joint 2, T], and for each robot its elastic coordinates / scales and its end effector in
-the area's frame. Every nonlinear function belongs to a single point in time; see `transcription`.
+The elastic motion is eliminated: `FleetResponse` gives torques, end effector and end state of all variants with exact
+derivatives. A quadratic programme linearises the limits and finds the step that reduces the duration, or the motors' effort in a given
+duration, most, less a penalty on changes of the accelerations that is adapted like a trust region. At the fastest motion about as many
+limits are active as there are variables, so that the programmes converge without second derivatives; the effort is a sum of convex
+functions of torques or powers, whose curvature they have (Gauss-Newton). Limits that can't be met yet are relaxed at a price (l1
+merit function), and further programmes with the limits' values at the new motion correct their curvature (second-order
+correction).
 
-All that is scaled is scaled by the given motion. Sources: A. Waechter and L. T. Biegler, Mathematical Programming 106 (2006)
-(IPOPT); J. T. Betts, *Practical Methods for Optimal Control*, SIAM 2010, chapter 4.
+All limits are g(x) <= slack of their group, with g relative to the limit, and x = [free coefficients of joint 1, of joint 2, T].
+What remains of the vibration is bounded mode by mode: the sum over the modes of modal amplitude at the end of the motion times
+displacement of the end effector by the mode. It bounds the free vibration after the motion. The amplitude of a mode, the length of
+a vector [place, rate], is bounded by half planes in `DIRECTIONS`.
+
+Sources: J. Nocedal and S. Wright, *Numerical Optimization*, Springer 2006, sections 15.6 and 18.5; R. Fletcher and E. Sainz de la
+Maza, Nonlinear programming and nonsmooth optimization by successive linear programming, Mathematical Programming 43 (1989).
 """
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from threading import current_thread, main_thread
-from typing import Any, Literal
+from typing import Literal
 
-import casadi
 import numpy as np
-from scipy import sparse
-from scipy.interpolate import CubicSpline
+from numpy.typing import NDArray
 
-from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.reference_design.control_rows import (
-    Area,
-    ReferenceLimits,
-    RobotLimits,
-    constant,
-    reference_rows,
-    robot_rows,
-)
-from flexfmu.model.reference_design.joint_spline import JointSpline, basis, fitted
-from flexfmu.model.reference_design.transcription import CollocationGrid, Effort, Matrix, Transcription, transcribed
+from flexfmu.model.reference_design.elastic_response import METHOD, FleetResponse, Response, joined, spline_derivatives
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, derivative_matrix
+from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
+from flexfmu.model.reference_design.variants import Rest, RobotVariant, VariantModel, free_modes
+from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 
+Distances = Callable[[RealArray], tuple[RealArray, RealArray]]
+"""Points (N, 2) [m] → distances (K, N) [m], negative where the end effector must not be, and their gradients (K, N, 2)."""
+
+GROUPS = ("torque", "speed", "acceleration", "jerk", "clearance", "residual")
+CLEARANCE, RESIDUAL = 4, 5
+
+DEPTH = 1e-3
+"""Depth [m] that counts as much as a torque twice as large as allowed."""
+
+RESIDUAL_SCALE = 0.02
+"""A residual vibration twice as large as allowed counts as much as a torque 2 % too large: it ends small anyway."""
+
+DIRECTIONS = np.arange(8) * np.pi / 4
+"""Normals [rad] of the half planes that bound the amplitude of a mode; with 8 of them to 8 %."""
+
+WORST = 3
+"""Number of variants whose torques and distances count at an instant: those of variants with similar payloads are similar."""
+
+SLOW = 6.0
+"""Modes up to this multiple of a variant's lowest frequency count; smooth references don't excite faster ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits of a motion for P variants.
+
+    Attributes:
+        torque: largest magnitude of both motor torques (P, 2) [N m].
+        speed, acceleration, jerk: largest magnitudes of the joint references [rad/s, rad/s², rad/s³].
+        residual: largest displacement of the end effector by vibration after the motion [m].
+        distances: to what the end effector must keep clear of.
+    """
+
+    torque: RealArray
+    speed: float
+    acceleration: float
+    jerk: float
+    residual: float
+    distances: Distances
+
+
+@dataclass(frozen=True, eq=False)
+class Inequalities:
+    """Inequalities at a motion: values g (R,), indices of their groups (R,), derivatives (R, m), and which can decide (R,)."""
+
+    values: RealArray
+    groups: NDArray[np.intp]
+    jacobian: RealArray
+    deciding: NDArray[np.bool_]
+
+
+class LimitRows:
+    """The limits of motions of one size, but for the residual vibration, row by row: references, torques, clearance.
+
+    Args:
+        limits: the limits.
+        degree, intervals: of the splines.
+    """
+
+    def __init__(self, limits: MotionLimits, degree: int, intervals: int) -> None:
+        self.limits = limits
+        # the first and last coefficients of derivatives are zero
+        self._matrices = [derivative_matrix(degree, intervals, k)[REST - k : k - REST] for k in (1, 2, 3)]
+        self._largest = (limits.speed, limits.acceleration, limits.jerk)
+        self.free = intervals + degree - 2 * REST
+
+    def values(self, motion: JointSpline, response: Response) -> tuple[RealArray, NDArray[np.intp]]:
+        """g (R,) and the groups (R,)."""
+        found = [np.abs(each).ravel() - 1.0 for each in self._references(motion)]
+        found.append((np.abs(response.torque) / self.limits.torque[:, np.newaxis] - 1.0).ravel())
+        found.append(-self.limits.distances(response.position.reshape(-1, 2))[0].ravel() / DEPTH)
+        groups = [np.full(each.size, group) for each, group in zip(found, (1, 2, 3, 0, 4), strict=True)]
+        return np.concatenate(found), np.concatenate(groups)
+
+    def rows(self, motion: JointSpline, response: Response) -> Inequalities:
+        """The inequalities with derivatives."""
+        values, groups = self.values(motion, response)
+        m = 2 * self.free + 1
+        found = []
+        for k, (matrix, each, largest) in enumerate(
+            zip(self._matrices, self._references(motion), self._largest, strict=True), 1
+        ):
+            block = np.zeros((len(matrix), 2, m))
+            for joint in range(2):
+                columns = slice(joint * self.free, (joint + 1) * self.free)
+                block[:, joint, columns] = matrix[:, REST:-REST] / (largest * motion.duration**k)
+            block[..., -1] = -k * each / motion.duration
+            found.append((np.sign(each)[..., np.newaxis] * block).reshape(-1, m))
+        signed = np.sign(response.torque) / self.limits.torque[:, np.newaxis]
+        found.append((signed[..., np.newaxis] * response.torque_by).reshape(-1, m))
+        gradient = self.limits.distances(response.position.reshape(-1, 2))[1]
+        gradient = np.asarray(gradient).reshape(-1, *response.position.shape)
+        found.append((-np.einsum("kpnj,pnjm->kpnm", gradient, response.position_by) / DEPTH).reshape(-1, m))
+        return Inequalities(values, groups, np.concatenate(found), self._deciding(values, response))
+
+    def _deciding(self, values: RealArray, response: Response) -> NDArray[np.bool_]:
+        """Which rows can decide (R,): of torques and of distances those of the `WORST` variants at the same instant."""
+        count, instants, joints = response.torque.shape
+        found, first = np.ones(len(values), dtype=bool), 2 * sum(map(len, self._matrices))
+        middle = first + response.torque.size
+        parts = [(slice(first, middle), (1, count, instants * joints)), (slice(middle, None), (-1, count, instants))]
+        for part, shape in parts if count > WORST else ():
+            of_variants = values[part].reshape(shape)
+            least = np.partition(of_variants, -WORST, axis=1)[:, -WORST, np.newaxis]
+            found[part] = (of_variants >= least).ravel()
+        return found
+
+    def _references(self, motion: JointSpline) -> list[RealArray]:
+        """Coefficients of speed, acceleration and jerk, each relative to its limit (n_k, 2)."""
+        return [
+            matrix @ motion.coefficients / (motion.duration**k * largest)
+            for k, (matrix, largest) in enumerate(zip(self._matrices, self._largest, strict=True), 1)
+        ]
+
+
+class ResidualVibration:
+    """Modal amplitudes of the vibration that remains at the end, in displacements of the end effector.
+
+    Args:
+        models: the variants of each scene.
+        end: joint angles after the motion (2,) [rad].
+    """
+
+    def __init__(self, models: Sequence[VariantModel], end: RealArray) -> None:
+        rests = [model.rest(end) for model in models]
+        # from elastic coordinates and their rates at the end: (P, 2, k, n)
+        self.matrices = joined([_to_amplitudes(rest) for rest in rests])
+        self._rest = joined([rest.elastic for rest in rests])
+        self.error = np.zeros((len(self._rest), 2, self._rest.shape[1]))
+
+    def amplitudes(self, end: RealArray) -> RealArray:
+        """Modal places and rates (P, 2, k) [m] for states at the end (P, 2, n), the grid's error added."""
+        away = end + self.error
+        away[:, 0] -= self._rest
+        return np.asarray((self.matrices @ away[..., np.newaxis])[..., 0])
+
+    def largest(self, end: RealArray) -> RealArray:
+        """Bounds (P,) of the displacement of the end effector after the motion [m]."""
+        return np.asarray(np.linalg.norm(self.amplitudes(end), axis=1).sum(axis=-1))
+
+
+def _to_amplitudes(rest: Rest) -> RealArray:
+    """Matrices (P, 2, k, n) from elastic coordinates and their rates to displacements of the end effector by the k slowest modes."""
+    modes = free_modes(rest)
+    count = int((modes.frequencies < SLOW * modes.frequencies[:, :1]).any(axis=0).sum())
+    size = np.linalg.norm(modes.displacements, axis=1)[:, :count, np.newaxis]
+    coordinates = modes.coordinates[:, :count] * size
+    return np.stack([coordinates, coordinates / modes.frequencies[:, :count, np.newaxis]], axis=1)
+
+
+PRICES = 2.0, 500.0
+"""Price of a slack, in costs of the start, at first and at most; it grows while limits that can be met aren't."""
+
+REACH = 0.1
+"""Largest change of a coefficient in one step, relative to the swing of the joints, and of the duration."""
+
+NEAR, FAR = 0.15, 3.0
+"""Torques and references that stay so far below their limit, relative to it, don't enter a programme, nor distances above 3 mm."""
+
+MET = 1e-4
+"""Violation up to which a limit counts as met."""
+
+CURVED = 1e-4
+"""Least curvature of the merit, in durations for a change of all coefficients by the swing: programmes have one solution."""
+
+PENALTY = 0.3, 1e4
+"""Penalty on changes of the accelerations at first, and at most."""
+
+CORRECTIONS = 2
+"""Largest number of corrections of a step."""
+
+ENOUGH = 1e-3
+"""Predicted fall of the merit, relative to the start's cost, below which a motion is the best."""
+
+
 Aim = Literal["time", "torque", "rms_torque", "energy", "residual"]
-"""What is minimised; all but time at a given duration. The aim "residual" is a motion without any at the least torques."""
-
-SMOOTHING = 0.03
-"""Weight of the joints' squared jerk in normalised time, relative to the start's: it selects one of many motions that cost the same."""
-
-ROUNDING = 0.05
-"""Power within which the corner at zero is rounded, relative to the largest torque x the largest speed of the start."""
+"""What is minimised; all but time at a given duration. The aim "residual" is a motion without any at the least RMS torques."""
 
 PEAK = 8
 """Power whose mean stands for a peak."""
 
-GROWTH = (0.1, 1.5)
-"""Bounds of a free duration, relative to the start's."""
+ROUNDING = 0.05
+"""Power within which the corner at zero is rounded, relative to the largest torque x the largest speed of the start."""
 
 
-class MotionProgramme:
-    """The programme for robots that share a motion, all on the same grid.
+class Effort:
+    """What the motors' effort costs: a mean over variants and instants, relative to that of a first motion.
+
+    Torques count by their squares or, for the peak, by a high power; of the energy counts what the motors give, without what they
+    take back.
 
     Args:
-        transcriptions: equations of the robots.
-        robots: the robots.
-        limits: of the joints' references.
-        area: where the end effector may go.
-        start: the motion by which the objective is scaled, on the grid's splines.
         aim: what is minimised.
+        start: the first motion.
+        response: of the variants to it.
+        fractions: instants of responses (N,), the stages of equal steps.
     """
 
-    def __init__(
-        self,
-        transcriptions: Sequence[Transcription],
-        robots: Sequence[RobotLimits],
-        limits: ReferenceLimits,
-        area: Area,
-        start: JointSpline,
-        aim: Aim = "time",
-    ) -> None:
-        self.transcriptions, self.grid, self.area, self._scale = transcriptions, transcriptions[0].grid, area, start
-        # the unknowns: joints and duration, then robot by robot
-        joints = casadi.MX.sym("joints", self.grid.free + 1)
-        sizes = [len(self.grid.points) * (each.n + 2) for each in transcriptions]
-        own = [casadi.MX.sym("own", size) for size in sizes]
-        parts = [
-            robot_rows(each, robot, area, _effort(aim, start, robot), joints, unknowns)
-            for each, robot, unknowns in zip(transcriptions, robots, own, strict=True)
-        ]
-        rows = [reference_rows(transcriptions[0], limits, start.duration, joints), *parts]
-        self._bounds = [np.concatenate(each) for each in zip(*((row.lower, row.upper) for row in rows), strict=True)]
-        # objective: time or effort, and a smooth motion
-        smooth, quadratic = _smoothness(transcriptions[0], joints, start)
-        time = aim == "time"
-        efforts = [0.0 if time else part.effort / len(parts) for part in parts]
-        objective = SMOOTHING * smooth + (joints[-1] / start.duration if time else sum(efforts))
-        # constraints and their Jacobian
-        x, g = casadi.vertcat(joints, *own), casadi.vertcat(*(row.values for row in rows))
-        by_own = casadi.vertcat(
-            casadi.MX(rows[0].values.numel(), sum(sizes)), casadi.diagcat(*(row.by_own for row in parts))
-        )
-        jacobian = casadi.horzcat(casadi.vertcat(*(row.by_joints for row in rows)), by_own)
-        # Hessian of the Lagrangian, upper triangle
-        weight, multipliers = casadi.MX.sym("weight"), casadi.MX.sym("multipliers", g.numel())
-        of_row = casadi.vertsplit(multipliers, np.cumsum([0, *(row.values.numel() for row in rows)]).tolist())
-        blocks = [row.hessian(mu, weight / len(parts)) for row, mu in zip(rows, of_row, strict=True)]
-        corner = weight * SMOOTHING * quadratic + sum(block[0] for block in blocks)
-        hessian = casadi.vertcat(
-            casadi.horzcat(corner, *(block[1] for block in blocks[1:])),
-            casadi.horzcat(casadi.MX(sum(sizes), joints.numel()), casadi.diagcat(*(block[2] for block in blocks[1:]))),
-        )
-        nothing = casadi.MX.sym("p", 0)
-        self.problem: dict[str, Any] = {"x": x, "f": objective, "g": g}
-        self.gradient = casadi.Function("gradient", [x], [casadi.gradient(objective, x).T])
-        self.derivatives: dict[str, Any] = {
-            "jac_g": casadi.Function("nlp_jac_g", [x, nothing], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-            "hess_lag": casadi.Function(
-                "nlp_hess_l", [x, nothing, weight, multipliers], [casadi.triu(hessian)],
-                ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
-            ),
-        }  # fmt: skip
+    def __init__(self, aim: Aim, start: JointSpline, response: Response, fractions: RealArray) -> None:
+        self._aim, self._fractions = aim, fractions
+        weights = np.tile(METHOD.matrix[-1], len(fractions) // 3) / (len(fractions) // 3)
+        self._weights = weights[:, np.newaxis] / len(response.torque)
+        self._torque, self._speed = np.abs(response.torque).max(), np.abs(start.evaluate(fractions, 1)[1]).max()
+        self._unit = 1.0
+        self._unit = self.value(start, response)
 
-    def start(self, spline: JointSpline) -> RealArray:
-        """The unknowns of a motion on the grid's splines, with the elastic motion that it causes."""
-        found = [self.transcriptions[0].joints(spline)]
-        for each in self.transcriptions:
-            elastic = each.settled(found[0])
-            position = each.values(each.arguments(found[0], elastic))[each.n : each.n + 2].T
-            found += [elastic, ((position - self.area.origin) @ self.area.axes.T / self.area.scale).ravel()]
-        return np.concatenate(found)
+    def value(self, motion: JointSpline, response: Response) -> float:
+        """The cost of a motion."""
+        return float((self._weights * self._costs(self._figures(motion, response))[0]).sum()) / self._unit
 
-    def bounds(self, duration: float | None) -> dict[str, RealArray]:
-        """Bounds of unknowns and constraints, with a free duration or a given one [s]."""
-        count, scale, free = len(self.grid.points), self.area.scale, self.grid.free
-        lower, upper = np.full(free + 1, -np.inf), np.full(free + 1, np.inf)
-        times = np.array(GROWTH) * self._scale.duration if duration is None else (duration, duration)
-        lower[-1], upper[-1] = times
-        margin = self.area.margin
-        for each in self.transcriptions:
-            loose = np.full(count * each.n, np.inf)
-            lower = np.concatenate([lower, -loose, np.tile((self.area.low - margin) / scale, count)])
-            upper = np.concatenate([upper, loose, np.tile((self.area.high + margin) / scale, count)])
-        return {"lbx": lower, "ubx": upper, "lbg": self._bounds[0], "ubg": self._bounds[1]}
+    def derivatives(self, motion: JointSpline, response: Response) -> tuple[RealArray, RealArray]:
+        """Gradient (m,) of the cost, and the positive part of its curvature (m, m)."""
+        figures, by = self._figures(motion, response), response.torque_by / self._torque
+        if self._aim == "energy":
+            speed, speed_by = (
+                motion.evaluate(self._fractions, 1)[1],
+                spline_derivatives(motion, self._fractions)[:, 2:4],
+            )
+            by = by * (speed / self._speed)[..., np.newaxis]
+            by += (response.torque / self._torque)[..., np.newaxis] * (speed_by / self._speed)
+        _, slopes, curvatures = (self._weights * each / self._unit for each in self._costs(figures))
+        flat = by.reshape(-1, by.shape[-1])
+        return np.asarray(slopes.ravel() @ flat), np.asarray((flat.T * curvatures.ravel()) @ flat)
 
-    def spline(self, x: RealArray) -> JointSpline:
-        """The joints' motion of unknowns."""
-        return self.transcriptions[0].spline(x[: self.grid.free + 1])
+    def _figures(self, motion: JointSpline, response: Response) -> RealArray:
+        """Torques, or for the energy powers, (P, N, 2), relative to the largest of the first motion."""
+        torque = response.torque / self._torque
+        return torque * motion.evaluate(self._fractions, 1)[1] / self._speed if self._aim == "energy" else torque
 
-
-def _smoothness(equations: Transcription, joints: casadi.MX, start: JointSpline) -> tuple[casadi.MX, casadi.DM]:
-    """Mean squared jerk of both joints in normalised time / that of the start, and its Hessian by [joints, T]."""
-    grid = equations.grid
-    nodes, weights = np.polynomial.legendre.leggauss(grid.degree - 2)
-    points = ((np.arange(grid.splines)[:, np.newaxis] + 0.5 + 0.5 * nodes) / grid.splines).ravel()
-    roots = np.sqrt(np.tile(0.5 * weights / grid.splines, grid.splines))[:, np.newaxis]
-    values = roots * (basis(grid.degree, grid.splines, points, 3) @ grid.rest)
-    scale = np.linalg.norm(roots[:, :, np.newaxis] * start.evaluate(points, 3)[3][:, np.newaxis]) * start.duration**3
-    # jerk / scale at Gauss' points: its square is the integral
-    both: Matrix = sparse.block_diag([values[:, 1:-1] / scale] * 2)
-    matrix = constant(sparse.hstack([both, sparse.csr_matrix((2 * len(points), 1))]))
-    jerk = matrix @ joints + (values[:, [0, -1]] @ equations.ends).T.ravel() / scale
-    return casadi.sumsqr(jerk), 2.0 * matrix.T @ matrix
-
-
-def _effort(aim: Aim, start: JointSpline, robot: RobotLimits) -> tuple[Effort | None, float]:
-    """What the motors' effort counts, and its scale."""
-    size = float(max(robot.torque))
-    if aim == "time":
-        return None, 1.0
-    if aim == "energy":
-        speed = float(abs(start.evaluate(np.linspace(0.0, 1.0, 200), 1)[1]).max())
-        return _GivenPower(ROUNDING * size * speed), size * speed
-    return (_peak, size**PEAK) if aim == "torque" else (_square, size**2)
-
-
-def _square(torque: casadi.SX, speed: casadi.SX) -> casadi.SX:
-    return casadi.sumsqr(torque)
-
-
-def _peak(torque: casadi.SX, speed: casadi.SX) -> casadi.SX:
-    return casadi.sum1(torque**PEAK)
-
-
-@dataclass(frozen=True)
-class _GivenPower:
-    """Power that the motors give, without what they take back; the corner at zero is rounded [W], since IPOPT needs curvature."""
-
-    rounding: float
-
-    def __call__(self, torque: casadi.SX, speed: casadi.SX) -> casadi.SX:
-        power = torque * speed
-        return casadi.sum1(0.5 * (power + casadi.sqrt(power**2 + self.rounding**2)))
-
-
-COARSE, FINE = CollocationGrid(intervals=30, stages=3), CollocationGrid()
-"""Grids that find and that correct a motion: 10 and 0.1 µm of residual vibration by their errors on the shipped robot."""
-
-CHECK = CollocationGrid(intervals=56)
-"""Grid on which limits are checked between the points, by splines through its points."""
-
-DENSE = 2000
-"""Points of these splines."""
-
-OPTIONS: dict[str, Any] = {
-    "print_time": False,
-    "calc_lam_p": False,
-    "calc_f": False,
-    "ipopt.sb": "yes",
-    "ipopt.print_level": 0,
-    "ipopt.linear_solver": "mumps",
-    "ipopt.mumps_pivtol": 1e-3,
-    "ipopt.nlp_scaling_method": "none",
-    "ipopt.max_iter": 120,
-    "ipopt.max_cpu_time": 40.0,
-}
-"""Of IPOPT through CasADi. MUMPS' default pivoting fails on these equations."""
-
-FIND: dict[str, Any] = {"ipopt.mu_strategy": "adaptive", "ipopt.mu_init": 1e-2, "ipopt.tol": 1e-4}
-"""To find a motion, far from the optimum."""
-
-CAREFUL: dict[str, Any] = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-1, "ipopt.tol": 1e-4}
-"""The same, slower, where the first doesn't converge."""
-
-PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-
-CORRECT: dict[str, Any] = {f"ipopt.{key}": 1e-5 for key in PUSHES} | {
-    "ipopt.mu_strategy": "monotone",
-    "ipopt.mu_init": 1e-5,
-    "ipopt.tol": 1e-5,
-}
-"""To correct a motion that is nearly optimal."""
-
-CORRECTIONS = 3
-"""Solutions on the fine grid, at most."""
-
-SURE = 1.001
-"""Factor on what a motion exceeds limits by."""
-
-ENOUGH = 1e-5
-"""Relative excess over a limit that needs no correction."""
+    def _costs(self, y: RealArray) -> tuple[RealArray, RealArray, RealArray]:
+        """A convex function of figures, with its first and second derivatives."""
+        if self._aim == "energy":
+            root = np.sqrt(y**2 + ROUNDING**2)
+            return 0.5 * (y + root), 0.5 * (1.0 + y / root), 0.5 * ROUNDING**2 / root**3
+        power = PEAK if self._aim == "torque" else 2
+        return y**power, power * y ** (power - 1), power * (power - 1) * y ** (power - 2)
 
 
 @dataclass(frozen=True, eq=False)
-class OptimalMotion:
-    """A motion on the way to the optimum.
+class State:
+    """A motion, and what it costs in units of the start's."""
+
+    motion: JointSpline
+    response: Response
+    violations: RealArray
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The limits, linearised at a motion: rows, modal amplitudes (P, 2, k) and their derivatives (P, 2, k, m).
 
     Attributes:
-        spline: the joints' motion.
-        grid: the grid that its equations are solved on.
-        converged: whether IPOPT found an optimum.
-        status: IPOPT's outcome.
+        slope, curvature: of the cost, (m,) and (m, m).
     """
 
-    spline: JointSpline
-    grid: CollocationGrid
-    converged: bool
-    status: str
+    rows: Inequalities
+    amplitudes: RealArray
+    amplitudes_by: RealArray
+    slope: RealArray
+    curvature: RealArray
 
 
-@one_blas_thread()
-def optimal_motions(
-    robots: Sequence[RobotLimits],
-    limits: ReferenceLimits,
-    area: Area,
-    start: JointSpline,
-    aim: Aim = "time",
-    duration: float | None = None,
-    grids: tuple[CollocationGrid, CollocationGrid] = (COARSE, FINE),
-) -> Iterator[OptimalMotion]:
-    """Yield optimal motions: from a coarse grid, from a fine one, and with limits that hold between its points.
+class Stage:
+    """The limits of some variants, and their programmes.
 
     Args:
-        robots: the robots that share the motion, with their limits.
-        limits: of the joints' references.
-        area: where the end effector may go.
-        start: the given motion, or a better one; it is stretched where it violates limits.
-        aim: what to minimise.
-        duration: duration of the motion [s]; None for a free one, which the aim "time" needs.
-        grids: that find and that correct the motion, with the same splines.
+        elastic: the variants' response.
+        limits: the limits of these variants.
+        start: a motion with the ends and the size of all.
+        unit: duration that costs 1 [s].
+        aim: what is minimised; the effort of the start costs 1.
+    """
+
+    def __init__(
+        self, elastic: FleetResponse, limits: MotionLimits, start: JointSpline, unit: float, aim: Aim = "time"
+    ) -> None:
+        self.elastic, self.limits, self.unit = elastic, limits, unit
+        self._effort = None
+        if aim != "time":
+            self._effort = Effort(aim, start, elastic.of_spline(start, derivatives=False), elastic.fractions)
+        self.price, self.penalty = PRICES[0], PENALTY[0]
+        self._rows = LimitRows(limits, start.degree, start.intervals)
+        self.vibration = ResidualVibration([part.model for part in elastic.parts], start.coefficients[-1])
+        m = 2 * self._rows.free + 1
+        swing = float(np.ptp(start.coefficients, axis=0).max())
+        self._scale = np.concatenate([np.full(m - 1, swing), [unit]])
+        # changes of acceleration, relative to the largest one, and of the duration
+        curve = derivative_matrix(start.degree, start.intervals, 2)
+        by_free = curve[:, REST:-REST]
+        self._metric = np.zeros((m, m))
+        self._metric[:-1, :-1] = np.kron(np.eye(2), by_free.T @ by_free)
+        self._metric[:-1, :-1] /= np.abs(curve @ start.coefficients).max() ** 2
+        self._metric[-1, -1] = 0.1 * len(curve) / unit**2
+
+    def state(self, motion: JointSpline, *, derivatives: bool = True) -> State:
+        """Evaluate a motion."""
+        response = self.elastic.of_spline(motion, derivatives=derivatives)
+        violations = self.violations(motion, response, self.vibration.largest(response.end))
+        cost = motion.duration / self.unit if self._effort is None else self._effort.value(motion, response)
+        return State(motion, response, violations, cost)
+
+    def violations(self, motion: JointSpline, response: Response, residuals: RealArray) -> RealArray:
+        """The largest violation of each group."""
+        values, groups = self._rows.values(motion, response)
+        found = np.zeros(len(GROUPS))
+        np.maximum.at(found, groups, values)
+        found[RESIDUAL] = max(0.0, float(residuals.max(initial=0.0)) / self.limits.residual - 1.0) * RESIDUAL_SCALE
+        return found
+
+    def merit(self, state: State) -> float:
+        """The cost, and the price of what isn't met."""
+        return state.cost + self.price * float(state.violations.sum())
+
+    def linear(self, state: State) -> Linear:
+        """Linearise the limits at a motion."""
+        motion, response = state.motion, state.response
+        by, reached = self.vibration.matrices @ response.end_by, self.vibration.amplitudes(response.end)
+        if self._effort is None:
+            slope, curvature = np.zeros(len(self._scale)), np.zeros_like(self._metric)
+            slope[-1] = 1.0 / self.unit
+        else:
+            slope, curvature = self._effort.derivatives(motion, response)
+        return Linear(self._rows.rows(motion, response), reached, by, slope, curvature)
+
+    def corrected(self, linear: Linear, step: RealArray, state: State) -> Linear:
+        """The linearised limits with their values after a step."""
+        values, groups = self._rows.values(state.motion, state.response)
+        amplitudes = self.vibration.amplitudes(state.response.end) - linear.amplitudes_by @ step
+        shifted = Inequalities(values - linear.rows.jacobian @ step, groups, linear.rows.jacobian, linear.rows.deciding)
+        return replace(linear, rows=shifted, amplitudes=amplitudes)
+
+    def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float]:
+        """The best step (m,) and the change of the cost, with the price of what isn't met after it, as they predict."""
+        rows, (variants, _, modes, m) = linear.rows, linear.amplitudes_by.shape
+        near = np.flatnonzero(rows.deciding & (rows.values > np.where(rows.groups == CLEARANCE, -FAR, -NEAR)))
+        slacks, planes = len(GROUPS), len(DIRECTIONS) * variants * modes
+        size = m + slacks + variants * modes
+        # limits; half planes of each mode's amplitude; the sum of amplitudes for each variant
+        matrix = np.zeros((len(near) + planes + variants, size))
+        matrix[: len(near), :m] = rows.jacobian[near]
+        matrix[np.arange(len(near)), m + rows.groups[near]] = -1.0
+        scale, normals = RESIDUAL_SCALE / self.limits.residual, np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
+        block = matrix[len(near) : len(near) + planes]
+        block[:, :m] = scale * np.einsum("id,pikm->dpkm", normals, linear.amplitudes_by).reshape(planes, m)
+        block[:, m + slacks :] = np.tile(np.eye(variants * modes), (len(DIRECTIONS), 1)) * -np.cos(DIRECTIONS[1] / 2)
+        matrix[len(near) + planes :, m + slacks :] = np.kron(np.eye(variants), np.ones(modes))
+        matrix[len(near) + planes :, m + RESIDUAL] = -1.0
+        reached = scale * np.einsum("id,pik->dpk", normals, linear.amplitudes).ravel()
+        right = np.concatenate([-rows.values[near], -reached, np.full(variants, RESIDUAL_SCALE)])
+        # in units of the scale
+        unit = np.concatenate([self._scale, np.ones(size - m)])
+        quadratic, cost = np.zeros((size, size)), np.zeros(size)
+        quadratic[:m, :m] = penalty * self._metric + np.diag(CURVED / self._scale**2) + linear.curvature
+        cost[:m], cost[m : m + slacks] = linear.slope, self.price
+        if self._effort is not None:
+            # the duration is given
+            cost[m - 1], quadratic[m - 1, : m - 1], quadratic[: m - 1, m - 1], matrix[:, m - 1] = 0.0, 0.0, 0.0, 0.0
+        lower, upper = np.zeros(size), np.full(size, np.inf)
+        lower[:m], upper[:m] = -REACH, REACH
+        x = unit * solve_quadratic(
+            quadratic * unit[:, np.newaxis] * unit, cost * unit, matrix * unit, right, lower, upper
+        )
+        return x[:m], float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
+
+    def improvements(self, start: JointSpline, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:
+        """Better and better motions, from the start on.
+
+        Args:
+            start: the first motion.
+            iterations: largest number of programmes.
+            penalty: first penalty on changes of the accelerations.
+        """
+        state = self.state(start)
+        linear = self.linear(state)
+        yield state
+        for _ in range(iterations):
+            step, predicted = self.step(linear, penalty)
+            fall = self.merit(state) - state.cost - predicted
+            if fall < max(ENOUGH, 0.02 * self.price * float(state.violations.max())):
+                # the best motion, or one that would rather pay than meet its limits
+                if float(state.violations.max()) < MET or self.price >= PRICES[1]:
+                    return
+                self.price *= 4.0
+                continue
+            found = self._after_step(state, linear, step, penalty, fall)
+            ratio = (self.merit(state) - self.merit(found)) / fall
+            if ratio > 0.1:
+                state = self.state(found.motion)
+                linear = self.linear(state)
+                yield state
+            penalty *= 4.0 if ratio < 0.1 else 2.0 if ratio < 0.4 else 0.4 if ratio > 0.8 else 1.0
+            self.penalty = penalty
+            if penalty > PENALTY[1]:
+                return
+
+    def _after_step(self, state: State, linear: Linear, step: RealArray, penalty: float, fall: float) -> State:
+        """The motion after a step, or after its second-order correction if that is better; the old one where there is none."""
+        try:
+            found = self.state(_moved(state.motion, step), derivatives=False)
+            last = found
+            for _ in range(CORRECTIONS):
+                if (self.merit(state) - self.merit(found)) / fall > 0.9:
+                    break
+                step = self.step(self.corrected(linear, step, last), penalty)[0]
+                last = self.state(_moved(state.motion, step), derivatives=False)
+                found = min(found, last, key=self.merit)
+        except EquilibriumError:
+            return state
+        return found
+
+
+def _moved(motion: JointSpline, step: RealArray) -> JointSpline:
+    """The motion after a step of the variables."""
+    coefficients = motion.coefficients.copy()
+    coefficients[REST:-REST] += step[:-1].reshape(2, -1).T
+    return JointSpline(coefficients, motion.duration + float(step[-1]), motion.degree)
+
+
+LOOSE, FALL = 2e-5, 4.0
+"""Bound of the residual vibration [m] in the first stages, and about how much it falls from each to the next."""
+
+NODES = 9
+"""Number of variants that the programmes have: 7 payloads within 30 % leave 1 µm of residual vibration between them."""
+
+CHECKED = np.array([3e-4, 1e-4, 1e-4, 1e-4, 1.5e-2, 1e-3])
+"""Violations, in the order of `GROUPS`, up to which the limits count as met on the fine grid: 15 µm, and 5 % of the residual."""
+
+ROUNDS = 4
+"""Largest number of evaluations of all variants on the fine grid."""
+
+FINER = 2
+"""How much finer that grid is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """A motion on the way to the best one.
+
+    Attributes:
+        motion: the joint references.
+        violations: largest relative violation of each of `GROUPS` among the variants that were considered; 0 where it is met.
+        residual: bound of the displacement of the end effector by vibration after the motion, of these variants [m].
+        checked: whether all variants meet all limits on the fine grid.
+    """
+
+    motion: JointSpline
+    violations: Mapping[str, float]
+    residual: float
+    checked: bool
+
+
+def optimal_motion(
+    robots: Sequence[RobotVariant],
+    limits: MotionLimits,
+    start: JointSpline,
+    nodes: Sequence[int] | None = None,
+    *,
+    parts: int = 2,
+    iterations: int = 40,
+    loose: float = LOOSE,
+    aim: Aim = "time",
+) -> Iterator[Improvement]:
+    """Joint references that are better and better within limits that hold for all robots.
+
+    Args:
+        robots: the robots; those of one scene follow each other, by payload.
+        limits: the limits, with torques for all robots.
+        start: first motion; it may violate limits, and half the duration of a usual motion serves well.
+        nodes: indices of the robots that the programmes have; None for `NODES` that are denser near both ends.
+        parts: steps of the integration for each interval of the spline.
+        iterations: largest number of programmes in each stage.
+        loose: bound of the residual vibration [m] in the first stages; the last bound is the least.
+        aim: what is minimised; all but time in the duration of the first motion.
+
+    Yields:
+        Motions on the way; the last one with ``checked`` is the best that meets all limits.
 
     Raises:
-        EquilibriumError: there is no static equilibrium or no elastic motion.
+        EquilibriumError: the first motion has no elastic motion.
     """
-    coarse, fine = grids
-    if (start.intervals, start.degree) != (coarse.splines, coarse.degree):
-        start = fitted(start.trajectory(), coarse.splines, coarse.degree)
-    # find the motion on the coarse grid
-    first = stretched(start, limits) if duration is None else start.with_duration(duration)
-    programme = MotionProgramme(_transcriptions(robots, first, coarse), robots, limits, area, first, aim)
-    found = _solved(programme, first, duration, FIND)
-    if not found.converged and duration is None:
-        found = _solved(programme, first, duration, CAREFUL)
-    yield found
-    if not found.converged:
-        return
-    # correct it on the fine grid, then for what exceeds limits between its points
-    tight = robots, limits, area
-    for _ in range(CORRECTIONS):
-        programme = MotionProgramme(_transcriptions(robots, found.spline, fine), *tight, first, aim)
-        corrected = _solved(programme, found.spline, duration, CORRECT)
-        if not corrected.converged:
-            corrected = _solved(programme, found.spline, duration, FIND)
-        if not corrected.converged:
+    chosen = np.array(spread(len(robots), NODES) if nodes is None else nodes)
+    motion, loose = start, max(limits.residual, loose)
+    # few variants, then all nodes, with a bound that falls
+    levels = max(1, round(math.log(loose / limits.residual, FALL)))
+    bounds = np.geomspace(loose, limits.residual, levels + 1)[:-1].tolist()
+    stages = [(chosen[spread(len(chosen), 3)], loose), *((chosen, bound) for bound in bounds)]
+    penalty = PENALTY[0]
+    for few, residual in stages:
+        stage = _stage(robots, replace(limits, residual=residual), motion, few, start.duration, parts, aim)
+        for state in stage.improvements(motion, iterations, penalty):
+            motion = state.motion
+            yield _improvement(stage, state)
+        penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
+    # all variants on the fine grid
+    fine = _stage(robots, limits, motion, np.arange(len(robots)), start.duration, FINER * parts, aim)
+    tight, exact = limits, fine.state(motion, derivatives=False)
+    for _ in range(ROUNDS):
+        stage = _stage(robots, tight, motion, chosen, start.duration, parts, aim)
+        stage.vibration.error = exact.response.end[chosen] - stage.state(motion, derivatives=False).response.end
+        for state in stage.improvements(motion, iterations, penalty):
+            motion = state.motion
+            yield _improvement(stage, state)
+        exact = fine.state(motion, derivatives=False)
+        met = bool((exact.violations <= CHECKED).all())
+        yield replace(_improvement(fine, exact), checked=met)
+        if met:
             return
-        found = corrected
-        yield found
-        # what exceeds limits between the points is taken off them
-        torques, depths = zip(*(_checked(robot, area, found.spline) for robot in robots), strict=True)
-        used, depth = limits.used(found.spline), max(depths)
-        shares = [torque / robot.torque for torque, robot in zip(torques, robots, strict=True)]
-        if max(*used, *(share.max() for share in shares), depth / area.margin) < 1.0 + ENOUGH:
-            return
-        tight = (
-            [
-                replace(each, torque=each.torque / np.maximum(1.0, SURE * share))
-                for each, share in zip(tight[0], shares, strict=True)
-            ],
-            tight[1].divided([max(1.0, SURE * share) for share in used]),
-            replace(tight[2], margin=tight[2].margin - max(0.0, SURE * depth - area.margin)),
-        )
+        # the worst variants join the nodes, and what else lies between them tightens the limits
+        residuals = fine.vibration.largest(exact.response.end)
+        loads = (np.abs(exact.response.torque).max(axis=1) / limits.torque).max(axis=1)
+        share = float(max(residuals[chosen].max(), tight.residual) / residuals.max())
+        torque = tight.torque * (0.9998 / max(float(loads.max()), 1.0))
+        tight = replace(tight, torque=torque, residual=tight.residual * float(np.clip(share, 0.5, 0.95)))
+        chosen = np.unique([*chosen, residuals.argmax(), loads.argmax()])
 
 
-def stretched(spline: JointSpline, limits: ReferenceLimits) -> JointSpline:
-    """Return the motion, slower by 10 % or as its speed, acceleration and jerk need to keep to their limits."""
-    used = limits.used(spline)
-    return spline.with_duration(spline.duration * max(1.1, *(share ** (1 / k) for k, share in enumerate(used, 1))))
+def spread(count: int, number: int) -> list[int]:
+    """Indices of a number of things in a row of a count, denser near both ends (Chebyshev's nodes)."""
+    nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(number) + 0.5) / number) / np.cos(0.5 * np.pi / number)
+    return sorted({int(k) for k in np.rint(nodes * (count - 1))}) if number > 1 else [(count - 1) // 2]
 
 
-def _transcriptions(robots: Sequence[RobotLimits], spline: JointSpline, grid: CollocationGrid) -> list[Transcription]:
-    return [transcribed(robot.scene, spline, grid) for robot in robots]
+def _stage(
+    robots: Sequence[RobotVariant],
+    limits: MotionLimits,
+    motion: JointSpline,
+    chosen: NDArray[np.intp],
+    unit: float,
+    parts: int,
+    aim: Aim,
+) -> Stage:
+    elastic = FleetResponse([robots[int(k)] for k in chosen], motion.coefficients[0], parts * motion.intervals)
+    return Stage(elastic, replace(limits, torque=limits.torque[chosen]), motion, unit, aim)
 
 
-def _solved(
-    programme: MotionProgramme, start: JointSpline, duration: float | None, options: dict[str, Any]
-) -> OptimalMotion:
-    """IPOPT's result from a first motion."""
-    solver = casadi.nlpsol("motion", "ipopt", programme.problem, OPTIONS | programme.derivatives | options)
-    with _ctrl_c_afterwards():
-        found = solver(x0=programme.start(start), **programme.bounds(duration))
-    stats = solver.stats()
-    return OptimalMotion(
-        programme.spline(np.array(found["x"]).ravel()),
-        programme.grid,
-        bool(stats["success"]),
-        str(stats["return_status"]),
-    )
-
-
-@contextmanager
-def _ctrl_c_afterwards() -> Iterator[None]:
-    """Raise KeyboardInterrupt after IPOPT's seconds: within them CasADi takes it for a failed evaluation and goes on."""
-    usual, seen = signal.getsignal(signal.SIGINT), list[int]()
-    if current_thread() is not main_thread() or not callable(usual):
-        yield
-        return
-    signal.signal(signal.SIGINT, lambda number, _: seen.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, usual)
-    if seen:
-        raise KeyboardInterrupt
-
-
-def _checked(robot: RobotLimits, area: Area, spline: JointSpline) -> tuple[RealArray, float]:
-    """Largest torques (2,) [N m], and depth of the end effector in a region [m], of a motion between the points of a grid."""
-    # the motion on a fine grid
-    grid = replace(CHECK, splines=spline.intervals, degree=spline.degree)
-    equations = transcribed(robot.scene, spline, grid)
-    joints = equations.joints(spline)
-    outputs = equations.values(equations.arguments(joints, equations.settled(joints)))[-4:]
-    # splines through its outputs
-    dense = CubicSpline(grid.points, outputs, axis=1)(np.linspace(grid.points[0], 1.0, DENSE))
-    depths = [-each(dense[:2].T).min() for each in area.distances]
-    return abs(dense[2:]).max(axis=1), max(depths, default=0.0)
+def _improvement(stage: Stage, state: State) -> Improvement:
+    residual = float(stage.vibration.largest(state.response.end).max(initial=0.0))
+    return Improvement(state.motion, dict(zip(GROUPS, state.violations.tolist(), strict=True)), residual, checked=False)

@@ -1,4 +1,4 @@
-"""Optimal control as a method of the planner: limits and area in numbers, and motions that the FMU judges."""
+"""Optimal control as a method of the planner: motions that the FMU judges, and corrections by what it finds."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flexfmu.cosim.design.plans import robust_optimal
+from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
-from flexfmu.cosim.design.plans.optimal import area_of, optimal, reference_limits, robots_of
+from flexfmu.cosim.design.plans.optimal import optimal
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline
-from flexfmu.model.reference_design.motion_stage import GROUPS, MotionLimits
-from flexfmu.model.reference_design.time_optimal import Improvement
+from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, MotionLimits
 from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace(
@@ -42,45 +41,6 @@ def goals() -> Goals:
 @pytest.fixture(scope="module")
 def judge(goals: Goals) -> Judge:
     return Judge(goals)
-
-
-def test_the_area_is_that_of_the_clearance(goals: Goals) -> None:
-    """Inside, where the given motion's clearance allows a point: rectangle and region together, but below the chord."""
-    area = area_of(goals)
-    points = goals.trace[0] + np.random.default_rng(3).uniform([-0.02, -0.05], [0.38, 0.0], (500, 2))
-    placed = (points - area.origin) @ area.axes.T
-    within = ((placed > area.low) & (placed < area.high)).all(axis=1)
-    allowed = within & (area.distances[0](points) > 0.0)
-    assert (allowed == (goals.clearance.distance(points) > 0.0)).all()
-    assert 50 < allowed.sum() < 450
-    # tabulated distances are near the exact ones, where the motion starts as well
-    near = np.concatenate([points[allowed], goals.trace[::30]])
-    smooth = area.smooth[0].map(len(near))(((near - area.origin) @ area.axes.T / area.scale).T)
-    assert np.array(smooth).ravel() * area.scale == pytest.approx(area.distances[0](near), abs=2e-5)
-
-
-def test_stated_regions_replace_the_given_motions(goals: Goals) -> None:
-    """The rectangle is around the given motion then, with room to all sides."""
-    corners = [[-0.05, 0.31], [0.05, 0.35]]
-    scene = SCENE.replace({"plan.keep_out": [{"kind": "box", "corners": corners}]})
-    area = area_of(goals_of(scene))
-    assert len(area.distances) == 1
-    assert area.distances[0](np.array([[0.0, 0.30], [0.0, 0.32]])) == pytest.approx([0.01, -0.01])
-    assert area_of(goals_of(SCENE.replace({"plan.keep_out": []}))).distances == ()
-    placed = (goals.trace - area.origin) @ area.axes.T
-    assert placed.min(axis=0) - area.low == pytest.approx(0.3 * 0.35)
-    assert (area.high > placed.max(axis=0)).all()
-
-
-def test_limits_in_numbers(goals: Goals, judge: Judge) -> None:
-    """Multiples of what the given motion needs, or values in SI units."""
-    given = judge.given
-    usual = reference_limits(goals, given)
-    assert usual.values == pytest.approx([2.5 * each for each in given.references])
-    assert robots_of(goals, given)[0].torque == pytest.approx(given.peaks[0].torque)
-    stated = goals_of(SCENE.replace({"plan.limits": {"torque": 80.0, "jerk": 3e4}}))
-    assert reference_limits(stated, given).jerk == 3e4
-    assert robots_of(stated, given)[0].torque == pytest.approx([80.0, 80.0])
 
 
 def test_a_motion_that_returns_is_an_error(goals: Goals, judge: Judge) -> None:
@@ -134,8 +94,8 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
                 yield Improvement(motion, dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return
 
-    monkeypatch.setattr(robust_optimal, "fastest_motion", optimistic)
-    monkeypatch.setattr(robust_optimal, "PAYLOADS", (3, 1))
+    monkeypatch.setattr(method, "optimal_motion", optimistic)
+    monkeypatch.setattr(method, "PAYLOADS", (3, 1))
     judge = Judge(goals, 3)
     found = [judge.assess(each) for each in optimal(goals, [judge.given], 1, _silent)]
     assert not found[0].feasible
