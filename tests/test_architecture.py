@@ -101,8 +101,6 @@ ALONE = {
     "cosim.engine.fmu.log": "log of an FMU",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.engine.fmu.trajectory": "references within an FMU",
-    "cosim.exchange.ssp.parameters": "parameter values in SSP files",
-    "cosim.exchange.ssp.writing": "XML",
     "cosim.experiment.fitting_signals": "references for foreign FMUs",
     "cosim.experiment.recorded_instants": "choice of steps",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",

@@ -25,8 +25,8 @@ from flexfmu.cosim.exchange.ssp.structure import (
     SspUnit,
     Structure,
 )
-from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, component_fmu, variable_unit
-from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
+from flexfmu.cosim.exchange.ssp.wiring import ComponentFmu
+from flexfmu.cosim.exchange.ssp.xml import ssd_xml, ssv_xml
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.fmu_build.archive import pack, write_atomically
@@ -136,7 +136,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     """Return the slave's component with connectors for all outputs and for the connected inputs."""
     fed = {_ends(target) for _, target in connections}
     fmu = open_fmu(slave.path)
-    bare = component_fmu(Component(slave.name, _source(slave), ()), fmu)
+    bare = ComponentFmu(Component(slave.name, _source(slave), ()), fmu)
     # all outputs, and the connected inputs
     shown = [
         Connector(each.name, each.causality, each.type, _unit_name(bare, each.name))
@@ -154,7 +154,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
         description=facts.description,
         sampling=None if stated else times,
     )
-    return ComponentFmu(component, bare.fmu, bare.variables, bare.units)
+    return ComponentFmu(component, fmu)
 
 
 def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[SspParameter]:
@@ -180,7 +180,7 @@ def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[SspParameter]:
 
 def _unit_name(fmu: ComponentFmu, name: str) -> str | None:
     """Return the name of a variable's unit; None if the FMU doesn't define it."""
-    unit = variable_unit(fmu, name)
+    unit = fmu.unit(name)
     return unit.name if isinstance(unit, SspUnit) else None
 
 

@@ -30,11 +30,17 @@ from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import REFERENCES as KINDS
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
-from flexfmu.cosim.exchange.ssp.parameters import start_values
-from flexfmu.cosim.exchange.ssp.reading import read_structure
 from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, Subsystem, levels
-from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, check_connectors, component_fmu
-from flexfmu.cosim.exchange.ssp.wiring import Network, Origin, shown, wires
+from flexfmu.cosim.exchange.ssp.wiring import (
+    ComponentFmu,
+    Network,
+    Origin,
+    check_connectors,
+    shown,
+    start_values,
+    wires,
+)
+from flexfmu.cosim.exchange.ssp.xml import read_structure
 from flexfmu.cosim.experiment.recording import held, plain_names
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 
@@ -158,11 +164,19 @@ def load_ssp(
     structure = read_structure(archive)
     fmus = _fmus(structure, archive)
     remarks = _remarks(structure, fmus)
+    if archive.variants:
+        others = ", ".join(archive.variants)
+        remarks = [f"took {archive.description}; the file also holds {others} (--ssd)", *remarks]
     # connections and start values through all levels
     network = Network(structure, fmus)
     starts, ignored = start_values(structure, fmus, network)
-    names = _names(fmus)
-    # slaves for the master
+    # slaves for the master, with unique names without dots
+    names: dict[str, str] = {}
+    for full in fmus:
+        name = full.replace(".", "_")
+        while name in names.values():
+            name += "_"
+        names[full] = name
     slaves = [_slave(fmu, names[name], starts[name], output_order) for name, fmu in fmus.items()]
     system = connect(slaves, wires(network, fmus, names), loops=Anderson() if loops is None else loops)
     # times: argument, file, FMUs, in this order
@@ -179,7 +193,7 @@ def load_ssp(
         names,
         shown(structure, network),
         structure.tolerance,
-        tuple(dict.fromkeys([*_variants(archive), *remarks, *network.remarks])),
+        tuple(dict.fromkeys([*remarks, *network.remarks])),
     )
 
 
@@ -203,7 +217,7 @@ def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
             path = archive.extract(component.source, component.where)
             # errors of the FMU name the component
             with _named(component):
-                fmus[prefix + component.name] = component_fmu(component, open_fmu(path))
+                fmus[prefix + component.name] = ComponentFmu(component, open_fmu(path))
     if not fmus:
         raise SspError(f"{archive.path}: system {structure.name!r} has no components; there is nothing to run")
     return fmus
@@ -232,7 +246,7 @@ def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str
     Raises:
         SspError: a connected connector contradicts its FMU.
     """
-    remarks = []
+    remarks, units = [], {unit.name: unit for unit in structure.units}
     # connected connectors must agree with the FMU; for others a warning suffices
     connected = {
         (prefix + (element or ""), name)
@@ -242,27 +256,10 @@ def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str
     }
     for name, fmu in fmus.items():
         used = [each.name for each in fmu.component.connectors if (name, each.name) in connected]
-        remarks += check_connectors(fmu, used, structure.units)
+        remarks += check_connectors(fmu, used, units)
         if fmu.component.implementation == "ModelExchange":
             remarks.append(f"{fmu.component.where} is for model exchange; its FMU's co-simulation was taken")
     return remarks
-
-
-def _variants(archive: SspArchive) -> list[str]:
-    """Return a remark about other SSDs in the file."""
-    others = ", ".join(each for each in archive.variants)
-    return [f"took {archive.description}; the file also holds {others} (--ssd)"] if others else []
-
-
-def _names(fmus: Mapping[str, ComponentFmu]) -> Mapping[str, str]:
-    """Return full name of a component → unique name of its slave, without dots."""
-    names: dict[str, str] = {}
-    for full in fmus:
-        name = full.replace(".", "_")
-        while name in names.values():
-            name += "_"
-        names[full] = name
-    return names
 
 
 def _mapped(column: Column, origin: Origin) -> Column:
@@ -282,22 +279,17 @@ def _mapped(column: Column, origin: Origin) -> Column:
 
 
 def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output_order: int | None) -> Slave:
-    """Return the slave for an FMU."""
-    if fmu.fmu.breakpoints and not parameters:
-        return _trajectory(fmu, name)
-    sample_time, offset = fmu.component.sampling or (None, 0.0)
+    """Return the slave for an FMU; that of an exported trajectory has all its derivatives."""
     path = fmu.fmu.path
+    if fmu.fmu.breakpoints and not parameters:
+        suffix = f".reference.{KINDS[0][0]}"
+        outputs = [each for each in fmu.variables.values() if each.causality == "output"]
+        positions = [each for each in outputs if each.name.endswith(suffix)]
+        axes = [each.name.removesuffix(suffix) for each in positions]
+        return TrajectorySlave(FmuTrajectory(path), axes, positions[0].unit or "", name=name)
+    sample_time, offset = fmu.component.sampling or (None, 0.0)
     with _named(fmu.component):
         return fmu_slave(path, name, parameters, sample_time=sample_time, offset=offset, output_order=output_order)
-
-
-def _trajectory(fmu: ComponentFmu, name: str) -> Slave:
-    """Return the slave for an exported trajectory, with all its derivatives."""
-    suffix = f".reference.{KINDS[0][0]}"
-    outputs = [each for each in fmu.variables.values() if each.causality == "output"]
-    positions = [each for each in outputs if each.name.endswith(suffix)]
-    axes = [each.name.removesuffix(suffix) for each in positions]
-    return TrajectorySlave(FmuTrajectory(fmu.fmu.path), axes, positions[0].unit or "", name=name)
 
 
 _OPTIONS = {"stop": "--stop-time", "step": "--step"}

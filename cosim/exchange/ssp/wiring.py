@@ -1,30 +1,43 @@
-"""The source of each connector's signal, through systems within systems, and the resulting connections for the master.
+"""The connections of an SSP file's FMUs, and their start values.
 
-A system's own connector passes on the values from outside (inputs, parameters) or from inside (outputs). Along the path values are
-converted between units, then transformed, connection by connection (SSP 1.0: elements Connection and LinearTransformation).
+The source of each connector's signal is found through systems within systems. A system's own connector passes on the values from
+outside (inputs, parameters) or from inside (outputs). Along the path values are converted between units, then transformed, connection
+by connection (SSP 1.0: elements Connection and LinearTransformation). Start values come from parameter sets, by name or through
+connectors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
-from flexfmu.cosim.engine.errors import suggestion
-from flexfmu.cosim.engine.fmu.variables import Value
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap, TableMap
+from flexfmu.cosim.engine.errors import InputError, suggestion
+from flexfmu.cosim.engine.fmu.file import UnpackedFmu
+from flexfmu.cosim.engine.fmu.variables import Value, items
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, SignalMap, TableMap
 from flexfmu.cosim.engine.master.system import Wire
-from flexfmu.cosim.engine.slave import TAKES
+from flexfmu.cosim.engine.slave import TAKES, Type
 from flexfmu.cosim.exchange.ssp.structure import (
+    Binding,
+    Component,
     Connector,
+    MappingEntry,
     SspConnection,
     SspError,
+    SspParameter,
     SspUnit,
     Structure,
     Subsystem,
     ValueMap,
     levels,
 )
-from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, conversion, unit_of
+from flexfmu.cosim.exchange.ssp.xml import BASE_UNITS, NUMBERS
+
+_DIMENSIONLESS = ("", "1")
+
+_UNCHANGEABLE = "{} is {!r}, which a linear transformation can't change; give its value"
 
 ConnectorName = tuple[str, str]
 """Full name of an element (``inner.first``; empty for the whole system) and its connector."""
@@ -32,6 +45,110 @@ ConnectorName = tuple[str, str]
 _TAKERS, _GIVERS = ("input", "parameter"), ("output", "calculatedParameter")
 """Kinds of connectors that are targets and sources of connections. For the system's own connectors, seen from inside, the roles
 are exchanged."""
+
+
+@dataclass(frozen=True)
+class ComponentFmu:
+    """A component with its FMU.
+
+    Attributes:
+        component: its description in the SSD.
+        fmu: the FMU.
+    """
+
+    component: Component
+    fmu: UnpackedFmu
+
+    @cached_property
+    def variables(self) -> Mapping[str, Any]:
+        """Name → variable as fmpy reads it."""
+        return {variable.name: variable for variable in self.fmu.description.modelVariables}
+
+    @cached_property
+    def units(self) -> Mapping[str, SspUnit]:
+        """Name → unit as the FMU defines it."""
+        found = {}
+        for each in self.fmu.description.unitDefinitions or ():
+            if (base := each.baseUnit) is not None:
+                exponents = {name: int(exponent) for name in BASE_UNITS if (exponent := getattr(base, name, 0))}
+                found[each.name] = SspUnit(each.name, exponents, float(base.factor or 1.0), float(base.offset or 0.0))
+        return found
+
+    def type(self, name: str) -> Type:
+        """Type of a variable, by its name in FMI 2.0."""
+        found: Type = self.variables[name].type
+        return NUMBERS.get(found, found)
+
+    def items(self, name: str) -> Mapping[str, int]:
+        """Return item name → number of an enumeration; empty for other types."""
+        return items(self.variables[name])
+
+    def unit(self, name: str) -> SspUnit | str:
+        """Unit of a variable; its bare name where the FMU doesn't define it, empty where it has none."""
+        variable = self.variables[name]
+        text = variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
+        return self.units.get(text) or text
+
+    def connector_unit(self, connector: Connector, units: Mapping[str, SspUnit]) -> SspUnit | str:
+        """Unit of a connector: from the SSD, else from the FMU; its bare name where it isn't defined."""
+        if connector.unit is None:
+            return self.unit(connector.name)
+        return units.get(connector.unit) or self.units.get(connector.unit) or connector.unit
+
+
+def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Mapping[str, SspUnit]) -> list[str]:
+    """Check direction, type and unit of a component's connectors against its FMU; a remark on those that aren't connected.
+
+    Raises:
+        SspError: a connected one has no variable, or contradicts it.
+    """
+    problems: dict[str, str] = {}
+    file = owner.component.source
+    for each in owner.component.connectors:
+        name, variable, problem = each.name, owner.variables.get(each.name), ""
+        if variable is None:
+            there = [other.name for other in owner.variables.values() if other.causality == each.kind]
+            problem = f": {file} has no variable {name!r}; {suggestion(name, there)}"
+        elif variable.causality != each.kind:
+            problem = f" is of kind {each.kind}; in {file} it is {variable.causality}"
+        elif each.type is not None and each.type != owner.type(name):
+            problem = f" is {each.type}; in {file} it is {variable.type}"
+        else:
+            said, own = owner.connector_unit(each, units), owner.unit(name)
+            if isinstance(said, SspUnit) and isinstance(own, SspUnit) and said.to(own) != IDENTITY:
+                problem = f" is in {said.name}; in {file} it is in {own.name}; take the FMU's unit"
+        # an error only for connected ones
+        if problem and name in connected:
+            raise SspError(each.where + problem)
+        if problem:
+            problems[name] = each.where + problem
+    if not problems:
+        return []
+    first, others = next(iter(problems.values())), [*problems][1:]
+    return [f"unconnected, ignored: {first}" + (f"; so are {', '.join(others)}" if others else "")]
+
+
+def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks: list[str]) -> LinearMap:
+    """Return the conversion between two units; the identity, with a remark, if one of them is undefined.
+
+    Raises:
+        SspError: the units are of different quantities.
+    """
+    # nothing to convert
+    names = [each if isinstance(each, str) else each.name for each in (source, target)]
+    if names[0] == names[1] or any(name in _DIMENSIONLESS for name in names):
+        return IDENTITY
+    if isinstance(source, str) or isinstance(target, str):
+        unknown = source if isinstance(source, str) else target
+        remarks.append(f"{where}: the unit {unknown!r} isn't defined, so values aren't converted; define it in <Units>")
+        return IDENTITY
+    # both are defined, so they must measure the same quantity
+    found = source.to(target)
+    if found is None:
+        raise SspError(
+            f"{where}: {names[0]} can't be converted to {names[1]}; connect equal quantities, or set suppressUnitConversion"
+        )
+    return found
 
 
 @dataclass(frozen=True)
@@ -122,7 +239,7 @@ class Network:
         """Unit of a connector, its bare name where it isn't defined, empty where it isn't stated."""
         connector = self.connectors[node]
         if node[0] in self._fmus:
-            return unit_of(connector, self._fmus[node[0]], self.units)
+            return self._fmus[node[0]].connector_unit(connector, self.units)
         return self.units.get(connector.unit or "", connector.unit or self.value_units.get(node, ""))
 
     def _map(self, connection: SspConnection, origin: ConnectorName, end: ConnectorName) -> SignalMap:
@@ -246,3 +363,126 @@ def shown(structure: Structure, network: Network) -> dict[str, Origin]:
 def _full_name(node: ConnectorName) -> str:
     """``inner.first.x``."""
     return f"{node[0]}.{node[1]}" if node[0] else node[1]
+
+
+def start_values(
+    structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
+) -> tuple[Mapping[str, Mapping[str, Value]], tuple[str, ...]]:
+    """Return the start values after all parameter bindings.
+
+    Bindings of outer systems take precedence over those of inner elements, later bindings over earlier ones. Values of systems'
+    connectors propagate along their connections.
+
+    Args:
+        structure: the system.
+        fmus: full name of a component → the component with its FMU.
+        network: its connections; remarks are added to it.
+
+    Returns:
+        Name of a component → its variables' start values; and the parameters that match no variable, which the standard allows.
+
+    Raises:
+        SspError: a value has the wrong type or unit, or its variable can't be set.
+    """
+    values: dict[str, dict[str, Value]] = {name: {} for name in fmus}
+    connector_values: dict[ConnectorName, tuple[SspParameter, str]] = {}
+    ignored: list[str] = []
+    # values by name, to FMUs or to systems' connectors
+    for binding, names in _levels(structure, fmus, network):
+        network.remarks += binding.values.remarks
+        units = {unit.name: unit for unit in binding.values.units}
+        for parameter, entry in _used(binding):
+            if entry.target not in names:
+                ignored.append(entry.target)
+                continue
+            element, variable = node = names[entry.target]
+            # convert to the unit of the target: units of the set, of the FMU, of the structure, in this order
+            where = f"{binding.where}: parameter {parameter.name!r}"
+            known = {**network.units, **(fmus[element].units if element in fmus else {}), **units}
+            unit = fmus[element].unit(variable) if element in fmus else network.unit(node)
+            source = unit if parameter.unit is None else known.get(parameter.unit, parameter.unit)
+            convert = conversion(source, unit, where, network.remarks) if entry.converts_units else IDENTITY
+            changed = replace(parameter, value=_transformed(parameter.value, entry, convert, where))
+            if element in fmus:
+                values[element][variable] = _value(changed, fmus[element], variable, where)
+            else:
+                connector_values[node] = changed, where
+                network.value_units[node] = source
+    # values of systems' connectors propagate along the connections to FMUs
+    for node in network.feeds:
+        origin = network.origin(node, connector_values) if node[0] in fmus else None
+        if origin is not None and origin.node in connector_values:
+            parameter, where = connector_values[origin.node]
+            if origin.way != IDENTITY:
+                if isinstance(parameter.value, str):
+                    raise SspError(_UNCHANGEABLE.format(where, parameter.value))
+                try:
+                    parameter = replace(parameter, value=origin.way(float(parameter.value)))
+                except InputError as error:
+                    raise SspError(f"{where}: {error}") from error
+            values[node[0]][node[1]] = _value(parameter, fmus[node[0]], node[1], where)
+    return values, tuple(dict.fromkeys(ignored))
+
+
+def _levels(
+    structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
+) -> Iterator[tuple[Binding, Mapping[str, ConnectorName]]]:
+    """Yield all bindings in the order of application, each with name → variable for the names in its scope."""
+    # hierarchical names of all variables and of systems' connectors
+    nodes = {f"{element}.{name}": (element, name) for element, fmu in fmus.items() for name in fmu.variables}
+    nodes |= {f"{node[0]}.{node[1]}".lstrip("."): node for node in network.connectors if node[0] not in fmus}
+    for prefix, level in reversed([*levels(structure)]):
+        for component in level.components:
+            own = {name: (prefix + component.name, name) for name in fmus[prefix + component.name].variables}
+            yield from ((binding, own) for binding in component.bindings)
+    for prefix, level in reversed([*levels(structure)]):
+        if level.bindings:
+            inside = {name.removeprefix(prefix): node for name, node in nodes.items() if name.startswith(prefix)}
+            yield from ((binding, inside) for binding in level.bindings)
+
+
+def _used(binding: Binding) -> Sequence[tuple[SspParameter, MappingEntry]]:
+    """Return the parameters of a binding that are used, each with its mapping entry."""
+    named = [replace(each, name=binding.prefix + each.name) for each in binding.values.parameters]
+    if binding.mapping is None:
+        return [(each, MappingEntry(each.name, each.name)) for each in named]
+    known = {each.name: each for each in named}
+    return [(known[entry.source], entry) for entry in binding.mapping if entry.source in known]
+
+
+def _transformed(value: Value, entry: MappingEntry, convert: LinearMap, where: str) -> Value:
+    """The value, converted and transformed.
+
+    Raises:
+        SspError: it is no number, or not in the table.
+    """
+    transformation = entry.transformation
+    if isinstance(transformation, ValueMap):
+        # a table knows only its own entries
+        table = dict(transformation.pairs)
+        if value not in table:
+            raise SspError(f"{where} is {value!r}, which its mapping doesn't have; add it")
+        return table[value]
+    linear = convert.then(transformation)
+    if linear == IDENTITY:
+        return value
+    if isinstance(value, (bool, str)):
+        raise SspError(_UNCHANGEABLE.format(where, value))
+    return linear(value)
+
+
+def _value(parameter: SspParameter, fmu: ComponentFmu, name: str, where: str) -> Value:
+    """The value in the variable's type.
+
+    Raises:
+        SspError: its type is wrong, or the FMU calculates the variable.
+    """
+    variable, kind, value = fmu.variables[name], fmu.type(name), parameter.value
+    if variable.initial not in ("exact", "approx") and variable.causality != "input":
+        raise SspError(f"{where} sets {name!r} of {fmu.component.source}, which the FMU calculates; leave it out")
+    if kind in ("Integer", "Enumeration") and isinstance(value, float) and value.is_integer():
+        return int(value)
+    allowed = {"Real": ("Real", "Integer"), "Enumeration": ("Enumeration", "Integer")}
+    if parameter.type not in allowed.get(kind, (kind,)):
+        raise SspError(f"{where} is {parameter.type}; {name!r} of {fmu.component.source} is {variable.type}")
+    return float(value) if kind == "Real" else value

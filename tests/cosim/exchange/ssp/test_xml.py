@@ -12,7 +12,6 @@ from ssp_support.packages import package
 
 from flexfmu.cosim.engine.master.linear_map import LinearMap
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
-from flexfmu.cosim.exchange.ssp.reading import BASE_UNITS, read_structure
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
@@ -26,7 +25,7 @@ from flexfmu.cosim.exchange.ssp.structure import (
     Subsystem,
     ValueMap,
 )
-from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
+from flexfmu.cosim.exchange.ssp.xml import BASE_UNITS, read_structure, ssd_xml, ssv_xml
 
 NAMES = st.text("abcXYZ019._-[]<>&\"'äé ,;()", min_size=1, max_size=12)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
