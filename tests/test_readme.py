@@ -24,8 +24,7 @@ from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display, di
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.cosim.studies.paper.comparison import printed_table
-from flexfmu.cosim.studies.paper.computed import blend_length, case_scene, peak_task_acceleration
+from flexfmu.cosim.studies.paper.tables import blend_length, case_scene, peak_task_acceleration, printed_table
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import parse_scene
 

@@ -116,8 +116,7 @@ def paper(
     Args:
         out (DIR): Folder of the results. Default: results/paper.
     """
-    from flexfmu.cosim.studies.paper.command import DEFAULT_FOLDER, run_paper
-    from flexfmu.cosim.studies.paper.report import print_report
+    from flexfmu.cosim.studies.paper.report import DEFAULT_FOLDER, print_report, run_paper
 
     folder = out or DEFAULT_FOLDER
     with progress() as show:

@@ -1,156 +1,58 @@
-"""The result of `flexfmu paper`: tables beside the printed ones, and figures; as files, one offline page, and on a terminal."""
+"""`flexfmu paper`: computes every table and figure of the paper and writes each as soon as it is known, as files, one offline page, and
+on a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 from urllib.parse import quote
 
-from pydantic import TypeAdapter
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.text import Text
 
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.rows import csv_text
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.page import render
+from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.reports.text import markdown_table, to_json
-from flexfmu.cosim.studies.paper.comparison import (
-    Agreement,
+from flexfmu.cosim.studies.paper.figures import SIMULATED_FIGURES, TRAJECTORY_FIGURES, PaperFigure
+from flexfmu.cosim.studies.paper.tables import (
+    TABLES,
     Cell,
-    ComparisonTable,
-    Grade,
+    PaperCase,
+    PaperTable,
+    Quantity,
+    Remark,
+    SimulatedCase,
+    agreement,
+    compare,
     count_agreement,
+    evaluators,
+    printed_table,
     read_data,
+    simulate,
+    simulated_cases,
 )
 
+DEFAULT_FOLDER = RESULTS / "paper"
+"""Default folder of the results."""
 
-def table_to_markdown(table: ComparisonTable) -> str:
-    """One table of the paper: every cell as paper → computed (relative error)."""
-    parts = [f"## {table.printed.label}. {table.printed.title}", *table.printed.remarks]
-    for comparison in table.comparisons:
-        quantity = comparison.quantity
-        name = f"**{quantity.name}** [{quantity.unit}]{table.marks(quantity)}"
-        heading = f"{name}: {quantity.meaning}; paper → computed (relative error)"
-        rule = ["---", *("---:" for _ in quantity.columns)]
-        rows = [
-            [label, *(_markdown_cell(cell, table.marks(cell)) for cell in cells)] for label, cells in comparison.rows()
-        ]
-        parts.append(f"{heading}\n\n{markdown_table(['', *quantity.columns], rule, rows)}")
-    if table.remarks:
-        parts.append("\n".join(f"- {mark} {text}" for mark, text in table.footnotes()))
-    return "\n\n".join([*parts, f"**{table.summary()}**"]) + "\n"
+KEPT = " !$()*+,-./:;=?@[]_~"
+"""Characters of a data URL that aren't encoded; base64 would be a third longer."""
 
+GRADE_COLOURS = {"close": "green", "near": "yellow", "far": "red", "misprint": "bright_black"}
+"""Colours of cells on a terminal."""
 
-def _markdown_cell(cell: Cell, marks: str) -> str:
-    """``paper → **computed** (relative error)``, a misprint struck out."""
-    paper = f"~~{cell.printed}~~" if cell.grade is Grade.MISPRINT else cell.printed
-    return f"{paper} → **{cell.rounded()}** ({cell.difference()}){marks}"
-
-
-_COLOURS = {Grade.CLOSE: "green", Grade.NEAR: "yellow", Grade.FAR: "red", Grade.MISPRINT: "bright_black"}
-
-
-def print_table(table: ComparisonTable, console: Console) -> None:
-    """Print one table of the paper."""
-    console.print()
-    console.print(Text(f"{table.printed.label}. {table.printed.title}", style="bold"))
-    for remark in table.printed.remarks:
-        console.print(Text(remark, style="italic"))
-    # a table for each quantity
-    for comparison in table.comparisons:
-        quantity = comparison.quantity
-        title = f"{quantity.name} [{quantity.unit}]{table.marks(quantity)}: paper → computed"
-        shown = titled_table(title, "", numbers=quantity.columns)
-        for label, cells in comparison.rows():
-            shown.add_row(label, *(_rich_cell(cell, table.marks(cell)) for cell in cells))
-        console.print(shown)
-    # what the marks mean, and how well the table agrees
-    for mark, text in table.footnotes():
-        console.print(Text(f"{mark} {text}", style="dim"))
-    console.print(Text(table.summary(), style="bold"))
-
-
-def _rich_cell(cell: Cell, marks: str) -> Text:
-    """``paper → computed (relative error)`` in the colour of the grade, a misprint struck out."""
-    difference = cell.difference().replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
-    return Text.assemble(
-        (cell.printed, "strike" if cell.grade is Grade.MISPRINT else ""),
-        " → ",
-        (cell.rounded(), "bold"),
-        (f" ({difference}){marks or ' '}", _COLOURS[cell.grade]),
-    )
-
-
-def table_to_csv(table: ComparisonTable) -> str:
-    """All cells of a table, with a line of names; figures in the quantity's unit."""
-    return csv_text(
-        [
-            {
-                "table": table.printed.label,
-                "quantity": comparison.quantity.name,
-                "metric": comparison.quantity.metric,
-                "unit": comparison.quantity.unit,
-                "row": cell.row,
-                "column": cell.column,
-                "paper": cell.printed,
-                "computed": f"{cell.computed:.9g}",
-                "relative_error": f"{cell.relative_error:.3e}",
-                "agrees_to_the_digits": str(cell.agrees_to_the_digits).lower(),
-                "believable": str(cell.believable).lower(),
-                "remarks": " ".join(f"{remark.verdict.value}: {remark.text}" for remark in cell.remarks),
-            }
-            for comparison in table.comparisons
-            for cell in comparison.cells
-        ]
-    )
-
-
-@dataclass(frozen=True)
-class PaperSource:
-    """Bibliographic data of the paper, and what holds for the reproduction as a whole."""
-
-    authors: tuple[str, ...]
-    title: str
-    event: str
-    number: str
-    doi: str
-    url: str
-    remarks: tuple[str, ...]
-
-    @property
-    def citation(self) -> str:
-        """The source in one line."""
-        return f"{', '.join(self.authors)}: {self.title}. {self.event}, paper {self.number}, doi:{self.doi}"
-
-
-@cache
-def source() -> PaperSource:
-    """The paper itself."""
-    return TypeAdapter(PaperSource).validate_python(read_data("source"))
-
-
-@dataclass(frozen=True)
-class PaperFigure:
-    """A drawn figure.
-
-    Attributes:
-        key: file name without suffix, for example ``figure-06``.
-        label, caption: for example ``Figure 6`` and one sentence.
-        folder: folder of its files within the report's folder; empty for that folder itself.
-    """
-
-    key: str
-    label: str
-    caption: str
-    folder: str = "figures"
-
-    def file(self, suffix: str) -> str:
-        """Path of the figure's file within the report's folder; ``suffix`` is ``.png`` or ``.svg``."""
-        return f"{self.folder}/{self.key}{suffix}" if self.folder else f"{self.key}{suffix}"
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True)
@@ -158,115 +60,293 @@ class PaperReport:
     """The results computed so far.
 
     Attributes:
-        source: the paper.
         tables: comparisons in the order of the report.
-        figures: the figures drawn, in the order of the report.
-        overview: the figure that summarises the experiment.
+        figures: the figures drawn, in the order of the report; the overview, which sums the experiment up, comes last.
         timing: wall-clock time of the parts in seconds.
         versions: versions of packages, platform and compiler; None if unknown.
     """
 
-    source: PaperSource
-    tables: tuple[ComparisonTable, ...] = ()
+    tables: tuple[PaperTable, ...] = ()
     figures: tuple[PaperFigure, ...] = ()
-    overview: PaperFigure | None = None
     timing: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, str | None] = field(default_factory=dict)
 
-    def table(self, key: str) -> ComparisonTable:
-        """A table by the key of its data file, for example ``table-07``.
-
-        Raises:
-            KeyError: it has not been computed.
-        """
-        return {table.printed.key: table for table in self.tables}[key]
+    def table(self, key: str) -> PaperTable:
+        """A table by the key of its data file, for example ``table-07``; KeyError if it has not been computed."""
+        return {table.key: table for table in self.tables}[key]
 
     @property
-    def agreement(self) -> Agreement:
-        """The agreement over all tables."""
-        return count_agreement(cell for table in self.tables for cell in table.cells)
+    def cells(self) -> list[Cell]:
+        """The cells of all tables."""
+        return [cell for table in self.tables for cell in table.cells]
 
     def summary(self) -> str:
         """The agreement over all tables in one sentence."""
-        return f"All tables: {self.agreement.sentence()}"
+        return f"All tables: {agreement(self.cells)}"
 
     def to_markdown(self) -> str:
         """The whole report; figures are referred to by their relative paths."""
-        head = ["# The paper's experiment, printed and computed", f"Printed figures: {self.source.citation}."]
-        remarks = "\n".join(f"- {remark}" for remark in self.source.remarks)
-        tables = [table_to_markdown(table) for table in self.tables]
-        figures = [f"![{figure.label}. {figure.caption}]({figure.file('.png')})" for figure in self.figures]
-        return "\n\n".join([*head, remarks, f"**{self.summary()}**", *tables, *figures]).rstrip() + "\n"
+        source = read_data("source")
+        parts = ["# The paper's experiment, printed and computed", f"Printed figures: {citation()}."]
+        parts += ["\n".join(f"- {remark}" for remark in source["remarks"]), f"**{self.summary()}**"]
+        parts += [table_to_markdown(table) for table in self.tables]
+        own = [figure for figure in self.figures if figure.key != "overview"]
+        parts += [f"![{figure.label}. {figure.caption}]({figure.file('.png')})" for figure in own]
+        return "\n\n".join(parts).rstrip() + "\n"
 
     def to_json(self) -> str:
         """The whole report as JSON; figures in the unit of their quantity."""
-        return to_json(self.to_dict())
+        source = read_data("source")
+        return to_json(
+            {
+                "source": {"citation": citation(), "doi": source["doi"], "url": source["url"]},
+                "remarks": source["remarks"],
+                "agreement": count_agreement(self.cells),
+                "tables": [_table_data(table) for table in self.tables],
+                "figures": [figure._asdict() for figure in self.figures if figure.key != "overview"],
+                "timing": dict(self.timing),
+                "versions": dict(self.versions),
+            }
+        )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The whole report as plain data."""
-        return {
-            "source": {"citation": self.source.citation, "doi": self.source.doi, "url": self.source.url},
-            "remarks": list(self.source.remarks),
-            "agreement": self.agreement.to_dict(),
-            "tables": [table.to_dict() for table in self.tables],
-            "figures": [{"key": f.key, "label": f.label, "caption": f.caption} for f in self.figures],
-            "timing": dict(self.timing),
-            "versions": dict(self.versions),
-        }
+    def to_html(self, folder: Path) -> str:
+        """The page, with the figures that were written to a folder embedded: one file is the whole report."""
+
+        def embedded(figure: PaperFigure) -> dict[str, Any]:
+            # identifiers of different figures can't clash in data URLs
+            drawing = (folder / figure.file(".svg")).read_text(encoding="utf-8").replace("\n", " ")
+            return figure._asdict() | {"image": f"data:image/svg+xml,{quote(drawing, safe=KEPT)}"}
+
+        figures = {figure.key: embedded(figure) for figure in self.figures}
+        return render(
+            "paper.html.j2",
+            source={"citation": citation(), **read_data("source")},
+            summary=self.summary(),
+            tables=self.tables,
+            marks=marks,
+            footnotes=footnotes,
+            agreement=agreement,
+            overview=figures.pop("overview", None),
+            figures=[*figures.values()],
+            timing=self.timing,
+            versions=self.versions,
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write what is known: page, Markdown, JSON, and every table as CSV.
+
+        Raises:
+            ResultsError: the folder can't be written.
+        """
+        for table in self.tables:
+            OutputFolder(folder / "tables").write(f"{table.key}.csv", table_to_csv(table))
+        OutputFolder(folder).write("paper.md", self.to_markdown())
+        OutputFolder(folder).write("paper.json", self.to_json())
+        OutputFolder(folder).write("report.html", self.to_html(folder))
 
 
-def report_to_html(report: PaperReport, folder: Path) -> str:
-    """Render the report.
+def run_paper(out: Path = DEFAULT_FOLDER, *, progress: ShowProgress = quiet) -> PaperReport:
+    """Run the paper's experiment and write tables and figures.
+
+    Results are written as soon as they are computed, so that an interrupted run keeps those it has.
+    ``out`` gets ``report.html``, ``paper.md``, ``paper.json``, ``tables/*.csv``, ``simulations.csv`` (every metric of
+    every simulation), ``figures/*.png|svg`` and ``overview.png|svg``.
 
     Args:
-        report: what has been computed.
-        folder: where its figures have been written.
+        out: folder of the results, created if missing.
+        progress: called with the current activity and the finished fraction.
+
+    Returns:
+        The report: `to_markdown()`, `to_json()`, and `print_report` for a terminal.
+
+    Raises:
+        PaperError: a simulation failed.
+        ResultsError: ``out`` can't be written.
+        BuildError: the FMU can't be built (no compiler, for example).
     """
-    # the page embeds its figures, so that one file is the whole report
-    return render(
-        "paper.html.j2",
-        source=report.source,
-        summary=report.summary(),
-        tables=report.tables,
-        figures=[_embedded(figure, folder) for figure in report.figures],
-        overview=_embedded(report.overview, folder) if report.overview else None,
-        timing=report.timing,
-        versions=report.versions,
-    )
+    OutputFolder(out).prepare()
+    tables = [printed_table(key) for key in TABLES]
+    report, started = PaperReport(versions=versions()), perf_counter()
+
+    def add(stage: str, tables: Iterable[PaperTable] = (), figures: Iterable[PaperFigure] = ()) -> None:
+        nonlocal report, started
+        timing = {**report.timing, stage: perf_counter() - started}
+        drawn, compared = (*report.figures, *figures), (*report.tables, *tables)
+        report = replace(report, tables=compared, figures=drawn, timing=timing)
+        report.write(out)
+        started = perf_counter()
+
+    # what needs no simulation
+    progress("tables of the trajectories", 0.0)
+    add("trajectory tables", [compare(table, evaluators()) for table in tables[:3]])
+    for index, (figure, drawing) in enumerate(TRAJECTORY_FIGURES.items()):
+        progress(figure.label, 0.10 + 0.02 * index)
+        write_figure(drawing, out / figure.file())
+    add("trajectory figures", figures=TRAJECTORY_FIGURES)
+    progress("natural frequencies along the path", 0.25)
+    add("frequencies", [compare(tables[3], evaluators())])
+    # tables about simulations, each with the evaluators of its own scene
+    simulations = simulate_cases(simulated_cases(tables), out, progress)
+    compared = [compare(table, evaluators(simulations, table.scene)) for table in tables[4:]]
+    # one FMU serves all simulations, so its versions are those of every table
+    report = replace(report, versions=versions(next(iter(simulations.values())).fmu_path))
+    for index, (figure, draw) in enumerate(SIMULATED_FIGURES.items()):
+        progress(figure.label, 0.95 + 0.02 * index)
+        write_figure(lambda draw=draw: draw(simulations, compared), out / figure.file())  # type: ignore[misc]
+    add("simulations", compared, SIMULATED_FIGURES)
+    progress("done", 1.0)
+    return report
 
 
-KEPT = " !$()*+,-./:;=?@[]_~"
-"""Characters of a data URL that aren't encoded; base64 would be a third longer."""
+def simulate_cases(
+    cases: tuple[PaperCase, ...], out: Path, progress: ShowProgress
+) -> Mapping[PaperCase, SimulatedCase]:
+    """Simulate the cases, and write all metrics (SI units) to ``simulations.csv`` after each of them, one line each.
+
+    Raises:
+        PaperError, ResultsError, BuildError: as `run_paper`.
+    """
+    done: dict[PaperCase, SimulatedCase] = {}
+    lines = [",".join(("scene", "profile", "curve", *METRICS, "simulation_time"))]
+    progress("building the FMU", 0.30)
+    for case, found in simulate(cases):
+        done[case] = found
+        # nine digits, so that files of equal runs are equal
+        values = [*(found.metrics[name] for name in METRICS), found.simulation_time]
+        lines.append(",".join((*case, *("" if value is None else f"{value:.9g}" for value in values))))
+        OutputFolder(out).write("simulations.csv", "\n".join(lines) + "\n")
+        progress(f"simulated {', '.join(case)}", 0.30 + 0.65 * len(done) / len(cases))
+    return done
 
 
-def _embedded(figure: PaperFigure, folder: Path) -> dict[str, Any]:
-    """The figure with its SVG file as a data URL: identifiers of different figures can't clash."""
-    drawing = (folder / figure.file(".svg")).read_text(encoding="utf-8")
-    return {
-        "key": figure.key,
-        "label": figure.label,
-        "caption": figure.caption,
-        "image": f"data:image/svg+xml,{quote(drawing.replace(chr(10), ' '), safe=KEPT)}",
-    }
-
-
-def write_report(report: PaperReport, folder: Path) -> None:
-    """Write what is known of the report: page, Markdown, JSON, and every table as CSV.
+def write_figure(drawing: Callable[[], Figure], stem: Path) -> None:
+    """Draw a figure and write it as PNG and SVG.
 
     Raises:
         ResultsError: the folder can't be written.
     """
-    for table in report.tables:
-        OutputFolder(folder / "tables").write(f"{table.printed.key}.csv", table_to_csv(table))
-    OutputFolder(folder).write("paper.md", report.to_markdown())
-    OutputFolder(folder).write("paper.json", report.to_json())
-    OutputFolder(folder).write("report.html", report_to_html(report, folder))
+    try:
+        with style():
+            save(drawing(), stem)
+    except OSError as error:
+        reason = error.strerror or error
+        raise ResultsError(f"can't write {stem}: {reason}; choose another folder or free some space") from error
+
+
+def citation() -> str:
+    """The paper in one line."""
+    source = read_data("source")
+    event = f"{source['event']}, paper {source['number']}, doi:{source['doi']}"
+    return f"{', '.join(source['authors'])}: {source['title']}. {event}"
+
+
+def _remarks(table: PaperTable) -> list[Remark]:
+    """The remarks on all quantities, which are numbered from 1 in this order."""
+    return [remark for quantity in table.quantities for remark in quantity.remarks]
+
+
+def footnotes(table: PaperTable) -> list[tuple[str, str]]:
+    """Mark and text of each remark of a table."""
+    texts = (f"{remark.verdict.capitalize()}: {remark.text}" for remark in _remarks(table))
+    return [(str(number).translate(_SUPERSCRIPTS), text) for number, text in enumerate(texts, 1)]
+
+
+def marks(table: PaperTable, of: Quantity | Cell) -> str:
+    """The numbers of the remarks on a cell; those on all cells of a quantity stand at its heading alone."""
+    # by identity, since two quantities may have remarks of the same wording
+    general = isinstance(of, Quantity)
+    wanted = {id(remark) for remark in of.remarks if (not remark.rows and not remark.columns) == general}
+    numbers = (str(number) for number, remark in enumerate(_remarks(table), 1) if id(remark) in wanted)
+    return " ".join(numbers).translate(_SUPERSCRIPTS)
+
+
+def table_to_markdown(table: PaperTable) -> str:
+    """One table of the paper: every cell as paper → computed (relative error), misprints struck out."""
+
+    def text(cell: Cell) -> str:
+        paper = cell.printed if cell.believable else f"~~{cell.printed}~~"
+        return f"{paper} → **{cell.rounded()}** ({cell.difference()}){marks(table, cell)}"
+
+    parts = [f"## {table.label}. {table.title}", *table.remarks]
+    for quantity in table.quantities:
+        name = f"**{quantity.name}** [{quantity.unit}]{marks(table, quantity)}"
+        rule = ["---", *("---:" for _ in quantity.columns)]
+        cells = markdown_table(
+            ["", *quantity.columns], rule, ([row, *map(text, cells)] for row, cells in quantity.lines())
+        )
+        parts.append(f"{name}: {quantity.meaning}; paper → computed (relative error)\n\n{cells}")
+    notes = "\n".join(f"- {mark} {text}" for mark, text in footnotes(table))
+    return "\n\n".join([*parts, *([notes] if notes else []), f"**{agreement(table.cells)}**"]) + "\n"
+
+
+def table_to_csv(table: PaperTable) -> str:
+    """All cells of a table, with a line of names; figures in the quantity's unit."""
+    rows = [
+        {
+            "table": table.label,
+            "quantity": quantity.name,
+            "metric": quantity.metric,
+            "unit": quantity.unit,
+            "row": cell.row,
+            "column": cell.column,
+            "paper": cell.printed,
+            "computed": f"{cell.computed:.9g}",
+            "relative_error": f"{cell.relative_error:.3e}",
+            "agrees_to_the_digits": str(cell.agrees_to_the_digits).lower(),
+            "believable": str(cell.believable).lower(),
+            "remarks": " ".join(f"{remark.verdict}: {remark.text}" for remark in cell.remarks),
+        }
+        for quantity in table.quantities
+        for cell in quantity.cells
+    ]
+    return csv_text(rows)
+
+
+def _table_data(table: PaperTable) -> dict[str, Any]:
+    """A table for JSON; ``paper`` and ``computed`` in the quantity's unit."""
+
+    def cell_data(cell: Cell) -> dict[str, Any]:
+        return {
+            "row": cell.row,
+            "column": cell.column,
+            "paper": float(cell.printed),
+            "printed": cell.printed,
+            **{name: getattr(cell, name) for name in ("computed", "relative_error")},
+            **{name: getattr(cell, name) for name in ("agrees_to_the_digits", "believable")},
+            "remarks": [{"verdict": remark.verdict, "text": remark.text} for remark in cell.remarks],
+        }
+
+    quantities = [
+        {name: getattr(quantity, name) for name in ("name", "metric", "unit", "meaning")}
+        | {"cells": [cell_data(cell) for cell in quantity.cells]}
+        for quantity in table.quantities
+    ]
+    head = {"key": table.key, "label": table.label, "title": table.title, "scene": table.scene or None}
+    return head | {"remarks": list(table.remarks), "quantities": quantities}
 
 
 def print_report(report: PaperReport, console: Console) -> None:
-    """Print every table of a report, its footnotes and the summary."""
-    console.print(Text(report.source.citation, style="italic"))
+    """Print every table of a report, its footnotes and the summary: cells as paper → computed (relative error), in colours."""
+    console.print(Text(citation(), style="italic"))
     for table in report.tables:
-        print_table(table, console)
-    console.print()
-    console.print(Text(report.summary(), style="bold"))
+        console.print(Text(f"\n{table.label}. {table.title}", style="bold"))
+        for remark in table.remarks:
+            console.print(Text(remark, style="italic"))
+        # a table for each quantity
+        for quantity in table.quantities:
+            title = f"{quantity.name} [{quantity.unit}]{marks(table, quantity)}: paper → computed"
+            shown = titled_table(title, "", numbers=quantity.columns)
+            for row, cells in quantity.lines():
+                texts = []
+                for cell in cells:
+                    difference = cell.difference().replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
+                    end = f" ({difference}){marks(table, cell) or ' '}", GRADE_COLOURS[cell.grade]
+                    paper = cell.printed, "" if cell.believable else "strike"
+                    texts.append(Text.assemble(paper, " → ", (cell.rounded(), "bold"), end))
+                shown.add_row(row, *texts)
+            console.print(shown)
+        # what the marks mean, and how well the table agrees
+        for mark, text in footnotes(table):
+            console.print(Text(f"{mark} {text}", style="dim"))
+        console.print(Text(agreement(table.cells), style="bold"))
+    console.print(Text(f"\n{report.summary()}", style="bold"))

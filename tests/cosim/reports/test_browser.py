@@ -21,7 +21,7 @@ from flexfmu.cosim.reports.plots import bent_robot, draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.compare.comparison import compare_runs
-from flexfmu.cosim.studies.paper.report import PaperReport, report_to_html, source
+from flexfmu.cosim.studies.paper.report import PaperReport
 from flexfmu.cosim.studies.workprec.figures import html
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
@@ -76,7 +76,7 @@ def folder(run: Run, make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory
         "comparison": render_comparison(compared),
         "measured": compare_runs(compared, late).page(),
         "workprec": html(WorkPrecisionStudy(run.scene, 0.68, 1e-3, None, "", tuple(trials))),
-        "paper": report_to_html(PaperReport(source()), Path()),
+        "paper": PaperReport().to_html(Path()),
     }
     out = tmp_path_factory.mktemp("pages")
     for name, text in texts.items():

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from flexfmu.cosim.studies.paper.command import run_paper
-from flexfmu.cosim.studies.paper.comparison import TABLES, Cell, printed_tables
-from flexfmu.cosim.studies.paper.report import PaperReport
+from flexfmu.cosim.studies.paper.report import PaperReport, run_paper
+from flexfmu.cosim.studies.paper.tables import TABLES, Cell, printed_table
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +30,7 @@ def report(folder: Path) -> PaperReport:
 
 
 def cells(report: PaperReport, table: str, metric: str) -> tuple[Cell, ...]:
-    return report.table(table).comparison(metric).cells
+    return report.table(table).quantity(metric).cells
 
 
 @pytest.mark.parametrize(
@@ -42,7 +41,7 @@ def test_frequencies_stay_inside_the_printed_bands(
     report: PaperReport, row: str, centre: float, half_range: float, rounding: float
 ) -> None:
     """Natural frequencies along the path lie in the paper's bands, as far as the rounding of both figures defines them."""
-    table = report.table("frequencies").comparison("natural_frequency")
+    table = report.table("frequencies").quantity("natural_frequency")
     middle, half = table.cell(row, "centre").computed, table.cell(row, "half range").computed
     widened = half_range + rounding + HALF_UNIT
     assert centre - widened <= middle - half <= middle + half <= centre + widened
@@ -78,7 +77,7 @@ def test_end_positions_of_the_short_curves(report: PaperReport) -> None:
 
 def test_the_extended_lame_curve_is_the_best(report: PaperReport) -> None:
     """The paper's conclusion from Table 11: with the trapezoidal profiles the shortest path leaves the least error."""
-    positions = report.table("table-11").comparison("end_position_error")
+    positions = report.table("table-11").quantity("end_position_error")
     for row in ("1/4 Trapezoidal", "1/8 Trapezoidal"):
         shortest = positions.cell(row, "Lamé Ext").computed
         assert shortest < min(positions.cell(row, column).computed for column in ("Lamé", "Clot."))
@@ -86,7 +85,7 @@ def test_the_extended_lame_curve_is_the_best(report: PaperReport) -> None:
 
 def test_the_polynomial_is_the_smoothest(report: PaperReport) -> None:
     """The paper's conclusion from Table 7: on the Lamé curve the polynomial excites the least vibration."""
-    errors = report.table("table-07").comparison("rms_acceleration_error")
+    errors = report.table("table-07").quantity("rms_acceleration_error")
     smoothest = errors.cell("7th order polynomial", "Lamé").computed
     assert all(smoothest <= cell.computed for cell in errors.cells)
 
@@ -96,7 +95,7 @@ def test_every_table_is_there_with_every_figure(report: PaperReport, folder: Pat
     data = json.loads((folder / "paper.json").read_text(encoding="utf-8"))
     assert [table["key"] for table in data["tables"]] == list(TABLES)
     assert sum(len(q["cells"]) for table in data["tables"] for q in table["quantities"]) == sum(
-        len(row) for table in printed_tables() for q in table.quantities for row in q.values
+        len(row) for table in map(printed_table, TABLES) for q in table.quantities for row in q.values
     )
     assert all((folder / "tables" / f"{key}.csv").exists() for key in TABLES)
 
