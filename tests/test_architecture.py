@@ -98,7 +98,6 @@ ALONE = {
     "cosim.design.margins.pictures": "drawing",
     "cosim.design.plans.required_effects": "effects that a plan must have",
     "cosim.design.shapers.figure": "drawing",
-    "cosim.engine.fmu.log": "log of an FMU",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.engine.fmu.trajectory": "references within an FMU",
     "cosim.experiment.fitting_signals": "references for foreign FMUs",

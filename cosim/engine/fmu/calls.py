@@ -1,15 +1,27 @@
-"""The FMI 2.0 and 3.0 functions of a loaded FMU as C calls on addresses, without conversions.
+"""The FMI 2.0 and 3.0 functions of a loaded FMU as C calls on addresses, without conversions; and the messages that it logs.
 
 fmpy's methods convert lists to C arrays at every call; here arrays are numpy buffers whose addresses are taken once.
 """
 
 from __future__ import annotations
 
+import sys
+from collections import deque
 from collections.abc import Callable, Mapping
-from ctypes import CFUNCTYPE, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
+from ctypes import CFUNCTYPE, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
+from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
+from fmpy import calloc, free
+from fmpy.fmi2 import (
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
+from fmpy.logging import addLoggerProxy
 from numpy.typing import DTypeLike, NDArray
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
@@ -24,50 +36,33 @@ CO_SIMULATION = 1
 Signature = tuple[Any, ...]
 """C types of the result and of the arguments; pointers are addresses."""
 
-FMI2_SIGNATURES: dict[str, Signature] = {
+_TRANSFER: Signature = (c_int, c_void_p, c_void_p, c_size_t, c_void_p)
+"""Of a function that reads or sets variables: instance, value references and their number, values."""
+
+_FMI2: dict[str, Signature] = {
     "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
     "fmi2FreeInstance": (None, c_void_p),
     "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
     **dict.fromkeys(("fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"), (c_int, c_void_p)),
-    **{
-        f"fmi2{verb}{kind}": (c_int, c_void_p, c_void_p, c_size_t, c_void_p)
-        for kind in ("Real", "Integer", "Boolean", "String")
-        for verb in ("Get", "Set")
-    },
-    "fmi2SetRealInputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
-    "fmi2GetRealOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
-    "fmi2GetDirectionalDerivative": (
-        *(c_int, c_void_p, c_void_p, c_size_t),
-        *(c_void_p, c_size_t, c_void_p, c_void_p),
-    ),
+    **{f"fmi2{verb}{kind}": _TRANSFER for kind in ("Real", "Integer", "Boolean", "String") for verb in ("Get", "Set")},
+    "fmi2SetRealInputDerivatives": (*_TRANSFER, c_void_p),
+    "fmi2GetRealOutputDerivatives": (*_TRANSFER, c_void_p),
+    "fmi2GetDirectionalDerivative": (*_TRANSFER, c_size_t, c_void_p, c_void_p),
     "fmi2DoStep": (c_int, c_void_p, c_double, c_double, c_int),
-    "fmi2GetStatus": (c_int, c_void_p, c_int, c_void_p),
-    "fmi2GetRealStatus": (c_int, c_void_p, c_int, c_void_p),
-    "fmi2GetBooleanStatus": (c_int, c_void_p, c_int, c_void_p),
+    **{f"fmi2Get{kind}Status": (c_int, c_void_p, c_int, c_void_p) for kind in ("", "Real", "Boolean")},
     **{f"fmi2{verb}FMUstate": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
 }
-"""Functions of FMI 2.0 → signatures."""
 
-DTYPES: dict[str, DTypeLike] = {
+_FMI3_NUMBERS: dict[str, DTypeLike] = {
     "Float32": np.float32,
     "Float64": np.float64,
-    "Int8": np.int8,
-    "UInt8": np.uint8,
-    "Int16": np.int16,
-    "UInt16": np.uint16,
-    "Int32": np.int32,
-    "UInt32": np.uint32,
-    "Int64": np.int64,
-    "UInt64": np.uint64,
+    **{f"{sign}Int{bits}": np.dtype(f"{sign}Int{bits}".lower()) for bits in (8, 16, 32, 64) for sign in ("", "U")},
     "Boolean": np.bool_,
 }
-"""Numeric types of FMI 3.0 → element types of the C arrays; enumerations use the functions of Int64."""
-
-_TRANSFER: Signature = (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)
 
 _FMI3_MODES = ("EnterConfiguration", "ExitConfiguration", "ExitInitialization", "EnterEvent", "EnterStep")
 
-FMI3_SIGNATURES: dict[str, Signature] = {
+_FMI3: dict[str, Signature] = {
     "fmi3InstantiateCoSimulation": (
         *(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_bool, c_bool),
         *(c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
@@ -78,11 +73,38 @@ FMI3_SIGNATURES: dict[str, Signature] = {
     "fmi3UpdateDiscreteStates": (c_int, *[c_void_p] * 7),
     "fmi3Terminate": (c_int, c_void_p),
     "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
-    "fmi3GetOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p, c_size_t),
+    "fmi3GetOutputDerivatives": (*_TRANSFER, c_void_p, c_size_t),
     **{f"fmi3{verb}FMUState": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
-    **{f"fmi3{verb}{kind}": _TRANSFER for kind in (*DTYPES, "String") for verb in ("Get", "Set")},
+    **{f"fmi3{verb}{kind}": (*_TRANSFER, c_size_t) for kind in (*_FMI3_NUMBERS, "String") for verb in ("Get", "Set")},
 }
-"""Functions of FMI 3.0 → signatures; fmi3Boolean is C's bool."""
+
+
+@dataclass(frozen=True)
+class Version:
+    """What differs between the functions of FMI 2.0 and 3.0.
+
+    Attributes:
+        prefix: start of the functions' names.
+        state: what the functions call a state of the FMU.
+        signatures: functions → signatures.
+        dtypes: numeric types of variables → element types of the C arrays.
+        output_derivatives: function that reads derivatives of outputs.
+        counts_values: whether a transfer also takes the number of values, which arrays make larger than that of variables.
+    """
+
+    prefix: str
+    state: str
+    signatures: Mapping[str, Signature]
+    dtypes: Mapping[str, DTypeLike]
+    output_derivatives: str
+    counts_values: bool
+
+
+_FMI2_NUMBERS: dict[str, DTypeLike] = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
+
+FMI2 = Version("fmi2", "FMUstate", _FMI2, _FMI2_NUMBERS, "fmi2GetRealOutputDerivatives", counts_values=False)
+FMI3 = Version("fmi3", "FMUState", _FMI3, _FMI3_NUMBERS, "fmi3GetOutputDerivatives", counts_values=True)
+"""fmi2Boolean is an int, fmi3Boolean C's bool; enumerations use the functions of Integer and Int64."""
 
 _RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate")
 """Endings of the names of functions that some libraries lack, although FMI requires all."""
@@ -90,7 +112,7 @@ _RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate")
 Calls = dict[str, Callable[..., Any]]
 
 
-def bound_calls(library: Any, signatures: Mapping[str, tuple[Any, ...]]) -> Calls:
+def bound_calls(library: Any, signatures: Mapping[str, Signature]) -> Calls:
     """Return the functions with these signatures from a loaded library.
 
     A missing function that few FMUs need (`_RARE`) is replaced by one that returns fmi2Error.
@@ -120,3 +142,74 @@ def address(array: NDArray[Any]) -> int:
 def value_references(references: list[int]) -> NDArray[np.uint32]:
     """Return value references as the array that FMI functions take."""
     return np.array(references, dtype=np.uint32)
+
+
+MAXIMUM_MESSAGES = 200
+"""Messages kept per instance; a verbose FMU must not fill the memory."""
+
+MAXIMUM_COMPLAINTS = 3
+"""Last messages of a failure that an error quotes."""
+
+
+class FmuLog:
+    """Log of one instance at a time.
+
+    Attributes:
+        messages: messages with status warning or worse, oldest first.
+        callbacks: callback structure for fmi2Instantiate; must exist as long as the instance.
+    """
+
+    def __init__(self) -> None:
+        self.messages: list[str] = []
+        self._complaints: deque[str] = deque(maxlen=MAXIMUM_COMPLAINTS)
+        self._key = next(_keys)
+        self.callbacks: Any = fmi2CallbackFunctions()
+        self.callbacks.allocateMemory = _allocate
+        self.callbacks.freeMemory = _free
+        self.callbacks.componentEnvironment = self._key
+
+    def open(self) -> None:
+        """Clear the messages and receive those of the next instance.
+
+        fmpy's logger proxy, which formats messages, serves one logger at a time in a process.
+        """
+        self.messages.clear()
+        self._complaints.clear()
+        _logs[self._key] = self
+        self.callbacks.logger = _logger
+        addLoggerProxy(byref(self.callbacks))
+
+    def close(self) -> None:
+        """Stop receiving messages."""
+        _logs.pop(self._key, None)
+
+    def complaint(self) -> str:
+        """Return the last messages of a failure as one line; empty if the FMU gave none."""
+        return "; ".join(dict.fromkeys(self._complaints))
+
+    def add(self, status: int, message: str) -> None:
+        """Keep a message with status warning or worse."""
+        line = " ".join(message.split())
+        if status >= WARNING and len(self.messages) < MAXIMUM_MESSAGES:
+            self.messages.append(line)
+        if status > WARNING:
+            self._complaints.append(line)
+
+
+_logs: dict[int, FmuLog] = {}
+_keys = count(1)
+
+
+def _receive(environment: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
+    """Add a message to its instance's log; print it if the instance is unknown."""
+    text = (message or b"").decode("utf-8", "replace")
+    log = _logs.get(environment or 0)
+    if log is not None:
+        log.add(status, text)
+    elif status >= WARNING:
+        print(f"{(name or b'').decode('utf-8', 'replace')}: {text}", file=sys.stderr)
+
+
+_logger = fmi2CallbackLoggerTYPE(_receive)
+_allocate = fmi2CallbackAllocateMemoryTYPE(calloc)
+_free = fmi2CallbackFreeMemoryTYPE(free)

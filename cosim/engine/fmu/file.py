@@ -23,7 +23,7 @@ import fmpy
 from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.engine.errors import FmuFileError
-from flexfmu.cosim.engine.fmu.fmi3_variables import flattened, structural_sizes
+from flexfmu.cosim.engine.fmu.variables import flattened, structural_sizes
 from flexfmu.fmu_build.choices import ANNOTATION
 from flexfmu.fmu_build.naming import NAMES
 

@@ -1,23 +1,31 @@
-"""Instances of an FMU, one at a time: instantiated, the status of every call checked, and always freed."""
+"""Instances of an FMU, one at a time: instantiated, the status of every call checked, stepped, and always freed.
+
+Event mode of FMI 3.0 is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled
+before the step goes on; steps end at announced time events, and discrete inputs change at events. Intermediate update
+and clocks are not used.
+"""
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from ctypes import byref, c_double, c_int, c_void_p
+from ctypes import byref, c_bool, c_double, c_int, c_void_p
 from functools import cache, partial
 from itertools import count
+from math import inf, ulp
 from pathlib import Path
 from time import sleep
 from typing import Any, cast
 
 from fmpy.fmi1 import _FMU
+from fmpy.fmi3 import fmi3LogMessageCallback
 
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
-from flexfmu.cosim.engine.fmu import calls as fmi2
+from flexfmu.cosim.engine.fmu import calls as fmi
+from flexfmu.cosim.engine.fmu.calls import FMI2, FMI3, FmuLog, Version
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, attempt
-from flexfmu.cosim.engine.fmu.log import FmuLog
 from flexfmu.cosim.engine.slave import Call
 
 StatusCall = Callable[[], int]
@@ -25,6 +33,12 @@ StatusCall = Callable[[], int]
 
 BoundStep = tuple["partial[int]", Callable[[int, float, float], BaseException]]
 """fmi2DoStep bound to its component, and a function (status, time, step) → error."""
+
+NEAR = 1e-9
+"""Instants closer than this fraction of the communication step count as one: FMUs sum up their own times."""
+
+MOST_ROUNDS = 1000
+"""Limit of the iterations of one event, and of successive returns from fmi3DoStep without progress in time."""
 
 POLL = 1e-4
 """Interval at which an FMU is polled for the end of an asynchronous step [s]."""
@@ -46,7 +60,7 @@ _serial = count(1)
 
 
 @cache
-def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
+def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
     """Load the FMU's library with fmpy and return its functions; the library stays loaded.
 
     A library of another tool is loaded in a child process first, in case it crashes.
@@ -68,8 +82,8 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
             in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
-    library, signatures = _loaded(fmu, arguments), fmi2.FMI3_SIGNATURES if fmu.is_fmi3 else fmi2.FMI2_SIGNATURES
-    calls: fmi2.Calls = attempt(fmu.path, lambda: fmi2.bound_calls(library, signatures))
+    library, version = _loaded(fmu, arguments), FMI3 if fmu.is_fmi3 else FMI2
+    calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, version.signatures))
     return calls
 
 
@@ -98,21 +112,30 @@ class Instance(ABC):
     Attributes:
         component: pointer to the instance; null if there is none. Calls bound to it use the instance that exists when
             they are made.
-        fmi: the FMI functions.
+        version: what is special about its FMI version.
+        calls: the FMI functions.
         log: messages of the current or last instance.
         name: name of the slave.
+        no_rollback: 1 until a state is saved, then 0; argument of doStep.
+        instances: number of instances so far.
+        epoch: changes whenever the FMU's inputs may differ from those set last (new instance, restored state).
     """
 
-    prefix: str
+    version: Version
 
-    def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls) -> None:
+    def __init__(self, fmu: UnpackedFmu) -> None:
         self.component = c_void_p()
-        self.fmi = fmi
+        self.calls = load_calls(fmu)
         self.log = FmuLog()
-        self.name = ""
+        self.name, self.no_rollback, self.instances, self.epoch = "", 1, 0, 0
         self._fmu = fmu
         self._guid = fmu.description.guid.encode()
         self._initialized = self._fatal = False
+        # saved states, whose memory is reused, and the time of the next event after each of them
+        self._states: list[c_void_p] = []
+        self._spare: list[c_void_p] = []
+        self._events_after: dict[int | None, float] = {}
+        self._next_event = inf
 
     def instantiate(self, name: str) -> None:
         """Instantiate the FMU; the last instance must have been freed.
@@ -120,7 +143,10 @@ class Instance(ABC):
         Raises:
             SlaveError: the FMU refuses, or has an instance and allows only one per process.
         """
-        self.name, self._initialized, self._fatal = name, False, False
+        self.name, self.no_rollback, self._next_event = name, 1, inf
+        self.instances, self.epoch = self.instances + 1, self.epoch + 1
+        self._initialized = self._fatal = False
+        self._states, self._spare = [], []
         if (sole := self._fmu.folder if self._fmu.only_once_per_process else None) in _alive:
             raise SlaveError(
                 name,
@@ -132,7 +158,7 @@ class Instance(ABC):
         self.component.value = self._created(f"{name} {next(_serial)}".encode())
         if self.component.value is None:
             self.log.close()
-            error = self.error("instantiation", fmi2.ERROR)
+            error = self.error("instantiation", fmi.ERROR)
             raise SlaveError(name, error.reason + self._fmu.tool_hint)
         if sole is not None:
             _alive[sole] = name
@@ -150,8 +176,8 @@ class Instance(ABC):
         """Enter initialisation mode, call ``meanwhile``, and exit initialisation mode."""
 
     @abstractmethod
-    def step(self, time: float, step: float, no_rollback: int) -> None:
-        """Advance from ``time`` by ``step`` [s]; ``no_rollback`` = 1 if no earlier state will be restored.
+    def step(self, time: float, step: float) -> None:
+        """Advance from ``time`` by ``step`` [s].
 
         Raises:
             SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
@@ -163,17 +189,22 @@ class Instance(ABC):
         more than one call."""
         return None
 
-    @abstractmethod
-    def get_state(self, state: c_void_p) -> int:
-        """Save the state; return the status."""
+    @property
+    def at_events(self) -> bool:
+        """Whether discrete inputs must be changed at an event: the FMU has event mode and is in step mode."""
+        return False
 
-    @abstractmethod
-    def set_state(self, state: c_void_p) -> int:
-        """Restore a state; return the status."""
+    def at_event(self, change: StatusCall, time: float | None = None) -> int:
+        """Change discrete inputs at an event, or directly without event mode; return the status of the change."""
+        return change()
 
-    @abstractmethod
-    def free_state(self, state: c_void_p) -> int:
-        """Free a saved state; return the status."""
+    def configure(self, change: StatusCall) -> int:
+        """Change structural parameters in configuration mode; return the status. From initialisation on, do nothing."""
+        return change()
+
+    def call(self, function: str, *arguments: Any) -> int:
+        """Call a function, its name without prefix, of this instance; return the status."""
+        return int(self.calls[f"{self.version.prefix}{function}"](self.component, *arguments))
 
     def accepts(self, call: StatusCall) -> bool:
         """Make a call that the FMU may refuse; return whether it succeeded.
@@ -181,9 +212,9 @@ class Instance(ABC):
         Raises:
             SlaveError: the call failed with a fatal error.
         """
-        if (status := call()) == fmi2.FATAL:
+        if (status := call()) == fmi.FATAL:
             raise self.error("a call", status)
-        return status <= fmi2.WARNING
+        return status <= fmi.WARNING
 
     def check(self, what: str, call: StatusCall) -> None:
         """Make a call; ``what`` names it in errors.
@@ -191,33 +222,51 @@ class Instance(ABC):
         Raises:
             SlaveError: the call failed, with the FMU's message.
         """
-        if (status := call()) > fmi2.WARNING:
+        if (status := call()) > fmi.WARNING:
             raise self.error(what, status)
-
-    def checked(self, what: str, call: StatusCall) -> Checked:
-        """Return the call as one that raises `SlaveError` with the FMU's message if it fails."""
-        return Checked(self, what, call)
 
     def error(self, what: str, status: int, time: float | None = None) -> SlaveError:
         """Return the error with the FMU's message, or with the status if it gave none."""
-        self._fatal = self._fatal or status == fmi2.FATAL
-        name = f"{self.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
+        self._fatal = self._fatal or status == fmi.FATAL
+        name = f"{self.version.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
         return SlaveError(self.name, self.log.complaint() or f"{what} failed with {name}; the FMU gave no reason", time)
 
+    def save(self) -> object:
+        """Return the complete state, in the memory of a released state if there is one; valid as long as the instance."""
+        state = self._spare.pop() if self._spare else c_void_p()
+        try:
+            self.check("saving the state", lambda: self.call(f"Get{self.version.state}", byref(state)))
+        finally:
+            # even after a failure, its memory must be freed at the end
+            if state.value is not None and not any(each is state for each in self._states):
+                self._states.append(state)
+        self._events_after[state.value] = self._next_event
+        self.no_rollback = 0
+        return state
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one to be saved."""
+        if isinstance(state, c_void_p) and not any(each is state for each in self._spare):
+            self._spare.append(state)
+
+    def restore(self, state: object) -> None:
+        """Restore a saved state."""
+        saved = cast(c_void_p, state)
+        self._next_event = self._events_after[saved.value]
+        self.epoch += 1
+        self.check("restoring a state", lambda: self.call(f"Set{self.version.state}", saved))
+
     def free(self) -> None:
-        """Terminate and free the instance; after a fatal error no FMI function may be called, so it isn't freed."""
+        """Terminate and free the instance with its states; after a fatal error no FMI function may be called."""
         if not self._fatal:
+            for state in self._states:
+                self.call(f"Free{self.version.state}", byref(state))
             if self._initialized:
-                self.fmi[f"{self.prefix}Terminate"](self.component)
-            self.fmi[f"{self.prefix}FreeInstance"](self.component)
+                self.call("Terminate")
+            self.calls[f"{self.version.prefix}FreeInstance"](self.component)
         self.component.value = None
         self.log.close()
         _alive.pop(self._fmu.folder, None)
-
-    @property
-    def alive(self) -> bool:
-        """Whether FMI functions may be called: there was no fatal error."""
-        return not self._fatal
 
     @property
     def initialized(self) -> bool:
@@ -225,42 +274,43 @@ class Instance(ABC):
         return self._initialized and not self._fatal
 
 
-class FmuInstance(Instance):
+class Fmi2Instance(Instance):
     """Current instance of an FMI 2.0 FMU; see `Instance`."""
 
-    prefix = "fmi2"
+    version = FMI2
 
-    def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls) -> None:
-        super().__init__(fmu, fmi)
+    def __init__(self, fmu: UnpackedFmu) -> None:
+        super().__init__(fmu)
         self._resources = Path(fmu.folder, "resources").as_uri().encode()
-        self._do_step: partial[int] = partial(fmi["fmi2DoStep"], self.component)
+        self._do_step: partial[int] = partial(self.calls["fmi2DoStep"], self.component)
         self._asynchronous = bool(fmu.description.coSimulation.canRunAsynchronuously)
         self._can_go_back = bool(fmu.description.coSimulation.canGetAndSetFMUstate)
 
     def _created(self, name: bytes) -> int | None:
-        callbacks = byref(self.log.callbacks)
-        kind, instantiate = fmi2.CO_SIMULATION, self.fmi["fmi2Instantiate"]
-        found: int | None = instantiate(name, kind, self._guid, self._resources, callbacks, 0, 0)
+        callbacks, instantiate = byref(self.log.callbacks), self.calls["fmi2Instantiate"]
+        found: int | None = instantiate(name, fmi.CO_SIMULATION, self._guid, self._resources, callbacks, 0, 0)
         return found
 
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Set up the experiment."""
-        setup = self.fmi["fmi2SetupExperiment"]
-        given, relative = tolerance is not None, tolerance or 0.0
-        self.check("fmi2SetupExperiment", lambda: setup(self.component, given, relative, start_time, 1, stop_time))
+        arguments = tolerance is not None, tolerance or 0.0, start_time, 1, stop_time
+        self.check("fmi2SetupExperiment", lambda: self.call("SetupExperiment", *arguments))
 
     def initialize(self, meanwhile: Call) -> None:
-        """Enter initialisation mode, call ``meanwhile``, and exit initialisation mode."""
-        self.check("initialisation", lambda: self.fmi["fmi2EnterInitializationMode"](self.component))
+        self.check("initialisation", lambda: self.call("EnterInitializationMode"))
         meanwhile()
-        self.check("initialisation", lambda: self.fmi["fmi2ExitInitializationMode"](self.component))
+        self.check("initialisation", lambda: self.call("ExitInitializationMode"))
         self._initialized = True
 
-    def step(self, time: float, step: float, no_rollback: int) -> None:
-        status = self._do_step(time, step, no_rollback)
-        if status == fmi2.PENDING and self._asynchronous:
-            status = self.awaited(status)
-        if status > fmi2.WARNING:
+    def step(self, time: float, step: float) -> None:
+        status = self._do_step(time, step, self.no_rollback)
+        # an asynchronous step: wait until it is done
+        if status == fmi.PENDING and self._asynchronous:
+            pending, asked = c_int(status), fmi.OK
+            while pending.value == fmi.PENDING and asked <= fmi.WARNING:
+                sleep(POLL)
+                asked = self.call("GetStatus", fmi.DO_STEP_STATUS, byref(pending))
+            status = asked if asked > fmi.WARNING else pending.value
+        if status > fmi.WARNING:
             raise self.step_error(status, time, step)
 
     def bound_step(self) -> BoundStep | None:
@@ -269,15 +319,14 @@ class FmuInstance(Instance):
     def step_error(self, status: int, time: float, step: float) -> SlaveError:
         """Return the error of a failed step, with the last time that the FMU reached."""
         reached, terminated = c_double(time), c_int(0)
-        component, fmi = self.component, self.fmi
         error = self.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
-        if status == fmi2.PENDING and not self._asynchronous:
+        if status == fmi.PENDING and not self._asynchronous:
             said = self.log.complaint()
             return SlaveError(error.slave, f"{UNCLAIMED}; its last message: {said}" if said else UNCLAIMED, time)
-        if status != fmi2.DISCARD:
+        if status != fmi.DISCARD:
             return error
-        fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
-        fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
+        self.call("GetRealStatus", fmi.LAST_SUCCESSFUL_TIME, byref(reached))
+        self.call("GetBooleanStatus", fmi.TERMINATED, byref(terminated))
         if terminated.value:
             return SlaveEnded(error.slave, self.log.complaint() or "fmi2Terminated", reached.value)
         if self._fmu.is_ours:
@@ -288,23 +337,146 @@ class FmuInstance(Instance):
         reason = f"{error.reason}; {done}, take {remedy if self._can_go_back else 'a smaller communication step'}"
         return SlaveError(error.slave, reason, reached.value)
 
-    def awaited(self, status: int) -> int:
-        """Wait until a step that returned fmi2Pending is done; return its status."""
-        pending = c_int(status)
-        while pending.value == fmi2.PENDING:
-            sleep(POLL)
-            if (asked := self.fmi["fmi2GetStatus"](self.component, fmi2.DO_STEP_STATUS, byref(pending))) > fmi2.WARNING:
-                return int(asked)
-        return int(pending.value)
 
-    def get_state(self, state: c_void_p) -> int:
-        return int(self.fmi["fmi2GetFMUstate"](self.component, byref(state)))
+class Fmi3Instance(Instance):
+    """Current instance of an FMI 3.0 FMU; see `Instance`."""
 
-    def set_state(self, state: c_void_p) -> int:
-        return int(self.fmi["fmi2SetFMUstate"](self.component, state))
+    version = FMI3
 
-    def free_state(self, state: c_void_p) -> int:
-        return int(self.fmi["fmi2FreeFMUstate"](self.component, byref(state)))
+    def __init__(self, fmu: UnpackedFmu) -> None:
+        super().__init__(fmu)
+        capabilities = fmu.description.coSimulation
+        self._has_events = self._events = bool(capabilities.hasEventMode)
+        self._returns_early = bool(capabilities.mightReturnEarlyFromDoStep)
+        self._regular = fmu.needs_regular_steps
+        folder = fmu.folder / "resources"
+        self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
+        self._receive = fmi3LogMessageCallback(self._logged)
+        self._experiment: tuple[Any, ...] = ()
+        self._configurable = self._stepping = False
+        # output arguments of fmi3DoStep and of fmi3UpdateDiscreteStates
+        self._event, self._ends, self._early, self._reached = c_bool(), c_bool(), c_bool(), c_double()
+        self._again, self._timed, self._unused, self._time = c_bool(), c_bool(), c_bool(), c_double()
+
+    def _logged(self, environment: int | None, status: int, category: bytes | None, message: bytes | None) -> None:
+        """Add a message of the FMU to the log."""
+        self.log.add(status, (message or b"").decode("utf-8", "replace"))
+
+    def _created(self, name: bytes) -> int | None:
+        """Return a new instance; an FMU that states event mode but refuses it is instantiated without."""
+        self._configurable, self._stepping, self._events = True, False, self._has_events
+        found = self._instantiated(name)
+        if found is None and self._events:
+            self._events = False
+            self.log.open()
+            found = self._instantiated(name)
+        return found
+
+    def _instantiated(self, name: bytes) -> int | None:
+        """Return a new instance with or without event mode; None if the FMU refuses."""
+        flags = False, False, self._events, self._events and self._returns_early
+        arguments = name, self._guid, self._resources, *flags, None, 0, None, self._receive, None
+        found: int | None = self.calls["fmi3InstantiateCoSimulation"](*arguments)
+        return found
+
+    def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        # for fmi3EnterInitializationMode
+        self._experiment = tolerance is not None, tolerance or 0.0, start_time, True, stop_time
+
+    def configure(self, change: StatusCall) -> int:
+        if not self._configurable:
+            return fmi.OK
+        if (status := self.call("EnterConfigurationMode")) > fmi.WARNING:
+            return status
+        status = change()
+        return max(status, self.call("ExitConfigurationMode")) if status <= fmi.WARNING else status
+
+    def initialize(self, meanwhile: Call) -> None:
+        """Initialise, with ``meanwhile`` called in initialisation mode, and handle the events at the start.
+
+        Raises:
+            SlaveError: the FMU fails.
+        """
+        # structural parameters are fixed from here on
+        self._configurable = False
+        self.check("initialisation", lambda: self.call("EnterInitializationMode", *self._experiment))
+        meanwhile()
+        self.check("initialisation", lambda: self.call("ExitInitializationMode"))
+        self._initialized = True
+        # the FMU is in event mode now
+        if self._events:
+            self._update(self._experiment[2])
+        self._stepping = True
+
+    def step(self, time: float, step: float) -> None:
+        """Advance from ``time`` by ``step`` [s], from event to event.
+
+        Raises:
+            SlaveError: the FMU fails; its ``time`` is the last time reached.
+            SlaveEnded: the FMU requests the end of the simulation.
+        """
+        now, end, idle = time, time + step, 0
+        near, do_step = NEAR * step + 4.0 * ulp(end), self.calls["fmi3DoStep"]
+        results = byref(self._event), byref(self._ends), byref(self._early), byref(self._reached)
+        while True:
+            # up to the next announced time event, unless all steps must be equal
+            announced = now < self._next_event < end - near and not self._regular
+            target = self._next_event if announced else end
+            length = step if (now, target) == (time, end) else target - now
+            if (status := do_step(self.component, now, length, bool(self.no_rollback), *results)) > fmi.WARNING:
+                raise self.error(f"the step from {now:.9g} s by {length:.9g} s", status, now)
+            reached = self._reached.value if self._early.value else target
+            if self._ends.value:
+                raise self._ended(self._reached.value)
+            if self._events and (self._event.value or reached >= self._next_event - near):
+                self.at_event(lambda: fmi.OK, reached)
+            # done, or on from the event
+            if end - reached <= near:
+                return
+            idle = 0 if reached > now else idle + 1
+            if idle > MOST_ROUNDS:
+                raise self._hangs("returns from fmi3DoStep", reached)
+            now = max(now, reached)
+
+    @property
+    def at_events(self) -> bool:
+        return self._events and self._stepping
+
+    def at_event(self, change: StatusCall, time: float | None = None) -> int:
+        if not self.at_events:
+            return change()
+        self.check("an event", lambda: self.call("EnterEventMode"))
+        self._stepping = False
+        status = change()
+        if status <= fmi.WARNING:
+            self._update(time)
+            self._stepping = True
+        return status
+
+    def _update(self, time: float | None) -> None:
+        """Update discrete states until none changes any more, then enter step mode."""
+        unused = byref(self._unused)
+        results = byref(self._again), byref(self._ends), unused, unused, byref(self._timed), byref(self._time)
+        # event iteration
+        for _ in range(MOST_ROUNDS):
+            self.check("an event", lambda: self.call("UpdateDiscreteStates", *results))
+            if self._ends.value:
+                raise self._ended(time)
+            if not self._again.value:
+                break
+        else:
+            raise self._hangs("wants its discrete states updated", time)
+        # the next time event, and on with steps
+        self._next_event = self._time.value if self._timed.value else inf
+        self.check("an event", lambda: self.call("EnterStepMode"))
+
+    def _ended(self, time: float | None) -> SlaveEnded:
+        """Return the error of an FMU that requests the end of the simulation."""
+        return SlaveEnded(self.name, self.log.complaint() or "terminateSimulation", time)
+
+    def _hangs(self, what: str, time: float | None) -> SlaveError:
+        """Return the error of an FMU that makes no progress."""
+        return SlaveError(self.name, f"it {what} {MOST_ROUNDS} times without getting on", time)
 
 
 class Checked:
@@ -321,53 +493,9 @@ class Checked:
         self._instance, self._what = instance, what
 
     def __call__(self) -> None:
-        if (status := self.call()) > fmi2.WARNING:
+        if (status := self.call()) > fmi.WARNING:
             raise self.error(status)
 
     def error(self, status: int) -> SlaveError:
         """Return the error of a failed call."""
         return self._instance.error(self._what, status)
-
-
-class FmuStates:
-    """Saved states of an instance: their memory is reused, and freed with the instance at the end of a run.
-
-    Attributes:
-        instance: the instance.
-        no_rollback: 1 until a state is saved, then 0; argument of fmi2DoStep.
-    """
-
-    def __init__(self, instance: Instance) -> None:
-        self.instance = instance
-        self.no_rollback = 1
-        self._states: list[c_void_p] = []
-        self._spare: list[c_void_p] = []
-
-    def save(self) -> object:
-        """Return the complete state, in the memory of a released state if there is one."""
-        state = self._spare.pop() if self._spare else c_void_p()
-        try:
-            self.instance.check("saving the state", lambda: self.instance.get_state(state))
-        finally:
-            # even after a failure, its memory must be freed at the end
-            if state.value is not None and not any(each is state for each in self._states):
-                self._states.append(state)
-        self.no_rollback = 0
-        return state
-
-    def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one to be saved."""
-        if isinstance(state, c_void_p) and not any(each is state for each in self._spare):
-            self._spare.append(state)
-
-    def restore(self, state: object) -> None:
-        """Restore a saved state."""
-        saved = cast(c_void_p, state)
-        self.instance.check("restoring a state", lambda: self.instance.set_state(saved))
-
-    def free(self) -> None:
-        """Free all states and the instance; must be called only once."""
-        if self.instance.alive:
-            for state in self._states:
-                self.instance.free_state(state)
-        self.instance.free()

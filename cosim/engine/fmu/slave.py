@@ -17,26 +17,15 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.binding import nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.engine.errors import CosimError, InputError, SlaveError
-from flexfmu.cosim.engine.fmu.calls import address, value_references
+from flexfmu.cosim.engine.fmu.calls import WARNING, address, value_references
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, resized
-from flexfmu.cosim.engine.fmu.fmi3 import Fmi3Instance
-from flexfmu.cosim.engine.fmu.fmi3_transfers import Fmi3Transfers
-from flexfmu.cosim.engine.fmu.instance import (
-    BoundStep,
-    FmuInstance,
-    FmuStates,
-    Instance,
-    StatusCall,
-    load_calls,
-)
-from flexfmu.cosim.engine.fmu.transfers import StartValues, Statistics, Transfers
-from flexfmu.cosim.engine.fmu.variables import (
-    FmuVariables,
-    Handle,
-    Value,
-    read_variables,
-)
+from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, Fmi2Instance, Fmi3Instance, Instance, StatusCall
+from flexfmu.cosim.engine.fmu.transfers import StartValues, Transfers
+from flexfmu.cosim.engine.fmu.variables import FmuVariables, Handle, Value, read_variables
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
+
+PREFIX = "statistics."
+"""Prefix of the names of the counters."""
 
 LISTED = 5
 """Largest number of names in a sentence; there may be hundreds."""
@@ -97,12 +86,15 @@ class FmuSlave:
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
         self.needs_regular_steps = self._fmu.needs_regular_steps
         # the instance, transfers of its variables, and calls that set start values
-        self._instance, self._transfers = _interface(self._fmu)
-        self._counters = Statistics(known.others, self._transfers.get)
+        self._instance: Instance = (Fmi3Instance if self._fmu.is_fmi3 else Fmi2Instance)(self._fmu)
+        self._transfers = Transfers(self._instance)
+        counters = {n: each for n, each in known.others.items() if n.startswith(PREFIX) and each.kind == "Integer"}
+        self._counters, self._counts = [name.removeprefix(PREFIX) for name in counters], np.zeros(len(counters))
+        self._count = self._transfers.get([*counters.values()], self._counts)
         self._starts = StartValues(self._fmu, self._instance, self._transfers, self._given)
         self._presets: dict[int, float] = {}
         self._preset: tuple[list[int], RealArray, StatusCall] | None = None
-        self._run: FmuStates | None = None
+        self._running = False
         self._free: Call = nothing
         # results of a run
         self.statistics: Mapping[str, int] = {}
@@ -193,8 +185,7 @@ class FmuSlave:
         # a new instance, freed with the slave at the latest
         instance = self._instance
         instance.instantiate(self.name)
-        self._run = run = FmuStates(instance)
-        self._free = weakref.finalize(self, run.free)
+        self._running, self._free = True, weakref.finalize(self, instance.free)
         instance.set_up(start_time, stop_time, tolerance)
         # start values and inputs before initialisation mode
         self._starts.set()
@@ -229,7 +220,8 @@ class FmuSlave:
             SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
             SlaveEnded: the FMU requests the end of the simulation.
         """
-        self._instance.step(time, step, self._running().no_rollback)
+        self._check_running()
+        self._instance.step(time, step)
 
     def bound_step(self) -> BoundStep | None:
         """Return fmi2DoStep bound to the component and a function for the error; None if `step` does more."""
@@ -237,53 +229,53 @@ class FmuSlave:
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs; before initialisation the values are stored for it."""
-        if self._run is None:
+        if not self._running:
             self._presets.update(zip(indices.tolist(), values.tolist(), strict=True))
         else:
             self.bind_set(indices, np.ascontiguousarray(values))()
 
     def get(self, indices: Indices, values: RealArray) -> None:
         """Read variables."""
-        self._running()
+        self._check_running()
         buffer = np.empty(values.shape)
         self.bind_get(indices, buffer)()
         values[:] = buffer
 
     def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Set derivatives of inputs."""
-        self._running()
+        self._check_running()
         self.bind_set_derivatives(indices, np.ascontiguousarray(derivatives))()
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Read derivatives of outputs."""
-        self._running()
+        self._check_running()
         buffer = np.empty(derivatives.shape)
         self.bind_get_derivatives(indices, buffer)()
         derivatives[:] = buffer
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that sets inputs from the buffer (n,)."""
-        return self._instance.checked("setting inputs", self._transfers.set(self._select(indices), values))
+        return Checked(self._instance, "setting inputs", self._transfers.set(self._select(indices), values))
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that reads variables into the buffer (n,)."""
-        return self._instance.checked("reading variables", self._transfers.get(self._select(indices), values))
+        return Checked(self._instance, "reading variables", self._transfers.get(self._select(indices), values))
 
     def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """Return a call that sets derivatives of inputs from the buffer (orders, n)."""
         call = self._transfers.set_derivatives(self._select(indices), derivatives)
-        return self._instance.checked("setting input derivatives", call)
+        return Checked(self._instance, "setting input derivatives", call)
 
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """Return a call that reads derivatives of outputs into the buffer (orders, n); absent ones are zero."""
         handles, what = self._select(indices), "reading output derivatives"
         if self._fmu.is_ours:
-            return self._instance.checked(what, self._transfers.get_derivatives(handles, derivatives))
+            return Checked(self._instance, what, self._transfers.get_derivatives(handles, derivatives))
         # FMUs of other tools: don't read what the trial instance lacked
         orders = np.arange(1, len(derivatives) + 1)[:, None]
         lowest = [self.lacking.get(self.variables[index].name, len(derivatives) + 1) for index in indices]
         call = self._transfers.get_derivatives(handles, derivatives, orders >= np.array(lowest))
-        return self._tidied(self._instance.checked(what, call), indices, derivatives)
+        return self._tidied(Checked(self._instance, what, call), indices, derivatives)
 
     def directional_derivatives(self, unknowns: Indices, knowns: Indices) -> RealArray:
         """Return the partial derivatives (n, m) of n real outputs with respect to m real states or inputs, at this instant.
@@ -298,7 +290,7 @@ class FmuSlave:
         for row, each in zip(found, known, strict=True):
             one = np.array([each])
             arguments = address(references), len(references), address(one), 1, address(seed), address(row)
-            function = partial(instance.fmi["fmi2GetDirectionalDerivative"], instance.component, *arguments)
+            function = partial(instance.call, "GetDirectionalDerivative", *arguments)
             instance.check("reading directional derivatives", function)
         return found.T
 
@@ -345,22 +337,25 @@ class FmuSlave:
         Raises:
             SlaveError: the FMU can't save its state.
         """
-        return self._running().save()
+        self._check_running()
+        return self._instance.save()
 
     def restore(self, state: object) -> None:
         """Restore a saved state."""
-        self._running().restore(state)
+        self._check_running()
+        self._instance.restore(state)
 
     def release(self, state: object) -> None:
         """Keep the memory of a saved state for the next one to be saved."""
-        if self._run is not None:
-            self._run.release(state)
+        if self._running:
+            self._instance.release(state)
 
     def terminate(self) -> None:
         """Read the statistics, then terminate and free the instance; without one, do nothing."""
-        if self._run is not None:
-            self._run = None
-            self.statistics = self._counters.read() if self._instance.initialized else {}
+        if self._running:
+            self._running = False
+            known = self._counters and self._instance.initialized and self._count() <= WARNING
+            self.statistics = dict(zip(self._counters, map(int, self._counts), strict=True)) if known else {}
             self._free()
             self.messages = tuple(self._instance.log.messages)
 
@@ -368,25 +363,10 @@ class FmuSlave:
         """Return the handles of variables."""
         return [self._handles[index] for index in indices]
 
-    def _running(self) -> FmuStates:
-        """Return the states of the present run.
-
-        Raises:
-            SlaveError: the slave isn't initialised.
-        """
-        if self._run is None:
+    def _check_running(self) -> None:
+        """Raise `SlaveError` if the slave isn't initialised."""
+        if not self._running:
             raise SlaveError(self.name, "not initialised; call initialize first")
-        return self._run
-
-
-def _interface(fmu: UnpackedFmu) -> tuple[Instance, Transfers | Fmi3Transfers]:
-    """Return instance and transfers for the FMI version of the FMU."""
-    fmi = load_calls(fmu)
-    if fmu.is_fmi3:
-        newer = Fmi3Instance(fmu, fmi)
-        return newer, Fmi3Transfers(newer)
-    instance = FmuInstance(fmu, fmi)
-    return instance, Transfers(fmi, instance.component)
 
 
 @cache

@@ -1,27 +1,29 @@
-"""Values of an FMU's variables: transfers between FMI 2.0 and numpy buffers, as calls with all arguments bound; and start values, set
-before initialisation and read back after it."""
+"""Values of an FMU's variables: transfers between FMI functions and numpy buffers, as calls with all arguments bound; and start values,
+set before initialisation and read back after it.
+
+FMI 3.0 transfers whole arrays: if only some elements of an array are set, the others keep the values set last.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from ctypes import c_char_p, c_void_p
-from dataclasses import dataclass
+from ctypes import addressof, c_char_p
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Calls, address, value_references
+from flexfmu.cosim.engine.errors import SlaveError
+from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Version, address, value_references
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu
-from flexfmu.cosim.engine.fmu.fmi3_transfers import Fmi3Transfers
-from flexfmu.cosim.engine.fmu.fmi3_variables import by_elements
 from flexfmu.cosim.engine.fmu.instance import Checked, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.variables import (
-    FmiType,
     Handle,
     Setting,
     Value,
+    by_elements,
     in_words,
     same,
     settable_variables,
@@ -29,35 +31,63 @@ from flexfmu.cosim.engine.fmu.variables import (
 )
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
 
-DTYPES = {"Integer": np.int32, "Boolean": np.int32}
-"""Element types of the C arrays of Integer and Boolean variables; fmi2Boolean is an int."""
-
 
 class Transfers:
-    """Makes calls that transfer values between variables of an instance and buffers; a call returns its fmi2Status.
+    """Makes calls that transfer values between variables of an instance and buffers; a call returns its fmi2Status or fmi3Status.
 
-    Buffers are doubles for all types: integers, booleans (0 or 1) and texts (codes in `TEXTS`) are converted.
+    Buffers are doubles for all types: integers, booleans (0 or 1) and texts (codes in `TEXTS`) are converted, and integers beyond
+    2^53 are rounded. Transfers of nothing but Real variables of FMI 2.0 are `partial` calls of one FMI function on the caller's own
+    buffer, which the loop in C makes itself.
 
     Args:
-        fmi: the FMI functions.
-        component: pointer to the instance; every call reads its current value.
+        instance: the instance; calls stay valid for the next ones.
     """
 
-    def __init__(self, fmi: Calls, component: c_void_p) -> None:
-        self._fmi = fmi
-        self._component = component
+    def __init__(self, instance: Instance) -> None:
+        self._instance = instance
+        self._arrays: dict[int, NDArray[Any]] = {}
+        self._seen_instance = 0
 
     def get(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
         """Return a call that reads the variables into ``values`` (n,)."""
-        return _all(
-            [self._get_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
-        )
+        if (direct := self._directly("fmi2GetReal", handles, values)) is not None:
+            return direct
+        # one FMI call for each type
+        groups = [self._group(each, columns) for each, columns in _groups(handles, by_event=False)]
+        reads = [(self._function("Get", group), group) for group in groups]
+        component = self._instance.component
+
+        # return the worst status; values of failed calls are not copied
+        def call() -> int:
+            worst = OK
+            for read, group in reads:
+                if (status := read(component, *group.arguments)) <= WARNING:
+                    values[group.columns] = group.read()
+                worst = max(worst, status)
+            return worst
+
+        return call
 
     def set(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
-        """Return a call that sets the variables from ``values`` (n,)."""
-        return _all(
-            [self._set_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
-        )
+        """Return a call that sets the variables from ``values`` (n,); at events discrete ones only if they change."""
+        if (direct := self._directly("fmi2SetReal", handles, values)) is not None:
+            return direct
+        groups = [self._group(each, columns) for each, columns in _groups(handles, by_event=True)]
+        # continuous variables are set in step mode, discrete ones at an event
+        continuous, discrete = ([each for each in groups if each.discrete is kind] for kind in (False, True))
+        instance = self._instance
+
+        def call() -> int:
+            worst = max((self._send(group, values) for group in continuous), default=OK)
+            if not discrete or worst > WARNING:
+                return worst
+            # an event, if a discrete variable changes
+            changed = [each for each in discrete if each.changes(values, instance.epoch) or not instance.at_events]
+            if changed:
+                worst = max(worst, instance.at_event(lambda: max(self._send(each, values) for each in changed)))
+            return worst
+
+        return call
 
     def get_derivatives(
         self, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
@@ -66,16 +96,19 @@ class Transfers:
 
         Elements of other types than Real, and those that are ``absent`` (orders, n), keep their values.
         """
-        return self._derivatives("fmi2GetRealOutputDerivatives", handles, derivatives, absent)
+        return self._derivatives(self._instance.version.output_derivatives, handles, derivatives, absent)
 
     def set_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
-        """Return a call that sets input derivatives from ``derivatives`` (orders, n), of Real inputs only."""
+        """Return a call that sets input derivatives from ``derivatives`` (orders, n), of Real inputs only; FMI 3.0 has none."""
+        if self._instance.version.counts_values:
+            return lambda: OK
         return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
 
     def setting(self, setting: Setting) -> StatusCall:
-        """Return a call that sets a start value."""
-        value = setting.value
-        return self.set([setting.handle], np.array([TEXTS.code(value) if isinstance(value, str) else float(value)]))
+        """Return a call that sets a start value; a structural parameter in configuration mode."""
+        value, handle = setting.value, setting.handle
+        send = self.set([handle], np.array([TEXTS.code(value) if isinstance(value, str) else float(value)]))
+        return (lambda: self._instance.configure(send)) if handle.structural else send
 
     def reading(self, setting: Setting) -> tuple[StatusCall, Callable[[], Value]]:
         """Return a call that reads a start value back, and a function that returns the value read."""
@@ -85,158 +118,168 @@ class Transfers:
             return call, lambda: TEXTS.known()[int(found[0])]
         return call, lambda: float(found[0])
 
-    def _get_kind(self, kind: FmiType, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Return a call that reads variables of one kind."""
-        if kind == "Real" and len(columns) == values.size:
-            return self._bind("fmi2GetReal", references, values)
-        # other kinds, or some of the columns, through a buffer of their own
-        if kind == "String":
-            return self._get_texts(columns, references, values)
-        buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
-        read = self._bind(f"fmi2Get{kind}", references, buffer)
+    def _directly(self, function: str, handles: Sequence[Handle], values: RealArray) -> StatusCall | None:
+        """Return the function of FMI 2.0 bound to the buffer, if it takes all of it as it is."""
+        if self._instance.version.counts_values or not handles or any(each.kind != "Real" for each in handles):
+            return None
+        return self._bound(function, value_references([each.reference for each in handles]), values)
 
-        def call() -> int:
-            status = read()
-            values[columns] = buffer
-            return status
-
+    def _bound(self, function: str, references: NDArray[np.uint32], *buffers: NDArray[Any]) -> StatusCall:
+        """Return the function bound to value references and buffers; the call keeps them alive."""
+        where = map(address, buffers)
+        call = partial(
+            self._instance.calls[function], self._instance.component, address(references), references.size, *where
+        )
+        call.__dict__["arrays"] = references, buffers
         return call
 
-    def _set_kind(self, kind: FmiType, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Return a call that sets variables of one kind."""
-        if kind == "Real" and len(columns) == values.size:
-            return self._bind("fmi2SetReal", references, values)
-        # other kinds, rounded, or some of the columns, through a buffer of their own
-        if kind == "String":
-            return self._set_texts(columns, references, values)
-        buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
-        write = self._bind(f"fmi2Set{kind}", references, buffer)
+    def _function(self, verb: str, group: _Group) -> Callable[..., int]:
+        return self._instance.calls[f"{self._instance.version.prefix}{verb}{group.type}"]
 
-        def call() -> int:
-            buffer[:] = np.rint(values[columns]) if kind != "Real" else values[columns]
-            return write()
+    def _group(self, handles: Sequence[Handle], columns: Sequence[int]) -> _Group:
+        return _Group(self._instance.version, handles, columns)
 
-        return call
+    def _send(self, group: _Group, values: RealArray) -> int:
+        """Set the variables of a group; return the status.
 
-    def _get_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Return a call that reads variables of type String, as codes."""
-        array, texts = value_references(references), (c_char_p * len(columns))()
+        Raises:
+            SlaveError: a value doesn't fit the type.
+        """
+        # elements of an array that aren't set keep their values
+        for handle, place in group.arrays:
+            group.buffer[place] = self._array(handle)
+        if (misfit := group.fill(values)) is not None:
+            name, value = misfit
+            raise SlaveError(self._instance.name, f"{name} is of type {group.type} and can't be {value:.12g}")
+        for handle, place in group.arrays:
+            self._array(handle)[:] = group.buffer[place]
+        return self._function("Set", group)(self._instance.component, *group.arguments)
 
-        def call() -> int:
-            status = int(self._fmi["fmi2GetString"](self._component, address(array), array.size, texts))
-            if status <= WARNING:
-                values[columns] = [TEXTS.code((text or b"").decode("utf-8", "replace")) for text in texts]
-            return status
-
-        return call
-
-    def _set_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Return a call that sets variables of type String from codes."""
-        array, texts = value_references(references), (c_char_p * len(columns))()
-
-        def call() -> int:
-            known = TEXTS.known()
-            texts[:] = [known[int(code)].encode() for code in values[columns]]
-            return int(self._fmi["fmi2SetString"](self._component, address(array), array.size, texts))
-
-        return call
-
-    def _bind(self, function: str, references: list[int], buffer: NDArray[np.generic]) -> StatusCall:
-        """Return the function bound to value references and a buffer; the call keeps both alive."""
-        array = value_references(references)
-        call = partial(self._fmi[function], self._component, address(array), array.size, address(buffer))
-        return _keeping(call, array, buffer)
+    def _array(self, handle: Handle) -> NDArray[Any]:
+        """Return the values last set of an array in this instance; at first its start values."""
+        if self._seen_instance != self._instance.instances:
+            self._seen_instance = self._instance.instances
+            self._arrays.clear()
+        if handle.reference not in self._arrays:
+            # start values; without any in the description, the present values
+            group = self._group([replace(handle, place=place) for place in range(handle.size)], [])
+            if handle.start is not None:
+                self._arrays[handle.reference] = np.array(handle.start, group.buffer.dtype)
+            else:
+                self._function("Get", group)(self._instance.component, *group.arguments)
+                self._arrays[handle.reference] = group.read()
+        return self._arrays[handle.reference]
 
     def _derivatives(
         self, function: str, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
     ) -> StatusCall:
         """Return one call for all orders of all Real variables that aren't absent."""
-        # the derivatives to transfer, order by order
-        orders = np.repeat(np.arange(1, len(derivatives) + 1, dtype=np.int32), len(handles))
-        references = value_references([handle.reference for handle in handles] * len(derivatives))
-        real = np.tile([handle.kind == "Real" for handle in handles], len(derivatives))
-        if absent is not None:
-            real &= ~absent.ravel()
-        if not real.any():
+        # the elements to transfer, order by order
+        wanted = [
+            (row, column, handle)
+            for row in range(len(derivatives))
+            for column, handle in enumerate(handles)
+            if handle.kind == "Real" and (absent is None or not absent[row, column])
+        ]
+        if not wanted:
             return lambda: OK
-        if real.all():
-            return self._bind_derivatives(function, references, orders, derivatives)
-        # if some are left out, through a buffer of the others
-        buffer = np.zeros(int(real.sum()))
-        transfer = self._bind_derivatives(function, references[real], orders[real], buffer)
-        flat, getting = derivatives.reshape(-1), function.startswith("fmi2Get")
+        # each array once per order, one after another in one buffer
+        sizes = {(row, handle.reference): handle.size for row, _, handle in wanted}
+        begins = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+        places = [begins[row, handle.reference] + handle.place for row, _, handle in wanted]
+        flat, columns = derivatives.reshape(-1), [row * len(handles) + column for row, column, _ in wanted]
+        references = value_references([reference for _, reference in sizes])
+        orders = np.array([row + 1 for row, _ in sizes], np.int32)
+        counts_values = self._instance.version.counts_values
+        if not counts_values and len(sizes) == flat.size:
+            return self._bound(function, references, orders, derivatives)
+        # through a buffer of these elements
+        buffer, getting = np.zeros(sum(sizes.values())), "Get" in function
+        transfer, more = self._bound(function, references, orders, buffer), (buffer.size,) if counts_values else ()
 
         def call() -> int:
-            if getting:
-                status = transfer()
-                flat[real] = buffer
-                return status
-            buffer[:] = flat[real]
-            return transfer()
+            if not getting:
+                buffer[places] = flat[columns]
+            status = int(transfer(*more))
+            if getting and status <= WARNING:
+                flat[columns] = buffer[places]
+            return status
 
         return call
 
-    def _bind_derivatives(
-        self, function: str, references: NDArray[np.uint32], orders: NDArray[np.int32], buffer: RealArray
-    ) -> StatusCall:
-        """Return the function bound to these arrays; the call keeps them alive."""
-        arguments = (address(references), references.size, address(orders), address(buffer))
-        return _keeping(partial(self._fmi[function], self._component, *arguments), references, orders, buffer)
 
+class _Group:
+    """Variables of one type, as whole arrays, in a buffer for the FMI functions.
 
-def _keeping(call: partial[int], *arrays: NDArray[np.generic]) -> StatusCall:
-    """Return the call with references to the arrays whose addresses it uses, so that they stay alive."""
-    call.__dict__["arrays"] = arrays
-    return call
-
-
-def _by_kind(handles: Sequence[Handle]) -> list[tuple[FmiType, list[int], list[int]]]:
-    """Return (kind, columns, value references) for each kind of variable."""
-    kinds = dict.fromkeys(handle.kind for handle in handles)
-    columns = {kind: [i for i, handle in enumerate(handles) if handle.kind == kind] for kind in kinds}
-    return [(kind, columns[kind], [handles[i].reference for i in columns[kind]]) for kind in kinds]
-
-
-def _all(calls: Sequence[Callable[[], int]]) -> StatusCall:
-    """Return a call that makes all calls and returns the worst status."""
-    if len(calls) == 1:
-        return calls[0]
-    return lambda: max((call() for call in calls), default=OK)
-
-
-PREFIX = "statistics."
-"""Prefix of the names of the counters."""
-
-
-class Statistics:
-    """Counters of an FMU's run: its Integer variables ``statistics.*``.
-
-    Args:
-        variables: name → handle of the variables, the counters among them.
-        get: function that makes a call which reads variables into a buffer.
+    Attributes:
+        type: FMI type of the variables.
+        discrete: whether they change only at events.
+        columns: indices of the requested elements in the caller's buffer of doubles.
+        buffer: values of all elements, in the element type of the FMI functions.
+        arguments: addresses and sizes of value references and buffer, for the FMI functions.
+        arrays: (one of its elements, slice of the buffer) for each array.
     """
 
-    def __init__(
-        self, variables: Mapping[str, Handle], get: Callable[[Sequence[Handle], RealArray], StatusCall]
-    ) -> None:
-        counters = {n: each for n, each in variables.items() if n.startswith(PREFIX) and each.kind == "Integer"}
-        self._names = [name.removeprefix(PREFIX) for name in counters]
-        self._values = np.zeros(len(counters))
-        self._read = get([*counters.values()], self._values)
+    def __init__(self, version: Version, handles: Sequence[Handle], columns: Sequence[int]) -> None:
+        first = handles[0]
+        self.type, self.discrete, self.columns = first.type, first.discrete, np.array(columns, np.intp)
+        self._names = [each.name for each in handles]
+        # a slice of the buffer for each whole array
+        own = {each.reference: each for each in handles}
+        begins = dict(zip(own, np.cumsum([0, *(each.size for each in own.values())]).tolist(), strict=False))
+        self._places = np.array([begins[each.reference] + each.place for each in handles], np.intp)
+        total = sum(each.size for each in own.values())
+        self.arrays = [(each, slice(begins[n], begins[n] + each.size)) for n, each in own.items() if each.size > 1]
+        # buffers for the FMI functions: texts as pointers, with their codes in ``buffer``
+        self._references = value_references(list(own))
+        self._texts = (c_char_p * total)() if self.type == "String" else None
+        self.buffer = np.zeros(total, version.dtypes.get(self.type, np.float64))
+        where = address(self.buffer) if self._texts is None else addressof(self._texts)
+        self.arguments = address(self._references), len(own), where, *([total] if version.counts_values else [])
+        self._sent = np.full(len(columns), np.nan)
+        self._epoch = -1
 
-    def read(self) -> dict[str, int]:
-        """Return name without prefix → value; empty if the FMU has no counters or they can't be read."""
-        if not self._names or self._read() > WARNING:
-            return {}
-        return {name: int(value) for name, value in zip(self._names, self._values.tolist(), strict=True)}
+    def read(self) -> NDArray[Any]:
+        """Return the requested elements of the buffer; texts as codes."""
+        if self._texts is not None:
+            for place in self._places.tolist():
+                self.buffer[place] = TEXTS.code((self._texts[place] or b"").decode("utf-8", "replace"))
+        return self.buffer[self._places]
+
+    def fill(self, values: RealArray) -> tuple[str, float] | None:
+        """Write values to the buffer; return name and value of the first that doesn't fit the type, None if all do."""
+        new = values[self.columns]
+        # integers are rounded and must be within the range of their type
+        if self.buffer.dtype.kind in "iu":
+            new = np.rint(new)
+            limits = np.iinfo(self.buffer.dtype)
+            fits = (new >= float(limits.min)) & (new < float(limits.max) + 1.0)
+            if not fits.all():
+                wrong = int(np.argmin(fits))
+                return self._names[wrong], float(new[wrong])
+        self.buffer[self._places] = new
+        if self._texts is not None:
+            known = TEXTS.known()
+            self._texts[:] = [known[int(code)].encode() for code in self.buffer]
+        return None
+
+    def changes(self, values: RealArray, epoch: int) -> bool:
+        """Return whether the values differ from those of the last call, or may differ from the FMU's."""
+        new = values[self.columns]
+        if self._epoch == epoch and np.array_equal(new, self._sent):
+            return False
+        self._epoch, self._sent = epoch, new
+        return True
 
 
-@dataclass(frozen=True)
-class _Start:
-    """A start value and the call that sets it."""
-
-    setting: Setting
-    set: Checked
+def _groups(handles: Sequence[Handle], *, by_event: bool) -> list[tuple[list[Handle], list[int]]]:
+    """Return (handles, columns) for each type; with ``by_event`` discrete variables have groups of their own."""
+    found: dict[tuple[str, bool], tuple[list[Handle], list[int]]] = {}
+    for column, handle in enumerate(handles):
+        members, columns = found.setdefault((handle.type, handle.discrete and by_event), ([], []))
+        members.append(handle)
+        columns.append(column)
+    return list(found.values())
 
 
 class StartValues:
@@ -254,14 +297,15 @@ class StartValues:
         InputError: a parameter doesn't exist, or its value doesn't fit its type or range.
     """
 
-    def __init__(
-        self, fmu: UnpackedFmu, instance: Instance, transfers: Transfers | Fmi3Transfers, given: Mapping[str, Value]
-    ) -> None:
+    def __init__(self, fmu: UnpackedFmu, instance: Instance, transfers: Transfers, given: Mapping[str, Value]) -> None:
         self._fmu, self._instance, self._transfers = fmu, instance, transfers
         self._readings: dict[str, tuple[StatusCall, Callable[[], Value]]] = {}
         self._starts = self._given = self._starting(given)
-        # those that are set together, by name, and whether their values are to be taken over
-        self._batch: _BatchSetter | None = None
+        # those that are set together: names, values set and read, and the calls; and whether the values are to be taken over
+        self._names: frozenset[str] = frozenset()
+        self._values = self._found = np.empty(0)
+        self._set: StatusCall = lambda: OK
+        self._get: StatusCall = lambda: OK
         self._is_new = True
 
     def vary(self, changes: Mapping[str, Value]) -> None:
@@ -272,11 +316,13 @@ class StartValues:
         """
         self._starts, self._is_new = {**self._given, **self._starting(changes)}, True
 
-    def _starting(self, parameters: Mapping[str, Value]) -> dict[str, _Start]:
+    def _starting(self, parameters: Mapping[str, Value]) -> dict[str, tuple[Setting, Checked]]:
         """Return name → start value and the call that sets it."""
-        transfers, checked = self._transfers, self._instance.checked
         return {
-            each.name: _Start(each, checked(f"setting {each.name} = {each.value}", transfers.setting(each)))
+            each.name: (
+                each,
+                Checked(self._instance, f"setting {each.name} = {each.value}", self._transfers.setting(each)),
+            )
             for each in settings(_settable(self._fmu), by_elements(self._fmu.description, parameters))
         }
 
@@ -287,31 +333,37 @@ class StartValues:
             SlaveError: the FMU refuses one, with its message.
         """
         if self._fmu.is_ours and self._is_new:
-            real = {name: each.setting for name, each in self._starts.items() if each.setting.handle.kind == "Real"}
-            if self._batch is None or self._batch.names != real.keys():
-                self._batch = _BatchSetter([*real.values()], self._transfers)
-            self._batch.values[:] = [float(each.value) for each in real.values()]
+            real = {name: each for name, (each, _) in self._starts.items() if each.handle.kind == "Real"}
+            if self._names != real.keys():
+                handles, self._names = [each.handle for each in real.values()], frozenset(real)
+                self._values, self._found = np.empty((2, len(real)))
+                self._set, self._get = (
+                    self._transfers.set(handles, self._values),
+                    self._transfers.get(handles, self._found),
+                )
+            self._values[:] = [float(each.value) for each in real.values()]
             self._is_new = False
-        done = self._batch.set() if self._batch is not None else frozenset[str]()
-        for name, start in self._starts.items():
+        # one by one where one of them fails
+        done = self._names if self._set() <= WARNING else frozenset[str]()
+        for name, (_, send) in self._starts.items():
             if name not in done:
-                start.set()
+                send()
 
     def set_lost(self) -> None:
         """Set those again, in initialisation mode, that the FMU has lost."""
-        for start in self._starts.values():
-            found = self._read_back(start.setting)
-            if start.setting.lasting and (found is None or not same(start.setting.value, found)):
-                self._instance.accepts(start.set.call)
+        for setting, send in self._starts.values():
+            found = self._read_back(setting)
+            if setting.lasting and (found is None or not same(setting.value, found)):
+                self._instance.accepts(send.call)
 
     def differences(self) -> Iterator[tuple[str, str]]:
         """Yield name and a sentence for each start value that differs from the value read back."""
-        equal = self._batch.read_equal() if self._batch is not None else frozenset[str]()
-        for name, start in self._starts.items():
+        equal = self._get() <= WARNING and bool((self._found == self._values).all())
+        for name, (setting, _) in self._starts.items():
             # leave out guesses, and variables that can't be read
-            if name in equal or not start.setting.lasting:
+            if (equal and name in self._names) or not setting.lasting:
                 continue
-            value, found = start.setting.value, self._read_back(start.setting)
+            value, found = setting.value, self._read_back(setting)
             if found is not None and not same(value, found):
                 variable = _settable(self._fmu)[name]
                 yield (
@@ -326,34 +378,6 @@ class StartValues:
             self._readings[setting.name] = self._transfers.reading(setting)
         call, value = self._readings[setting.name]
         return value() if self._instance.accepts(call) else None
-
-
-class _BatchSetter:
-    """Start values of type Real that are set and read by one call each; where one fails nothing is said of any of them.
-
-    Args:
-        wanted: which variables, in the order of their values.
-        transfers: transfers of the FMU's variables.
-
-    Attributes:
-        names: names of the variables.
-        values: (n,) start values.
-    """
-
-    def __init__(self, wanted: list[Setting], transfers: Transfers | Fmi3Transfers) -> None:
-        self.names = frozenset(each.name for each in wanted)
-        self.values, self._found = np.empty((2, len(wanted)))
-        handles = [each.handle for each in wanted]
-        self._set, self._get = transfers.set(handles, self.values), transfers.get(handles, self._found)
-
-    def set(self) -> frozenset[str]:
-        """Set them; return the names of those that are set."""
-        return self.names if self._set() <= WARNING else frozenset()
-
-    def read_equal(self) -> frozenset[str]:
-        """Read them; return the names, none of them if one can't be read or differs."""
-        equal = self._get() <= WARNING and bool((self._found == self.values).all())
-        return self.names if equal else frozenset()
 
 
 @cache

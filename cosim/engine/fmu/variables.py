@@ -1,24 +1,32 @@
-"""Variables of an FMU as slave variables, with their value references, and start values with their checks."""
+"""Variables of an FMU as slave variables, with their value references, and start values with their checks.
+
+Variables of FMI 3.0 are turned into those of FMI 2.0: an array becomes one scalar variable per element, named ``A[1,2]``, and
+structural parameters (they set the sizes of arrays) count as parameters; variables of type Binary are left out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from math import isclose
+from itertools import zip_longest
+from math import isclose, prod
 from numbers import Real
+from pathlib import Path
 from sys import float_info
-from typing import Any, Literal, cast
+from typing import Any, cast
+from xml.etree import ElementTree
+
+import numpy as np
+from attrs import asdict, define, evolve
+from fmpy.model_description import ModelVariable, Unknown
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.calls import FMI3
 from flexfmu.cosim.engine.slave import TEXTS, Causality, SlaveVariable
-
-FmiType = Literal["Real", "Integer", "Boolean", "String"]
-"""Type in the names of the FMI functions that transfer a variable; enumerations use those of Integer."""
 
 Value = float | int | bool | str
 """Value of a parameter; for an enumeration or a numbered choice also the item's name."""
-
 
 _BOOLEANS = {"true": True, "false": False}
 """Booleans as FMI spells them."""
@@ -29,10 +37,29 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Handle:
-    """Address of a variable for the FMI functions: type of the functions and value reference."""
+    """Address of a scalar variable, or of an element of an array, for the FMI functions.
 
-    kind: FmiType
+    Attributes:
+        kind: Real, Integer (enumerations too), Boolean or String.
+        reference: value reference.
+        type: type whose functions transfer it, ``Float64`` for example.
+        name: name for messages.
+        place: index of the element in its array, row by row; 0 for a scalar.
+        size: number of elements of the array; 1 for a scalar.
+        start: start values of the whole array; None if unknown.
+        discrete: whether an FMU of FMI 3.0 takes it at events only.
+        structural: whether it is a structural parameter.
+    """
+
+    kind: str
     reference: int
+    type: str
+    name: str = ""
+    place: int = 0
+    size: int = 1
+    start: tuple[float, ...] | None = None
+    discrete: bool = False
+    structural: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,23 +103,25 @@ def read_variables(description: Any) -> FmuVariables:
 def _variable(variable: Any) -> SlaveVariable:
     """Return the variable for the master."""
     text = variable.type == "String"
-    start = None if variable.start is None else TEXTS.code(variable.start) if text else _number(variable.start)
+    start = (
+        None
+        if variable.start is None
+        else TEXTS.code(variable.start)
+        if text
+        else float(_BOOLEANS.get(variable.start, variable.start))
+    )
     discrete = variable.type != "Real" or variable.variability == "discrete"
     return SlaveVariable(
         variable.name, cast(Causality, variable.causality), _unit(variable), start, discrete, variable.type
     )
 
 
-def _number(text: str) -> float:
-    """Return a start value as a number; booleans may be true and false or 1 and 0."""
-    return float({"true": 1.0, "false": 0.0}.get(text, text))
-
-
 def _handle(variable: Any) -> Handle:
     """Return the handle of the variable; variables of FMI 3.0 have their own."""
-    return getattr(variable, "handle", None) or Handle(
-        "Integer" if variable.type == "Enumeration" else variable.type, variable.valueReference
-    )
+    if isinstance(variable, Element):
+        return variable.handle
+    kind = "Integer" if variable.type == "Enumeration" else variable.type
+    return Handle(kind, variable.valueReference, kind, variable.name)
 
 
 def parameter_names(description: Any) -> frozenset[str]:
@@ -241,3 +270,149 @@ def same(value: Value, found: Value) -> bool:
     if isinstance(value, str) or isinstance(found, str):
         return value == found
     return isclose(value, found, rel_tol=ROUNDING, abs_tol=0.0)
+
+
+_KINDS = {"Float32": "Real", "Float64": "Real", "Enumeration": "Enumeration", "Boolean": "Boolean", "String": "String"}
+"""Types of FMI 3.0 → types of FMI 2.0; all others are Integer."""
+
+
+@define(eq=False)
+class Element(ModelVariable):  # type: ignore[misc]
+    """A scalar variable or an element of an array, with the types of FMI 2.0.
+
+    Attributes:
+        handle: its address.
+        array: name of its array; empty for a scalar.
+    """
+
+    handle: Handle = Handle("Real", 0, "Float64")
+    array: str = ""
+
+
+def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
+    """Return the model description with one scalar variable per element.
+
+    Args:
+        description: model description as fmpy reads it; ranges of integers are added to it.
+        folder: folder of the unpacked FMU.
+        sizes: structural parameter → value, if it isn't the start value of the description.
+    """
+    _add_ranges(description, folder)
+    elements: dict[int, list[Element]] = {}
+    variables: list[Element] = []
+    # inputs, outputs, parameters, and variables that may be set before initialisation
+    for variable in description.modelVariables:
+        shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
+        used = shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
+        if used and variable.type not in ("Binary", "Clock"):
+            scalars = list(_elements(variable, sizes))
+            variables += scalars
+            elements.setdefault(variable.valueReference, []).extend(scalars)
+
+    def known(variables: Sequence[Any] | None) -> list[Element] | None:
+        return None if variables is None else [e for v in variables for e in elements.get(v.valueReference, [])]
+
+    # each element of an output depends on all elements of the output's dependencies
+    outputs = [
+        Unknown(variable=element, dependencies=known(unknown.dependencies))
+        for unknown in description.outputs
+        for element in elements.get(unknown.variable.valueReference, [])
+    ]
+    return evolve(description, modelVariables=variables, outputs=outputs)
+
+
+def structural_sizes(description: Any, parameters: Mapping[str, Any]) -> dict[str, int]:
+    """Return the structural parameters among these start values: name → value.
+
+    Raises:
+        InputError: a value doesn't fit its type or range.
+    """
+    # FMI 2.0 has none, and variants of a scene ask at each run
+    if description.fmiVersion.startswith("2."):
+        return {}
+    known = settable_variables(description)
+    given = {n: value for n, value in parameters.items() if n in known and known[n].handle.structural}
+    return {each.name: int(each.value) for each in settings(known, given)}
+
+
+def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Value]:
+    """Return start values by element, structural parameters first; unchanged for an FMU of FMI 2.0.
+
+    Raises:
+        InputError: the number of values for an array isn't its number of elements.
+    """
+    # FMI 2.0 has no arrays, and variants of a scene ask at each run
+    if description.fmiVersion.startswith("2."):
+        return dict(parameters)
+    elements = {each.name: each for each in description.modelVariables}
+    # names of the elements of each array
+    arrays: dict[str, list[str]] = {}
+    for name, element in elements.items():
+        if element.array:
+            arrays.setdefault(element.array, []).append(name)
+    single = {
+        name: parameters[name] for name, each in elements.items() if each.handle.structural and name in parameters
+    }
+    # a value for each element
+    for name, value in parameters.items():
+        names = arrays.get(name, [name])
+        values = np.asarray(value, dtype=object).ravel().tolist() if name in arrays else [value]
+        if len(values) != len(names):
+            raise InputError(
+                f"{name} is an array: give {len(names)} values, row by row, or single ones such as {names[0]}; "
+                f"got {len(values)}"
+            )
+        single |= zip(names, values, strict=True)
+    # single-precision values as they will be read back
+    short = {name for name, each in elements.items() if each.handle.type == "Float32"}
+    return {
+        name: float(np.float32(value)) if name in short and isinstance(value, int | float) else value
+        for name, value in single.items()
+    }
+
+
+def _add_ranges(description: Any, folder: Path) -> None:
+    """Add the ranges of unsigned integers, which fmpy doesn't read, and the limits of the C types of all integers."""
+    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+    unsigned = {each.get("name"): each for each in root.iterfind("ModelVariables/*") if each.tag.startswith("UInt")}
+    for variable in description.modelVariables:
+        # the ranges that fmpy doesn't read
+        if variable.name in unsigned:
+            variable.min, variable.max = (unsigned[variable.name].get(bound) for bound in ("min", "max"))
+        # no limit of its own or of its declared type: the limit of the C type
+        if "Int" in variable.type:
+            limits, stated = np.iinfo(FMI3.dtypes[variable.type]), (variable, variable.declaredType)
+            for bound, limit in (("min", limits.min), ("max", limits.max)):
+                if all(getattr(each, bound, None) is None for each in stated):
+                    setattr(variable, bound, str(limit))
+
+
+def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
+    """Yield a scalar variable as it is, an array element by element, row by row."""
+    # sizes of the dimensions, numbers or structural parameters; () for a scalar
+    shape = tuple(
+        int(each.start if each.start is not None else sizes.get(each.variable.name, each.variable.start))
+        for each in variable.dimensions
+    )
+    name, size, kind = variable.name, prod(shape), _KINDS.get(variable.type, "Integer")
+    names = [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(shape)] if shape else [name]
+    # start values of all elements; a single one applies to all
+    texts = [] if variable.start is None else [variable.start]
+    if variable.dimensions and variable.type != "String" and texts:
+        texts = variable.start.split()
+    texts = texts * size if len(texts) == 1 else texts if len(texts) == size else []
+    exact = int if "Int" in variable.type else float
+    start = tuple(exact(_BOOLEANS.get(text, text)) for text in texts) if texts and variable.type != "String" else None
+    # all attributes read by fmpy, with names and types as in FMI 2.0
+    structural = variable.causality == "structuralParameter"
+    causality = "parameter" if structural else variable.causality
+    plain = asdict(variable, recurse=False) | {"type": kind, "causality": causality}
+    plain["python_type"] = plain.pop("_python_type")
+    functions, array = "Int64" if kind == "Enumeration" else variable.type, name if shape else ""
+    discrete = kind != "Real" or variable.variability == "discrete"
+    kind = "Integer" if kind == "Enumeration" else kind
+    for place, (own, text) in enumerate(zip_longest(names, texts)):
+        handle = Handle(
+            kind, variable.valueReference, functions, own, place, size, start, discrete=discrete, structural=structural
+        )
+        yield Element(**(plain | {"name": own, "start": text}), handle=handle, array=array)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from ctypes import POINTER, c_int32, c_uint32, c_void_p, cast
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.fmu.calls import WARNING
-from flexfmu.cosim.engine.fmu.log import MAXIMUM_COMPLAINTS, MAXIMUM_MESSAGES, FmuLog
+from flexfmu.cosim.engine.fmu.calls import FMI2, MAXIMUM_COMPLAINTS, MAXIMUM_MESSAGES, WARNING, FmuLog
 from flexfmu.cosim.engine.fmu.transfers import Transfers
 from flexfmu.cosim.engine.fmu.variables import Handle
 
@@ -21,8 +22,11 @@ def test_integers_are_rounded() -> None:
         told.extend((names[i], numbers[i]) for i in range(count))
         return 0
 
-    transfers = Transfers({"fmi2SetInteger": set_integer}, c_void_p(1))
-    handles = [Handle("Integer", 7), Handle("Integer", 9)]
+    instance: Any = SimpleNamespace(
+        calls={"fmi2SetInteger": set_integer}, component=c_void_p(1), version=FMI2, name="fmu"
+    )
+    transfers = Transfers(instance)
+    handles = [Handle("Integer", 7, "Integer"), Handle("Integer", 9, "Integer")]
     assert transfers.set(handles, np.array([2.9999999999, -1.0000000001]))() == 0
     assert told == [(7, 3), (9, -1)]
 
