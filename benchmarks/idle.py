@@ -10,9 +10,8 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler, native_platform
 
 SOURCE = "idle_fmu.c"
 

@@ -31,7 +31,7 @@ from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.numeric import inverse_dynamics
 
 DRIVEN = SCENE.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
@@ -140,7 +140,7 @@ def sample_figures(folder: Path) -> Iterator[SpeedFigure]:
         None,
         BlockSlave(block),
         BlockSlave(dynamic),
-        SampledFmu(build_block_fmu(block).path, "exported"),
+        SampledFmu(build_fmu(block).path, "exported"),
         own,
         BlockSlave(in_c),
         traced,

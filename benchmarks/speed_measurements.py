@@ -32,8 +32,7 @@ from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.signals import segments
 from flexfmu.cosim.studies.workprec.solver_trials import scipy_run, system_of
 from flexfmu.cosim.studies.workprec.trial import completed, subject_of
-from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler, native_platform
 
 STEP = 1e-3
 """Communication step of all runs [s]: recording at 1 kHz."""

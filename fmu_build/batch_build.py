@@ -16,9 +16,8 @@ from zipfile import BadZipFile, ZipFile
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError, ModelError
-from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, runtime_sources
-from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, find_compiler
+from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, find_compiler, native_platform
 
 LANE_FLAGS: Mapping[int, tuple[str, ...]] = {
     8: ("-mavx512f", "-mavx512dq", "-mprefer-vector-width=512"),

@@ -1,115 +1,86 @@
-"""Builds the FMU of a discrete-time block, with its model description: variables, structure, sampling."""
+"""The FMU of a discrete-time block: sampling, C code of output and update, variables and structure.
+
+The FMU samples at start time + offset + k * sample time, independently of the communication step, which may contain many sample
+instants or none. At an instant within a step it evaluates the input polynomials (constant unless derivatives are set). After a step
+the outputs are those of the last sample instant.
+
+If the step ends on a sample instant, outputs with direct feedthrough keep the previous sample until an input is set; from then on
+they follow the inputs. The next step completes this sample with the latest inputs. So importers that set inputs before they read
+outputs get the new sample at once, others one communication step later; new states are never combined with old inputs. Before the
+first instant, the outputs follow from the start states and the initial inputs.
+
+Shift registers are copied in runs, which are loops in C. As scalars, a delay line of thousands of samples would be thousands
+of statements, which take a C compiler minutes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
+from itertools import pairwise
+from math import isfinite
+from typing import Any
 
-from flexfmu.fmu_build.block_codegen import check_block, generate_block, generate_block_description
-from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_from_sources
-from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, MAX_INPUT_ORDER
-from flexfmu.fmu_build.description import Description
-from flexfmu.fmu_build.documentation import documentation_files
-from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import Interface, Unknown, check_names, counter_variable, feedthrough, real_variable
-from flexfmu.fmu_build.naming import Naming, named_block
-from flexfmu.fmu_build.picture import FINE_PEN, ICON_SIZE, PAGE_SIZE, block_picture, png
+import casadi
+
+from flexfmu.fmu_build.codegen import (
+    DESCRIPTION_FILE,
+    HEADER_FILE,
+    MAX_INPUT_ORDER,
+    GeneratedFunction,
+    c_code,
+    function_facts,
+    function_file,
+)
+from flexfmu.fmu_build.description import Content, Description
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.interface import Interface, counter_variable, feedthrough, real_variables
+from flexfmu.fmu_build.naming import Naming, named
+from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, block_picture
 from flexfmu.fmu_build.regular_sampling import regular
-from flexfmu.fmu_build.sources import Sources, assemble_sources
+from flexfmu.fmu_build.templating import render
 from flexfmu.model.symbolic import SymbolicBlock
 
-DEFAULT_SAMPLES = 1000
-"""Length of the default experiment in samples."""
 
-
-def build_block_fmu(
-    block: SymbolicBlock,
-    output: Path | None = None,
-    *,
-    stop_time: float | None = None,
-    step: float | None = None,
-    platforms: Iterable[str] | None = None,
-    naming: Naming = "structured",
-    cache: bool = True,
-    progress: BuildProgress = lambda message: None,
-) -> BuiltFmu:
-    """Build an FMU 2.0 for co-simulation of a controller, shaper or imperfection, unless an equal one is in the cache.
-
-    The FMU samples at start time + offset + k * sample time, independently of the communication step, which may contain
-    many sample instants or none. At an instant within a step it evaluates the input polynomials (constant unless
-    derivatives are set). After a step the outputs are those of the last sample instant.
-
-    If the step ends on a sample instant, outputs with direct feedthrough keep the previous sample until an input is set;
-    from then on they follow the inputs. The next step completes this sample with the latest inputs. So importers that set
-    inputs before they read outputs get the new sample at once, others one communication step later; new states are never
-    combined with old inputs. Before the first instant, the outputs follow from the start states and the initial inputs.
-
-    Args:
-        block: the block.
-        output: file to write; None leaves the FMU in the cache.
-        stop_time: stop time of the default experiment [s]; None for that of a thousand samples.
-        step: step of the default experiment [s]; None for the sample time.
-        platforms: as for `flexfmu.fmu_build.build.build_fmu`.
-        naming: as for `flexfmu.fmu_build.build.build_fmu`.
-        cache: as for `flexfmu.fmu_build.build.build_fmu`.
-        progress: as for `flexfmu.fmu_build.build.build_fmu`.
+def regular_block(block: SymbolicBlock) -> SymbolicBlock:
+    """The block with one sample time, and zero as the start of inputs that have none.
 
     Raises:
-        BuildError: the block violates its contract, there is no compiler, compilation fails, or a file can't be written.
+        ModelError: the sampling or a start state is impossible, or the instants have no common step.
     """
-
-    def make_sources() -> Sources:
-        return generate_block_sources(block, experiment, progress, naming)
-
     check_block(block)
-    block = regular(block)
-    # default experiment: a thousand samples in steps of the sample time
-    step = block.sample_time if step is None else step
-    end = float(f"{DEFAULT_SAMPLES * block.sample_time:.12g}") if stop_time is None else stop_time
-    experiment = DefaultExperiment(stop_time=end, step=step)
-    return build_from_sources(
-        make_sources, experiment, output=output, platforms=platforms, cache=cache, progress=progress
-    )
+    inputs = tuple(replace(each, start=0.0) if each.start is None else each for each in block.inputs)
+    return replace(regular(block), inputs=inputs)
 
 
-def generate_block_sources(
-    block: SymbolicBlock,
-    experiment: DefaultExperiment,
-    progress: BuildProgress = lambda message: None,
-    naming: Naming = "structured",
-) -> Sources:
-    """Generate all text files of the FMU.
+def block_content(block: SymbolicBlock, naming: Naming) -> Content:
+    """What a block's FMU has of its own.
 
     Raises:
         ModelError: the block violates its contract.
     """
-    progress("generating C")
-    block = with_starts(block)
-    # C code with the block's names, variables with names by the convention
+    block = regular_block(block)
     functions, facts = generate_block(block)
-    named = named_block(block, naming)
 
+    # only the tables contain names and the GUID
     def code(guid: str) -> dict[str, str]:
-        return functions | {DESCRIPTION_FILE: generate_block_description(named, facts, guid)}
+        values = {"sample": facts, "guid": guid, "max_input_order": MAX_INPUT_ORDER}
+        return functions | {DESCRIPTION_FILE: render("block_description.c.j2", block=named(block, naming), **values)}
 
-    description = block_description(block).named(naming)
-    picture = block_picture(*PAGE_SIZE, FINE_PEN)
-    pages = documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
-    icon = png(block_picture(ICON_SIZE, ICON_SIZE))
-    sources = assemble_sources("block", description, experiment, code, pages, icon, block.c_files)
-    return replace(sources, libraries=block.libraries)
+    return Content(
+        "block",
+        block_description(block),
+        code,
+        "block.html.j2",
+        picture=block_picture(*PAGE_SIZE, FINE_PEN),
+        icon=block_picture(),
+        values={"model": block},
+        c_files=block.c_files,
+        libraries=block.libraries,
+    )
 
 
 SAMPLES = "statistics.samples"
 """Name of the sample counter, the only Integer variable."""
-
-
-def with_starts(block: SymbolicBlock) -> SymbolicBlock:
-    """The block with start values for all inputs, zero by default."""
-    return replace(
-        block, inputs=tuple(replace(each, start=0.0) if each.start is None else each for each in block.inputs)
-    )
 
 
 def block_description(block: SymbolicBlock) -> Description:
@@ -129,26 +100,156 @@ def block_description(block: SymbolicBlock) -> Description:
 
 
 def block_interface(block: SymbolicBlock) -> Interface:
-    """Number the variables of a block: inputs, parameters, discrete outputs, and the sample counter.
+    """The variables of a block: inputs, parameters, discrete outputs, and the sample counter.
 
     Raises:
         ModelError: a name is repeated or unknown, or a start value is missing or out of range.
     """
-    # inputs, parameters, outputs, then the counter
-    scalars = (*block.inputs, *block.parameters, *block.outputs)
-    check_names([*(variable.name for variable in scalars), SAMPLES])
-    index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
-    reals = tuple(real_variable(variable, index_of, output_variability="discrete") for variable in scalars)
-    counter = counter_variable(SAMPLES, "Samples completed since initialisation", len(reals) + 1, 0)
+    reals = real_variables((*block.inputs, *block.parameters, *block.outputs), output_variability="discrete")
     # outputs depend on inputs by direct feedthrough; initially on all inputs and parameters
-    known = tuple(variable.index for variable in reals if variable.causality != "output")
     everything = [variable.name for variable in block.inputs]
     declared = {output.name: block.feedthrough.get(output.name, everything) for output in block.outputs}
-    direct = feedthrough(block.outputs, block.inputs, declared, index_of)
-    outputs = tuple(Unknown(index, inputs) for index, inputs in direct.items())
     return Interface(
-        variables=(*reals, counter),
-        outputs=outputs,
-        derivatives=(),
-        initial_unknowns=tuple(Unknown(output.index, known) for output in outputs),
+        variables=(*reals, counter_variable(SAMPLES, "Samples completed since initialisation", 0)),
+        outputs=feedthrough(block.outputs, block.inputs, declared),
+        initial_unknowns=tuple(output.name for output in block.outputs),
+        initial_knowns=tuple(variable.name for variable in (*block.inputs, *block.parameters)),
     )
+
+
+SAMPLE_FILE = function_file("sample")
+
+LARGE = 5000
+"""Number of lines of C from which GCC's optimiser is switched off: its time grows quadratically (half a minute for 10 000
+lines), and straight-line code gains little."""
+
+_QUICK = """#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("O0")
+#endif
+"""
+
+SHORTEST_RUN = 16
+"""Smallest number of states in a copied run; fewer are cheaper as statements."""
+
+_ARGUMENTS = ("x", "u", "p")
+
+
+def sample_function(block: SymbolicBlock) -> casadi.Function:
+    """Function (x, u, p) → (y, next x) of output and update, dense.
+
+    Common scalar subexpressions and calls of C functions are shared; matrix operations and long copies remain loops in C.
+
+    Raises:
+        ModelError: a function of the block has wrong sizes.
+    """
+    sizes = len(block.states), len(block.inputs), len(block.parameters)
+    _check_function(block, "output", block.output, sizes, len(block.outputs))
+    _check_function(block, "update", block.update, sizes, len(block.states))
+    functions = (block.output, block.update)
+    # scalar functions share subexpressions, matrix functions keep their loops
+    is_scalar = all(function.is_a("SXFunction") for function in functions)
+    symbol: Any = casadi.SX if is_scalar else casadi.MX
+    arguments = [symbol.sym(name, size) for name, size in zip(_ARGUMENTS, sizes, strict=True)]
+    # inlined, so that output and update share one call of a function in C
+    calls_c = bool(block.c_files)
+    results = [casadi.densify(function.call(arguments, calls_c, False)[0]) for function in functions]
+    if is_scalar or calls_c:
+        results = casadi.cse(results)
+    sample = casadi.Function("model_sample", arguments, results, list(_ARGUMENTS), ["y", "next_x"])
+    return with_runs_copied(sample) if is_scalar else sample
+
+
+def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunction]:
+    """C files of the block's function (name → text, header included) and the facts for the constant tables.
+
+    Raises:
+        ModelError: the block violates its contract, or CasADi can't generate C for one of its operations.
+    """
+    check_block(block)
+    function = sample_function(block)
+    facts = function_facts("sample", function)
+    try:
+        code = c_code(function)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
+    # long straight-line code is compiled without the optimiser
+    code = code if code.count("\n") < LARGE else _QUICK + code
+    return {SAMPLE_FILE: code, HEADER_FILE: render(HEADER_FILE + ".j2", functions=(facts,))}, facts
+
+
+def check_block(block: SymbolicBlock) -> None:
+    """Check sample time, offset and start states.
+
+    Raises:
+        ModelError: the sample time isn't positive, the offset is negative, or a start state isn't finite.
+    """
+    # sampling, then start states
+    name = block.name
+    if not (block.sample_time > 0.0 and (isfinite(block.sample_time) or block.instants)):
+        raise ModelError(
+            f"the sample time of block '{name}' must be positive, got {block.sample_time} s; 1e-3 is 1 kHz"
+        )
+    if not (isfinite(block.offset) and block.offset >= 0.0):
+        raise ModelError(f"the offset of block '{name}' must be zero or positive, got {block.offset} s")
+    for index, state in enumerate(block.states):
+        if not isfinite(state):
+            raise ModelError(f"start value {index} of the states of block '{name}' must be finite, got {state}")
+
+
+def _check_function(
+    block: SymbolicBlock, name: str, function: casadi.Function, sizes: tuple[int, ...], result: int
+) -> None:
+    got = tuple(function.numel_in(i) for i in range(function.n_in()))
+    results = tuple(function.numel_out(i) for i in range(function.n_out()))
+    if got != sizes or results != (result,):
+        raise ModelError(
+            f"function '{name}' of block '{block.name}' must take (x, u, p) of sizes {sizes} and give {result} values, "
+            f"it takes {got} and gives {results}"
+        )
+
+
+def with_runs_copied(function: casadi.Function) -> casadi.Function:
+    """The scalar function (x, u, p) → (y, next x) with long runs next_x[i..j] = x[k..l] as copies.
+
+    Returns the function itself if there are no such runs.
+    """
+    symbols = function.sx_in()
+    y, next_x = function.call(symbols)
+    runs = _runs(_sources(next_x, symbols[0]))
+    if not runs:
+        return function
+    # scalar equations of the states outside the runs
+    copied = {i for begin, _, length in runs for i in range(begin, begin + length)}
+    rest = [i for i in range(next_x.numel()) if i not in copied]
+    computed = casadi.Function(f"{function.name()}_computed", symbols, [y, next_x[rest]])
+    # their results and the copied runs in the order of the states; matrix operations remain loops in C
+    arguments = [casadi.MX.sym(name, symbol.numel()) for name, symbol in zip("xup", symbols, strict=True)]
+    outputs, states = computed.call(arguments)
+    pieces = _pieces(runs, arguments[0], states, next_x.numel())
+    names = function.name_in(), function.name_out()
+    return casadi.Function(function.name(), arguments, [outputs, casadi.vertcat(*pieces)], *names)
+
+
+def _sources(next_x: casadi.SX, x: casadi.SX) -> list[int]:
+    """For each next state the index of the state that it copies, or -1."""
+    index = {x[j].element_hash(): j for j in range(x.numel())}
+    entries = (next_x[i] for i in range(next_x.numel()))
+    return [index.get(entry.element_hash(), -1) if entry.is_symbolic() else -1 for entry in entries]
+
+
+def _runs(sources: list[int]) -> list[tuple[int, int, int]]:
+    """Long runs of consecutive next states that copy consecutive states: (first next state, first state, length)."""
+    breaks = [i for i, (one, next_one) in enumerate(pairwise(sources), 1) if one < 0 or next_one != one + 1]
+    bounds = [0, *breaks, len(sources)]
+    candidates = ((begin, sources[begin], end - begin) for begin, end in pairwise(bounds) if end > begin)
+    return [run for run in candidates if run[1] >= 0 and run[2] >= SHORTEST_RUN]
+
+
+def _pieces(runs: list[tuple[int, int, int]], x: casadi.MX, computed: casadi.MX, total: int) -> list[casadi.MX]:
+    """The next states in order: computed ones between copied runs."""
+    pieces, at, used = [], 0, 0
+    for begin, source, length in [*runs, (total, 0, 0)]:
+        pieces += [computed[used : used + begin - at, 0], x[source : source + length, 0]]
+        used, at = used + begin - at, begin + length
+    return [piece for piece in pieces if piece.numel()]

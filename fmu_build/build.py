@@ -1,4 +1,4 @@
-"""Builds the FMU of a symbolic model, or takes it from the cache."""
+"""Builds the FMU of a plant, a block or a motion, or takes it from the cache."""
 
 from __future__ import annotations
 
@@ -24,16 +24,23 @@ from flexfmu.fmu_build.cache import (
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, PlatformError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.platforms import Platform, find_platforms, native_platform
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import Platform, find_compiler, find_platforms, native_platform
+from flexfmu.model.symbolic import SymbolicBlock
 
 if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
+    from flexfmu.fmu_build.trajectory_build import Motion
     from flexfmu.model.symbolic import SymbolicModel
 
 BuildProgress = Callable[[str], None]
 """Called with a short text at the beginning of each stage of a build."""
+
+DEFAULT_SAMPLES = 1000
+"""Length of a block's default experiment in samples."""
+
+MOTION_STEP = 1e-3
+"""Communication step of a motion's default experiment [s]."""
 
 
 @dataclass(frozen=True)
@@ -58,30 +65,31 @@ class BuiltFmu:
 
 
 def build_fmu(
-    model: SymbolicModel | Callable[[], SymbolicModel],
+    model: SymbolicModel | SymbolicBlock | Motion | Callable[[], SymbolicModel],
+    output: Path | None = None,
     *,
     key: str | None = None,
-    output: Path | None = None,
     platforms: Iterable[str] | None = None,
-    step: float = DefaultExperiment.step,
+    step: float | None = None,
     tolerance: float = DefaultExperiment.tolerance,
-    stop_time: float = DefaultExperiment.stop_time,
+    stop_time: float | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
     cache: bool = True,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
-    """Build a plant's FMU 2.0 for co-simulation and model exchange, unless an equal one is in the cache.
+    """Build an FMU 2.0, unless an equal one is in the cache: of a plant for co-simulation and model exchange, of a block
+    (`flexfmu.fmu_build.block_build`) or a motion (`flexfmu.fmu_build.trajectory_build`) for co-simulation.
 
     Args:
-        model: the symbolic model, or a function that returns it, called only if the FMU must be built.
+        model: what becomes an FMU, or a function that returns a plant, called only if the FMU must be built.
+        output: file to write; None leaves the FMU in the cache.
         key: text that determines the model; the cache also considers the package's sources and the versions of flexfmu
             and CasADi. Without a key, the generated C code determines whether the FMU is in the cache.
-        output: file to write; None leaves the FMU in the cache.
         platforms: FMI 2.0 platform names; None for this machine's.
-        step: communication step [s] of the default experiment.
+        step: communication step [s] of the default experiment; None for a block's sample time, a millisecond for a motion.
         tolerance: relative tolerance of the default experiment, also used if the importer passes none.
-        stop_time: end [s] of the default experiment.
+        stop_time: end [s] of the default experiment; None for a thousand samples of a block, or the duration of a motion.
         naming: naming convention of the variables, see `flexfmu.fmu_build.naming`.
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI enumerations instead of Integers; not
             every importer accepts enumerations (Maestro 3.1.1 doesn't).
@@ -89,10 +97,22 @@ def build_fmu(
         progress: called at the beginning of each stage.
 
     Raises:
-        BuildError: the model violates its contract, the platform is unknown, there is no compiler, compilation fails, or a
-            file can't be written.
+        BuildError: the model violates its contract, no table reproduces the motion, the platform is unknown, there is no
+            compiler, compilation fails, or a file can't be written.
     """
-    experiment = DefaultExperiment(stop_time, step, tolerance)
+    started = perf_counter()
+    targets = find_platforms(platforms)
+    # the default experiment lasts as long as the motion, or a thousand samples
+    usual_step, usual_end = DefaultExperiment.step, DefaultExperiment.stop_time
+    if isinstance(model, SymbolicBlock):
+        from flexfmu.fmu_build.block_build import regular_block
+
+        model = regular_block(model)
+        usual_step, usual_end = model.sample_time, DEFAULT_SAMPLES * model.sample_time
+    elif hasattr(model, "trajectory"):
+        usual_step, usual_end = MOTION_STEP, model.trajectory.duration
+    end = float(f"{usual_end:.12g}") if stop_time is None else stop_time
+    experiment = DefaultExperiment(end, usual_step if step is None else step, tolerance)
 
     # called only if the cache has no equal FMU
     def make_sources() -> Sources:
@@ -103,44 +123,13 @@ def build_fmu(
         progress("generating C")
         return generate_sources(symbolic, experiment, naming, enumerations)
 
-    return build_from_sources(
-        make_sources,
-        experiment,
-        key=None if key is None else f"{naming} {enumerations} {key}",
-        output=output,
-        platforms=platforms,
-        cache=cache,
-        progress=progress,
-    )
-
-
-def build_from_sources(
-    make_sources: Callable[[], Sources],
-    experiment: DefaultExperiment,
-    *,
-    key: str | None = None,
-    output: Path | None = None,
-    platforms: Iterable[str] | None = None,
-    cache: bool = True,
-    progress: BuildProgress = lambda message: None,
-) -> BuiltFmu:
-    """Compile and pack the sources of any kind of FMU, unless an equal one is in the cache.
-
-    Args:
-        make_sources: function that returns the sources; called only if the FMU must be built or there is no key.
-        experiment: default experiment.
-        key: text that determines the sources; None to use their GUID.
-        output, platforms, cache, progress: as for `build_fmu`.
-
-    Raises:
-        BuildError: as for `build_fmu`.
-    """
-    started = perf_counter()
-    targets = find_platforms(platforms)
     # without a key, the GUID is the key
+    make = make_sources
     if key is None:
         sources = make_sources()
-        key, make_sources = sources.guid, lambda: sources
+        key, make = sources.guid, lambda: sources
+    else:
+        key = f"{naming} {enumerations} {key}"
 
     # an intact FMU from the cache, or a new one
     name = fmu_name(_cache_key(key, targets, experiment))
@@ -148,7 +137,7 @@ def build_from_sources(
     content = read_intact(stored) if cache else None
     is_cached = content is not None
     if content is None:
-        content = _build(make_sources, targets, cache, progress)
+        content = _build(make, targets, cache, progress)
         stored = _keep(name, content, is_needed=output is None)
     if output is not None:
         write_atomically(output, content)

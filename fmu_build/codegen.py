@@ -14,7 +14,7 @@ import casadi
 import numpy as np
 
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.states import find_states
+from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.twins import Entry, twin_code
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel, Variable

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import Any, Literal
 
-from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, ChoiceParameter, annotation
-from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
+from flexfmu.fmu_build.choices import ChoiceParameter, annotation
+from flexfmu.fmu_build.codegen import identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import Interface, build_interface
-from flexfmu.fmu_build.naming import NAMES, Naming, named_interface, structured_names
+from flexfmu.fmu_build.interface import Interface
+from flexfmu.fmu_build.naming import NAMES, Naming, namer, structured_names
+from flexfmu.fmu_build.picture import Picture
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.units import RealType, real_types, unit_definitions
+from flexfmu.model.symbolic import SharedLibrary
 
-if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SymbolicModel
+FmuKind = Literal["plant", "block", "trajectory"]
+"""Kind of an FMU; all kinds share the FMI layer of the runtime."""
 
 AUTHOR = "the flexfmu authors"
 LICENSE = "BSD-3-Clause, see documentation/licenses"
-
-MAX_OUTPUT_DERIVATIVE_ORDER = 2
-"""Highest order of output derivatives, which the runtime calculates exactly."""
 
 LOG_CATEGORIES = {
     "logStatusWarning": "What went on with a reservation",
@@ -50,7 +49,7 @@ class Description:
         has_tolerance: whether the FMU uses the tolerance of the default experiment.
         has_model_exchange: whether the FMU also supports model exchange, with directional derivatives.
         n_event_indicators: number of event indicators in model exchange.
-        naming: naming convention of the variables.
+        naming: naming convention of the variables in the file; an annotation keeps the structured names there.
         annotations: vendor annotations, element → attributes.
 
     Raises:
@@ -77,18 +76,6 @@ class Description:
             if variable.name in types:
                 raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
 
-    def named(self, naming: Naming) -> Description:
-        """The description with names of variables by a convention; an annotation keeps the structured names.
-
-        Raises:
-            ModelError: a variable has no flat name, or two have the same.
-        """
-        if naming == "structured":
-            return self
-        names = {NAMES: structured_names(each.name for each in self.interface.variables)}
-        interface = named_interface(self.interface, naming)
-        return replace(self, interface=interface, naming=naming, annotations={**self.annotations, **names})
-
     @property
     def units(self) -> tuple[str, ...]:
         """Units of all variables that have one."""
@@ -100,26 +87,31 @@ class Description:
         return real_types(self.units)
 
 
-def plant_description(model: SymbolicModel) -> Description:
-    """The content of a plant's model description.
+@dataclass(frozen=True)
+class Content:
+    """What one kind of FMU has of its own; archive, documentation, GUID and build are the same for all.
 
-    Raises:
-        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
+    Attributes:
+        kind: kind of the FMU, which selects the runtime.
+        description: content of the model description, with structured names.
+        code: function from a GUID to the generated C files, name → text.
+        page: template of the documentation's page, which extends ``page.html.j2``.
+        picture: picture at the top of the page.
+        icon: picture for the icon.
+        values: further variables of the template.
+        c_files: further C files and headers, whose functions the generated ones call, name → text.
+        libraries: shared libraries that the FMU's own one needs beside it, name → library.
     """
-    return Description(
-        name=model.name,
-        text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
-        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact. For model exchange take an "
-        f"implicit solver with error control (CVODE with BDF): the links' fast modes make explicit ones unstable at the step "
-        f"size of the default experiment.",
-        interface=build_interface(model),
-        choices=(INITIAL, INTEGRATOR),
-        max_input_order=MAX_INPUT_ORDER,
-        max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
-        has_tolerance=True,
-        has_model_exchange=True,
-        n_event_indicators=len(model.frictions),
-    )
+
+    kind: FmuKind
+    description: Description
+    code: Callable[[str], dict[str, str]]
+    page: str
+    picture: Picture
+    icon: Picture
+    values: Mapping[str, Any] = field(default_factory=dict)
+    c_files: Mapping[str, str] = field(default_factory=dict)
+    libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
 
 
 def description_xml(
@@ -132,10 +124,16 @@ def description_xml(
         guid: GUID of the FMU, also compiled into the binary.
         experiment: default experiment.
         source_files: C files below ``sources/`` from which the binary can be built again.
+
+    Raises:
+        ModelError: a variable has no flat name, or that of another one, if these are asked for.
     """
     # vendor annotations: input derivatives, choices, then those of the description
     derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
-    ordered: dict[str, Mapping[str, str]] = dict(derivatives) if description.max_input_order else {}
+    annotations: dict[str, Mapping[str, str]] = dict(derivatives) if description.max_input_order else {}
+    annotations |= annotation(description.choices) | dict(description.annotations)
+    if description.naming == "flat":
+        annotations[NAMES] = structured_names(each.name for each in description.interface.variables)
     return render(
         "modelDescription.xml.j2",
         name=description.name,
@@ -158,8 +156,10 @@ def description_xml(
         has_model_exchange=description.has_model_exchange,
         n_event_indicators=description.n_event_indicators,
         naming=description.naming,
-        annotations=ordered | annotation(description.choices) | dict(description.annotations),
-        interface=description.interface,
+        name_of=namer(description.naming),
+        annotations=annotations,
+        variables=description.interface.variables,
+        structure=description.interface.structure(),
     )
 
 

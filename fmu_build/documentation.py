@@ -5,23 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
 
-from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, LEAST_TOLERANCE
-from flexfmu.fmu_build.description import LICENSE, LOG_CATEGORIES, Description, copyright_line
+from flexfmu.fmu_build.description import LICENSE, LOG_CATEGORIES, Content, Description, copyright_line
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable
-from flexfmu.fmu_build.labels import FONT_SIZE
-from flexfmu.fmu_build.picture import ICON_SIZE, Picture, block_picture, mechanism_picture
+from flexfmu.fmu_build.naming import Naming, namer
+from flexfmu.fmu_build.picture import FONT_SIZE
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import FMI_HEADERS, fmi_header_folder
 from flexfmu.fmu_build.units import displayed
-
-if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SymbolicModel
-
-PICTURE_SIZE = (560, 420)
-"""Width and height of the plant's picture [px]."""
 
 _GROUPS = {
     "Inputs": ("input", "Real"),
@@ -39,33 +31,24 @@ MIT No Attribution licence (https://github.com/casadi/casadi/issues/3015).
 """
 
 
-def documentation_files(
-    template: str, description: Description, experiment: DefaultExperiment, *, picture: Picture, **values: Any
-) -> dict[str, str]:
-    """Files of the folder ``documentation/`` of any FMU: path below the FMU's root → text.
-
-    Args:
-        template: template of the page, which extends ``page.html.j2``.
-        description: content of the model description.
-        experiment: default experiment.
-        picture: picture at the top of the page.
-        values: further variables of the template.
-    """
-    # the HTML page
+def documentation(content: Content, naming: Naming, experiment: DefaultExperiment) -> dict[str, str]:
+    """Files of the folder ``documentation/`` of any FMU: path below the FMU's root → text."""
     page = render(
-        template,
-        about=description,
+        content.page,
+        about=content.description,
+        naming=naming,
+        name_of=namer(naming),
         experiment=experiment,
-        picture=picture,
+        picture=content.picture,
         font_size=FONT_SIZE,
-        groups=_groups(description.interface.variables),
+        groups=_groups(content.description.interface.variables),
         start=_start_text,
         limits=_limits_text,
         log_categories=LOG_CATEGORIES,
         version=version("flexfmu"),
         copyright=copyright_line(),
         license=LICENSE,
-        **values,
+        **content.values,
     )
     # licences of the content
     licences = {"license": render("license.txt"), "fmi-headers": _header_licence(), "casadi-generated": _CASADI}
@@ -101,33 +84,6 @@ def _limits_text(variable: FmiVariable) -> str:
     if low is None and high is None:
         return ""
     return f"{'−∞' if low is None else f'{low:g}'} … {'∞' if high is None else f'{high:g}'}"
-
-
-def documentation(model: SymbolicModel, description: Description, experiment: DefaultExperiment) -> dict[str, str]:
-    """Files of the folder ``documentation/`` of a plant: path below the FMU's root → text."""
-    # states: each coordinate, then its time derivative
-    rates = {output.derivative_of: output.name for output in model.outputs}
-    states = [name for unknown in model.unknowns for name in (unknown, rates[unknown])]
-    return documentation_files(
-        "index.html.j2",
-        description,
-        experiment,
-        picture=plant_picture(model, *PICTURE_SIZE, labelled=True),
-        model=model,
-        states=states,
-        initial_states=INITIAL.items,
-        integrators=INTEGRATOR.items,
-        least_tolerance=LEAST_TOLERANCE,
-    )
-
-
-def plant_picture(
-    model: SymbolicModel, width: int = ICON_SIZE, height: int = ICON_SIZE, *, labelled: bool = False
-) -> Picture:
-    """Picture of the mechanism in its start pose; of a block if the model has no drawing."""
-    if model.drawing is None:
-        return block_picture(width, height)
-    return mechanism_picture(model.drawing, width, height, labelled)
 
 
 def _header_licence() -> str:

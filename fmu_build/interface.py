@@ -1,19 +1,29 @@
-"""The variables of a model description: indices, value references, causality, variability and dependencies."""
+"""The variables of a model description: value references, causality, variability and dependencies.
+
+The continuous states of a plant are x = [y, dy/dt]. In the model description each state is a local variable, an alias of its output.
+FMI allows an output that is itself a state, but Maestro 3.1.1 fails where a state and its derivative are both connected outputs
+(ClassCastException in ComponentVariableFmi2Api.share), and controllers usually take position and velocity.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from math import isfinite, sqrt
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, INTEGRATOR_REFERENCE, ChoiceParameter
 from flexfmu.fmu_build.errors import ModelError, StartError
-from flexfmu.fmu_build.states import States, find_states, state_dependencies, state_name
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit, quantity
+from flexfmu.model.symbolic import Variable
 
 if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SymbolicModel, Variable
+    import casadi
+
+    from flexfmu.model.symbolic import SymbolicModel
+
+T = TypeVar("T")
 
 STATISTICS: Mapping[str, str] = {
     "statistics.steps": "Accepted steps of the integrator since initialisation",
@@ -24,27 +34,23 @@ STATISTICS: Mapping[str, str] = {
 }
 """Counters of the integrator, in the order of their value references."""
 
-VariableType = Literal["Real", "Integer"]
-
 
 @dataclass(frozen=True)
 class FmiVariable:
     """A scalar variable of the model description; attributes are spelt as in the FMI 2.0 standard.
 
     Attributes:
-        index: position among the model variables, from 1.
         value_reference: value reference, from 0 for each type.
         kind: FMI type.
         start: start value; None where the standard forbids one.
         declared_type: name of the type, which is the physical quantity.
         unit, display_unit: None for dimensionless variables.
-        derivative: index of the continuous state of which this variable is the time derivative.
+        derivative: name of the continuous state of which this variable is the time derivative.
     """
 
-    index: int
-    value_reference: int
-    kind: VariableType
     name: str
+    value_reference: int
+    kind: Literal["Real", "Integer"]
     description: str
     causality: str
     variability: str
@@ -56,183 +62,145 @@ class FmiVariable:
     minimum: float | None = None
     maximum: float | None = None
     nominal: float | None = None
-    derivative: int | None = None
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """An entry of the model structure: index of the variable, and indices of the variables that it depends on."""
-
-    index: int
-    dependencies: tuple[int, ...]
+    derivative: str | None = None
 
 
 @dataclass(frozen=True)
 class Interface:
-    """All variables of an FMU and the model structure.
+    """All variables of an FMU and the model structure, by structured names.
 
     Attributes:
         variables: in the order of the model description: inputs, parameters, states, outputs, variables of other types.
             Each derivative follows its state, otherwise OMSimulator 3.0 fails.
-        outputs: all outputs, with the inputs and states that they depend on.
+        outputs: output → the inputs and states that it depends on.
+        initial_unknowns: what initialisation calculates: states and outputs.
+        initial_knowns: the inputs and parameters on which all of these depend.
         derivatives: the state derivatives among the outputs, in the order of the states.
-        initial_unknowns: outputs and states, with the inputs and parameters that they depend on at initialisation.
+
+    Raises:
+        ModelError: a name is repeated.
     """
 
     variables: tuple[FmiVariable, ...]
-    outputs: tuple[Unknown, ...]
-    derivatives: tuple[Unknown, ...]
-    initial_unknowns: tuple[Unknown, ...]
+    outputs: Mapping[str, tuple[str, ...]]
+    initial_unknowns: tuple[str, ...]
+    initial_knowns: tuple[str, ...]
+    derivatives: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        twice = [name for name, count in Counter(each.name for each in self.variables).items() if count > 1]
+        if twice:
+            raise ModelError(f"variable '{twice[0]}' is there more than once; names must be unique")
+
+    def structure(self) -> dict[str, dict[int, list[int]]]:
+        """Parts of the model structure: name → index of each unknown, from 1 → indices that it depends on."""
+        index = {variable.name: number for number, variable in enumerate(self.variables, 1)}
+
+        def part(dependencies: Mapping[str, Iterable[str]]) -> dict[int, list[int]]:
+            return {index[name]: sorted(index[each] for each in on) for name, on in dependencies.items()}
+
+        return {
+            "Outputs": part(self.outputs),
+            "Derivatives": part({name: self.outputs[name] for name in self.derivatives}),
+            "InitialUnknowns": part(dict.fromkeys(self.initial_unknowns, self.initial_knowns)),
+        }
 
 
 def build_interface(model: SymbolicModel) -> Interface:
-    """Number the variables of ``model`` and determine their dependencies.
+    """The variables of ``model`` with their dependencies.
 
     Raises:
-        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
+        ModelError: a name is repeated or unknown, a start value is missing or out of range, or a state isn't an output.
     """
     # an output that equals a state has its nominal value
     states = find_states(model)
     nominals = dict(zip(states.outputs, states.nominals, strict=True))
-    outputs = [
+    shown = [
         variable if variable.nominal is not None else replace(variable, nominal=nominals.get(position))
         for position, variable in enumerate(model.outputs)
     ]
-    # names are unique over variables of all kinds
-    scalars = (*model.inputs, *model.parameters, *outputs)
-    names = [variable.name for variable in scalars]
-    shown = [state_name(model.outputs[position].name) for position in states.outputs]
-    check_names([*names, INITIAL.name, *STATISTICS, INTEGRATOR.name, FIXED_STEP, *shown])
-    index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
-    # number the variables, one kind after the other
-    reals = tuple(real_variable(variable, index_of) for variable in scalars)
-    integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
-    integrator = _integrator_variables(first_index=len(reals) + len(integers) + 1, value_reference=len(reals))
-    first, first_state = len(model.inputs) + len(model.parameters) + 1, len(reals) + len(integers) + len(integrator) + 1
-    aliases = _state_variables(reals[first - 1 :], states, first_state)
-
-    # outputs and derivatives depend on inputs and states
-    direct, needed = feedthrough(model.outputs, model.inputs, model.feedthrough, index_of), state_dependencies(model)
-    unknowns = tuple(
-        Unknown(first + k, (*direct[first + k], *sorted(first_state + state for state in needed[k])))
-        for k in range(len(model.outputs))
-    )
-    # initial unknowns depend on all inputs and parameters
-    known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
-    variables = _with_derivatives(reals, states, first, first_state)
-    interface = Interface(
-        variables=variables + integers + integrator + aliases,
-        outputs=unknowns,
-        derivatives=tuple(unknowns[position] for position in states.derivatives),
-        initial_unknowns=tuple(Unknown(each.index, known) for each in (*aliases, *reals[first - 1 :])),
-    )
-    # derivatives must follow their states, otherwise OMSimulator 3.0 fails
-    return _reordered(interface, (*variables[: first - 1], *aliases, *variables[first - 1 :], *integers, *integrator))
-
-
-def _reordered(interface: Interface, variables: Sequence[FmiVariable]) -> Interface:
-    """The interface with its variables in another order; all indices are renumbered."""
-    new = {variable.index: index for index, variable in enumerate(variables, start=1)}
-
-    def unknowns(each: Sequence[Unknown]) -> tuple[Unknown, ...]:
-        return tuple(Unknown(new[u.index], tuple(sorted(new[i] for i in u.dependencies))) for u in each)
-
-    # derivatives and dependencies are indices too
-    return Interface(
-        variables=tuple(
-            replace(v, index=new[v.index], derivative=None if v.derivative is None else new[v.derivative])
-            for v in variables
-        ),
-        outputs=unknowns(interface.outputs),
-        derivatives=unknowns(interface.derivatives),
-        initial_unknowns=unknowns(interface.initial_unknowns),
-    )
-
-
-def _state_variables(outputs: Sequence[FmiVariable], states: States, first_index: int) -> tuple[FmiVariable, ...]:
-    """The states, as aliases of outputs."""
-    return tuple(
+    reals = real_variables((*model.inputs, *model.parameters, *shown))
+    settable, outputs = reals[: len(reals) - len(shown)], reals[len(reals) - len(shown) :]
+    # the states are aliases of outputs, and other outputs are their derivatives
+    aliases = tuple(
         replace(
             outputs[position],
-            index=index,
             name=state_name(outputs[position].name),
             description=f"{outputs[position].description}, as a continuous state",
             causality="local",
         )
-        for index, position in enumerate(states.outputs, start=first_index)
+        for position in states.outputs
+    )
+    state_of = {position: alias.name for position, alias in zip(states.derivatives, aliases, strict=True)}
+    outputs = tuple(replace(each, derivative=state_of.get(position)) for position, each in enumerate(outputs))
+    # the initial state, counters, and the integrator, which initialisation doesn't need
+    initial = choice_variable(INITIAL, "static" if model.static_start else "undeformed", 0)
+    counters = [counter_variable(name, text, number) for number, (name, text) in enumerate(STATISTICS.items(), 1)]
+    method = choice_variable(INTEGRATOR, "automatic", INTEGRATOR_REFERENCE)
+    text = "Fixed step of the integrator; 0 = the step follows from the tolerance"
+    step = real_variable(Variable(FIXED_STEP, "s", text, "parameter", start=0.0, minimum=0.0), len(reals))
+    # outputs depend on inputs and states, initial unknowns on all that can be set before
+    direct, needed = feedthrough(model.outputs, model.inputs, model.feedthrough), state_dependencies(model)
+    return Interface(
+        variables=(*settable, *aliases, *outputs, initial, *counters, method, step),
+        outputs={
+            each.name: (*direct[each.name], *(aliases[k].name for k in states_needed))
+            for each, states_needed in zip(outputs, needed, strict=True)
+        },
+        initial_unknowns=tuple(each.name for each in (*aliases, *outputs)),
+        initial_knowns=tuple(each.name for each in (*settable, initial)),
+        derivatives=tuple(outputs[position].name for position in states.derivatives),
     )
 
 
-def _with_derivatives(
-    reals: Sequence[FmiVariable], states: States, first_output: int, first_state: int
-) -> tuple[FmiVariable, ...]:
-    """The real variables, with ``derivative`` set for state derivatives; indices count from 1."""
-    state_of = {first_output + position: first_state + k for k, position in enumerate(states.derivatives)}
-    return tuple(replace(variable, derivative=state_of.get(variable.index)) for variable in reals)
-
-
 def feedthrough(
-    outputs: Iterable[Variable],
-    inputs: Iterable[Variable],
-    declared: Mapping[str, Sequence[str]],
-    index_of: Mapping[str, int],
-) -> dict[int, tuple[int, ...]]:
-    """Index of each output → indices of the inputs that it depends on directly.
+    outputs: Iterable[Variable], inputs: Iterable[Variable], declared: Mapping[str, Sequence[str]]
+) -> dict[str, tuple[str, ...]]:
+    """Output → inputs that it depends on directly.
 
     Raises:
         ModelError: an output is missing in ``declared``, or has the name of something else than an input.
     """
     known = {variable.name for variable in inputs}
-    found = {}
-    for output in outputs:
-        names = declared.get(output.name, ("(missing)",))
+    found = {output.name: tuple(declared.get(output.name, ("(missing)",))) for output in outputs}
+    for output, names in found.items():
         if unknown := set(names) - known:
-            raise ModelError(f"feedthrough of output '{output.name}' names '{min(unknown)}', which is no input")
-        found[index_of[output.name]] = tuple(sorted(index_of[name] for name in names))
+            raise ModelError(f"feedthrough of output '{output}' names '{min(unknown)}', which is no input")
     return found
 
 
-def check_names(names: Iterable[str]) -> None:
-    """Check that names are unique.
-
-    Raises:
-        ModelError: a name is repeated.
-    """
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise ModelError(f"variable '{twice[0]}' is there more than once; names must be unique")
-
-
-def real_variable(
-    variable: Variable, index_of: Mapping[str, int], output_variability: str = "continuous"
-) -> FmiVariable:
-    """The entry of a real variable; its value reference is index - 1.
+def real_variables(variables: Sequence[Variable], output_variability: str = "continuous") -> tuple[FmiVariable, ...]:
+    """The entries of all real variables of a model, whose value references are their positions.
 
     Args:
-        variable: the variable.
-        index_of: name → index of all real variables.
+        variables: the variables.
         output_variability: variability of outputs.
 
     Raises:
-        ModelError: a start value is missing or out of range, or the variable is the derivative of an unknown one.
+        ModelError: a start value is missing or out of range, or a variable is the derivative of an unknown one.
     """
+    names = {variable.name for variable in variables} | {None}
+    for variable in variables:
+        if variable.derivative_of not in names:
+            raise ModelError(
+                f"variable '{variable.name}' is the derivative of '{variable.derivative_of}', which is not there"
+            )
+    return tuple(real_variable(variable, k, output_variability) for k, variable in enumerate(variables))
+
+
+def real_variable(variable: Variable, value_reference: int, output_variability: str = "continuous") -> FmiVariable:
+    """The entry of a real variable; arguments and errors as for `real_variables`."""
     is_output = variable.causality == "output"
     if not is_output:
         _check_start(variable)
-    if variable.derivative_of is not None and variable.derivative_of not in index_of:
-        raise ModelError(
-            f"variable '{variable.name}' is the derivative of '{variable.derivative_of}', which is not there"
-        )
     # outputs are calculated, inputs and parameters have start values
-    index = index_of[variable.name]
     variability = output_variability if is_output else "continuous"
     if variable.causality == "parameter":
         variability = "tunable" if variable.tunable else "fixed"
     return FmiVariable(
-        index=index,
-        value_reference=index - 1,
-        kind="Real",
         name=variable.name,
+        value_reference=value_reference,
+        kind="Real",
         description=variable.description,
         causality=variable.causality,
         variability=variability,
@@ -258,21 +226,14 @@ def _check_start(variable: Variable) -> None:
 
 
 def choice_variable(
-    choice: ChoiceParameter, start: str, index: int, value_reference: int, variability: str = "fixed"
+    choice: ChoiceParameter, start: str, value_reference: int, variability: str = "fixed"
 ) -> FmiVariable:
-    """The entry of a parameter with named values.
-
-    Args:
-        choice: the parameter.
-        start: name of its start value.
-        index, value_reference, variability: as in `FmiVariable`.
-    """
+    """The entry of a parameter with named values; ``start`` is the name of its start value."""
     low, high = choice.limits
     return FmiVariable(
-        index=index,
+        name=choice.name,
         value_reference=value_reference,
         kind="Integer",
-        name=choice.name,
         description=choice.text,
         causality="parameter",
         variability=variability,
@@ -283,48 +244,87 @@ def choice_variable(
     )
 
 
-def counter_variable(name: str, description: str, index: int, value_reference: int) -> FmiVariable:
-    """The entry of a counter; index and value reference as in `FmiVariable`."""
-    return FmiVariable(
-        index=index,
-        value_reference=value_reference,
-        kind="Integer",
-        name=name,
-        description=description,
-        causality="local",
-        variability="discrete",
-        initial="calculated",
+def counter_variable(name: str, description: str, value_reference: int) -> FmiVariable:
+    """The entry of a counter."""
+    return FmiVariable(name, value_reference, "Integer", description, "local", "discrete", "calculated")
+
+
+USUAL_MOTION = 10.0
+"""Usual size of a motion in the error norm, relative to the norm's floor; the five-bar's floor corresponds to an
+acceleration of 1 m/s² or a motor rate of 0.1 rad/s."""
+
+USUAL_ANGLE = 1.0
+"""Usual size of a motor's coordinate [rad]; the error norm gives none, since the origin is arbitrary."""
+
+
+@dataclass(frozen=True)
+class States:
+    """Outputs and nominal values of the 2 n states y, dy/dt.
+
+    Attributes:
+        outputs: index of the output that equals each state, from 0.
+        derivatives: index of the output that equals each state's time derivative, in the same order.
+        nominals: nominal value of each state in its unit, positive.
+    """
+
+    outputs: tuple[int, ...]
+    derivatives: tuple[int, ...]
+    nominals: tuple[float, ...]
+
+
+def state_name(output: str) -> str:
+    """Name of the state that equals an output: ``state.joint1.position``, ``der(state.link11.bending[1])``."""
+    head, name = ("der(", output.removeprefix("der(")) if output.startswith("der(") else ("", output)
+    return f"{head}state.{name}"
+
+
+def find_states(model: SymbolicModel) -> States:
+    """Find the states of ``model`` among its outputs, by the names of the unknowns and by ``derivative_of``.
+
+    Raises:
+        ModelError: a state or its derivative is not an output.
+    """
+    position: dict[str | None, int] = {variable.name: index for index, variable in enumerate(model.outputs)}
+    derivative = {variable.derivative_of: variable.name for variable in model.outputs}
+    # coordinates, velocities, accelerations
+    levels = [list(model.unknowns)]
+    for _ in range(2):
+        levels.append([_shown(derivative, name, "time derivative of") for name in levels[-1]])
+    y, v, a = ([_shown(position, name, "state") for name in names] for names in levels)
+    return States((*y, *v), (*v, *a), _nominals(model))
+
+
+def state_dependencies(model: SymbolicModel) -> tuple[tuple[int, ...], ...]:
+    """For each output the indices 0 .. 2 n - 1 of the states that it depends on; all if it depends on accelerations."""
+    outputs, n = model.functions["outputs"], model.degrees_of_freedom
+    y, v, a = (_rows(outputs.jac_sparsity(0, argument)) if n else {} for argument in range(3))
+    everything = tuple(range(2 * n))
+    return tuple(
+        everything if row in a else (*sorted(y.get(row, ())), *(n + k for k in sorted(v.get(row, ()))))
+        for row in range(len(model.outputs))
     )
 
 
-def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
-    """The parameter ``initial`` and the integrator's counters, with value references from 0."""
-    initial = choice_variable(INITIAL, "static" if static_start else "undeformed", first_index, value_reference=0)
-    # counters have value references from 1
-    counters = tuple(
-        counter_variable(name, description, first_index + count, count)
-        for count, (name, description) in enumerate(STATISTICS.items(), start=1)
-    )
-    return (initial, *counters)
+def _rows(sparsity: casadi.Sparsity) -> dict[int, set[int]]:
+    """Row → columns of its structural nonzeros; empty rows are left out."""
+    rows: dict[int, set[int]] = {}
+    for row, column in zip(*sparsity.get_triplet(), strict=True):
+        rows.setdefault(row, set()).add(column)
+    return rows
 
 
-def _integrator_variables(first_index: int, value_reference: int) -> tuple[FmiVariable, ...]:
-    """The parameters for the integration method and for a fixed step, the last Real; initialisation needs neither."""
-    method = choice_variable(INTEGRATOR, "automatic", first_index, INTEGRATOR_REFERENCE)
-    # zero selects the variable step
-    step = FmiVariable(
-        index=first_index + 1,
-        value_reference=value_reference,
-        kind="Real",
-        name=FIXED_STEP,
-        description="Fixed step of the integrator; 0 = the step follows from the tolerance",
-        causality="parameter",
-        variability="fixed",
-        initial="exact",
-        start=0.0,
-        declared_type=quantity("s"),
-        unit="s",
-        display_unit=display_unit("s"),
-        minimum=0.0,
-    )
-    return method, step
+def _shown(table: Mapping[str | None, T], name: str, what: str) -> T:
+    if name not in table:
+        raise ModelError(f"no output shows the {what} '{name}', which model exchange needs")
+    return table[name]
+
+
+def _nominals(model: SymbolicModel) -> tuple[float, ...]:
+    """Nominal values of the states, two digits, from the error norm sqrt(sum kappa_i dy_i² + mu_i dv_i²)."""
+    n = model.degrees_of_freedom
+    # weights of the error norm at the start values
+    derived = model.functions["derive"]([variable.start or 0.0 for variable in model.parameters])
+    *weights, floor = model.functions["error_scale"](derived).full().ravel().tolist()
+    sizes = [USUAL_MOTION * floor / sqrt(weight) if weight > 0.0 else 1.0 for weight in weights]
+    sizes[: model.locked] = [USUAL_ANGLE] * model.locked
+    return tuple(float(f"{size:.2g}") if isfinite(size) and size > 0.0 else 1.0 for size in sizes[: 2 * n])

@@ -18,12 +18,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from flexfmu.fmu_build.errors import ModelError
 
 if TYPE_CHECKING:
-    from flexfmu.fmu_build.interface import Interface
     from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
 
 Symbolic = TypeVar("Symbolic", "SymbolicModel", "SymbolicBlock")
@@ -73,60 +72,35 @@ def structured_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def namer(naming: Naming) -> Callable[[str], str]:
-    """Function from a structured name to the name by a convention."""
+    """Function from a structured name to the name by a convention; it raises ModelError for one that has no flat name."""
     return flat_name if naming == "flat" else str
 
 
 def named_variables(variables: Iterable[Variable], naming: Naming) -> tuple[Variable, ...]:
-    """The variables with names by a convention, including ``derivative_of``.
+    """The variables with names by a convention, as the tables of the generated C have them.
 
     Raises:
         ModelError: a variable has no flat name.
     """
     name = namer(naming)
     return tuple(
-        replace(
-            each, name=name(each.name), derivative_of=None if each.derivative_of is None else name(each.derivative_of)
-        )
+        replace(each, name=name(each.name), derivative_of=each.derivative_of and name(each.derivative_of))
         for each in variables
     )
 
 
-def named_model(model: SymbolicModel, naming: Naming) -> SymbolicModel:
-    """The model with names of variables by a convention.
-
-    Raises:
-        ModelError: a variable has no flat name.
-    """
-    return replace(_named(model, naming), unknowns=tuple(map(namer(naming), model.unknowns)))
-
-
-def named_block(block: SymbolicBlock, naming: Naming) -> SymbolicBlock:
-    """The block with names of variables by a convention.
-
-    Raises:
-        ModelError: a variable has no flat name.
-    """
-    return _named(block, naming)
-
-
-def _named(model: Symbolic, naming: Naming) -> Symbolic:
-    """A model or block with names of inputs, parameters and outputs by a convention."""
-    name = namer(naming)
-    return replace(
-        model,
-        inputs=named_variables(model.inputs, naming),
-        parameters=named_variables(model.parameters, naming),
-        outputs=named_variables(model.outputs, naming),
-        feedthrough={name(output): tuple(map(name, inputs)) for output, inputs in model.feedthrough.items()},
-    )
-
-
-def named_interface(interface: Interface, naming: Naming) -> Interface:
-    """The interface with names of variables by a convention.
+def named(model: Symbolic, naming: Naming) -> Symbolic:
+    """A model or block with names of variables by a convention.
 
     Raises:
         ModelError: a variable has no flat name.
     """
     name = namer(naming)
-    return replace(interface, variables=tuple(replace(each, name=name(each.name)) for each in interface.variables))
+    changes: dict[str, Any] = {
+        causality: named_variables(getattr(model, causality), naming)
+        for causality in ("inputs", "parameters", "outputs")
+    }
+    if hasattr(model, "unknowns"):
+        changes["unknowns"] = tuple(map(name, model.unknowns))
+    feedthrough = {name(output): tuple(map(name, inputs)) for output, inputs in model.feedthrough.items()}
+    return replace(model, feedthrough=feedthrough, **changes)

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
 
+from flexfmu.fmu_build.block_build import block_content
 from flexfmu.fmu_build.cache import content_hash
-from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, LANES_FILE, generate_description, generate_functions, identifier
-from flexfmu.fmu_build.description import Description, description_xml, plant_description
-from flexfmu.fmu_build.documentation import documentation, plant_picture
+from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, LEAST_TOLERANCE
+from flexfmu.fmu_build.codegen import (
+    DESCRIPTION_FILE,
+    LANES_FILE,
+    MAX_INPUT_ORDER,
+    generate_description,
+    generate_functions,
+    identifier,
+)
+from flexfmu.fmu_build.description import Content, Description, FmuKind, description_xml
+from flexfmu.fmu_build.documentation import documentation
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.naming import Naming, named_model
-from flexfmu.fmu_build.picture import ICON_FILE, png
+from flexfmu.fmu_build.interface import build_interface
+from flexfmu.fmu_build.naming import Naming, named, namer
+from flexfmu.fmu_build.picture import ICON_FILE, plant_picture, png
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, fmi_header_folder
+from flexfmu.fmu_build.trajectory_build import Motion, motion_content
+from flexfmu.model.symbolic import SymbolicBlock
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SharedLibrary, SymbolicModel
-
-FmuKind = Literal["plant", "block", "trajectory"]
-"""Kind of an FMU; all kinds share the FMI layer of the runtime."""
 
 RuntimeKind = FmuKind | Literal["batch", "elementary", "processor"]
 """What the C runtime is compiled for."""
@@ -68,11 +77,6 @@ class Sources:
     icon: bytes = b""
     libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
 
-    @property
-    def generated_bytes(self) -> int:
-        """Size of the generated C code [bytes]."""
-        return sum(len(text.encode()) for text in self.generated.values())
-
     def archive_files(self) -> dict[str, bytes]:
         """Path below the FMU's root → content, without binaries."""
         code = {f"sources/{name}": text for name, text in (self.generated | self.runtime).items()}
@@ -88,64 +92,112 @@ class Sources:
 
 
 def generate_sources(
-    model: SymbolicModel, experiment: DefaultExperiment, naming: Naming = "structured", enumerations: bool = False
+    model: SymbolicModel | SymbolicBlock | Motion,
+    experiment: DefaultExperiment,
+    naming: Naming = "structured",
+    enumerations: bool = False,
 ) -> Sources:
-    """Generate all text files of a plant's FMU.
+    """Generate all text files of an FMU; the GUID is the hash of C code and description with a blank GUID.
+
+    Args:
+        model: a plant, a block or a motion.
+        experiment: default experiment.
+        naming, enumerations: as for `flexfmu.fmu_build.build.build_fmu`.
+
+    Raises:
+        ModelError: the model violates its contract, or a C file of a block has the name of one of the runtime or a generated one.
+    """
+    # what this kind of FMU has of its own
+    if isinstance(model, SymbolicBlock):
+        content = block_content(model, naming)
+    elif isinstance(model, Motion):
+        content = motion_content(model, naming)
+    else:
+        content = _plant_content(model, naming, experiment)
+    description = replace(content.description, naming=naming, enumerations=enumerations)
+    # C code with a blank GUID, and the runtime
+    runtime, blank = runtime_sources(content.kind), content.code("")
+    taken = sorted(set(content.c_files) & {*runtime, *blank})
+    if taken:
+        raise ModelError(
+            f"the C file {taken[0]!r} has the name of a file of every FMU; rename it, to my_{taken[0]} for example"
+        )
+    runtime |= content.c_files
+    names = c_files((*blank, *runtime))
+    # the hash of these texts, spelt {8-4-4-4-12}
+    parts = (description_xml(description, "", experiment, names), *_flatten(blank), *_flatten(runtime))
+    digits = content_hash(part.encode() for part in parts)
+    guid = "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
+    return Sources(
+        identifier(description.name),
+        guid,
+        description_xml(description, guid, experiment, names),
+        content.code(guid),
+        runtime,
+        documentation(content, naming, experiment),
+        png(content.icon),
+        content.libraries,
+    )
+
+
+def _plant_content(model: SymbolicModel, naming: Naming, experiment: DefaultExperiment) -> Content:
+    """What a plant's FMU has of its own.
 
     Raises:
         ModelError: the model violates its contract.
     """
     functions, facts = generate_functions(model)
-    named = named_model(model, naming)
 
-    # only the tables contain the GUID
+    # only the tables contain names and the GUID
     def code(guid: str) -> dict[str, str]:
-        description = generate_description(named, facts, guid, experiment.tolerance, has_lanes=LANES_FILE in functions)
-        return functions | {DESCRIPTION_FILE: description}
+        has_lanes = LANES_FILE in functions
+        tables = generate_description(named(model, naming), facts, guid, experiment.tolerance, has_lanes=has_lanes)
+        return functions | {DESCRIPTION_FILE: tables}
 
-    # model description, documentation and icon
-    description = replace(plant_description(model).named(naming), enumerations=enumerations)
-    pages = documentation(named, description, experiment)
-    return assemble_sources("plant", description, experiment, code, pages, png(plant_picture(model)))
+    # states on the page: each coordinate, then its time derivative
+    rates, name = {output.derivative_of: output.name for output in model.outputs}, namer(naming)
+    states = [name(each) for unknown in model.unknowns for each in (unknown, rates[unknown])]
+    return Content(
+        "plant",
+        plant_description(model),
+        code,
+        "index.html.j2",
+        picture=plant_picture(model.drawing, 560, 420, labelled=True),
+        icon=plant_picture(model.drawing),
+        values={
+            "model": named(model, naming),
+            "states": states,
+            "initial_states": INITIAL.items,
+            "integrators": INTEGRATOR.items,
+            "least_tolerance": LEAST_TOLERANCE,
+        },
+    )
 
 
-def assemble_sources(
-    kind: FmuKind,
-    description: Description,
-    experiment: DefaultExperiment,
-    code: Callable[[str], dict[str, str]],
-    pages: dict[str, str],
-    icon: bytes,
-    called: Mapping[str, str] | None = None,
-) -> Sources:
-    """Assemble the files of an FMU; the GUID is the hash of C code and description with a blank GUID.
+MAX_OUTPUT_DERIVATIVE_ORDER = 2
+"""Highest order of a plant's output derivatives, which the runtime calculates exactly."""
 
-    Args:
-        kind: kind of the FMU, which selects the runtime.
-        description: content of the model description.
-        experiment: default experiment.
-        code: function from a GUID to the generated C files, name → text.
-        pages: documentation, path below the FMU's root → text.
-        icon: PNG file; may be empty.
-        called: further C files and headers, whose functions the generated ones call, name → text.
+
+def plant_description(model: SymbolicModel) -> Description:
+    """The content of a plant's model description.
 
     Raises:
-        ModelError: a further file has the name of one of the runtime or a generated one.
+        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
     """
-    # the GUID is the hash of the texts with a blank GUID
-    runtime = runtime_sources(kind)
-    blank = code("")
-    taken = sorted(set(called or ()) & {*runtime, *blank})
-    if taken:
-        raise ModelError(
-            f"the C file {taken[0]!r} has the name of a file of every FMU; rename it, to my_{taken[0]} for example"
-        )
-    runtime |= called or {}
-    names = c_files((*blank, *runtime))
-    blank_text = description_xml(description, "", experiment, names)
-    guid = _guid((blank_text, *_flatten(blank), *_flatten(runtime)))
-    text = description_xml(description, guid, experiment, names)
-    return Sources(identifier(description.name), guid, text, code(guid), runtime, pages, icon)
+    return Description(
+        name=model.name,
+        text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
+        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact. For model exchange take an "
+        f"implicit solver with error control (CVODE with BDF): the links' fast modes make explicit ones unstable at the step "
+        f"size of the default experiment.",
+        interface=build_interface(model),
+        choices=(INITIAL, INTEGRATOR),
+        max_input_order=MAX_INPUT_ORDER,
+        max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
+        has_tolerance=True,
+        has_model_exchange=True,
+        n_event_indicators=len(model.frictions),
+    )
 
 
 def runtime_sources(kind: RuntimeKind = "plant") -> dict[str, str]:
@@ -171,9 +223,3 @@ def c_files(names: Iterable[str]) -> tuple[str, ...]:
 
 def _flatten(texts: dict[str, str]) -> tuple[str, ...]:
     return tuple(part for name in sorted(texts) for part in (name, texts[name]))
-
-
-def _guid(parts: Iterable[str]) -> str:
-    """Hash of ``parts`` in the spelling {8-4-4-4-12}."""
-    text = content_hash(part.encode() for part in parts)
-    return "{" + "-".join((text[:8], text[8:12], text[12:16], text[16:20], text[20:32])) + "}"

@@ -115,8 +115,6 @@ ALONE = {
     "cosim.studies.workprec.equations": "the equations for other solvers, which hard cases use too",
     "cosim.studies.workprec.figures": "drawing",
     "cosim.studies.workprec.solver_trials": "other solvers, which hard cases use too",
-    "fmu_build.block_build": "FMUs of blocks",
-    "fmu_build.trajectory_build": "FMUs of references",
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
     "model.finite_elements.element": "the beam element, whose sections other programs use too",

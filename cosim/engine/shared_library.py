@@ -9,8 +9,7 @@ from pathlib import Path
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
-from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.toolchain import Compiler, find_compiler
+from flexfmu.fmu_build.toolchain import Compiler, find_compiler, native_platform
 
 
 def shared_library(package: str, folder: str) -> CDLL | None:

@@ -23,9 +23,9 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import PLANT, SceneSystem, scene_system
 from flexfmu.fmu_build.archive import write_atomically
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.naming import namer
-from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
+from flexfmu.fmu_build.trajectory_build import Motion
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.loop import Loop
@@ -152,10 +152,10 @@ def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: Bu
         case FmuSlave():
             build_scene(scene, output=path, **options)
         case BlockSlave():
-            build_block_fmu(slave.block, path, stop_time=stop_time, **options)
+            build_fmu(slave.block, path, stop_time=stop_time, **options)
         case TrajectorySlave():
             step = scene.cosimulation.communication_step
-            build_trajectory_fmu(slave.trajectory, path, stop_time=stop_time, step=step, **options)
+            build_fmu(Motion(slave.trajectory), path, stop_time=stop_time, step=step, **options)
 
 
 class BuildOptions(TypedDict):

@@ -25,7 +25,7 @@ from boundary_support.raw import (
 from boundary_support.subjects import FILES, fail_a_step
 from export_support.blocks import saturation
 
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 
 
@@ -210,7 +210,7 @@ def test_a_discarded_step_says_why_and_can_be_undone(name: str, instance: RawIns
 
 def test_inputs_beyond_all_numbers_are_refused(tmp_path: Path) -> None:
     """An extrapolated input that overflows is an infinity that nobody has set; here a limit would hide it."""
-    with raw_instance(build_block_fmu(saturation()).path, tmp_path / "fmu") as instance:
+    with raw_instance(build_fmu(saturation()).path, tmp_path / "fmu") as instance:
         instance.start()
         assert instance.set_derivative(0, 1, 1.7e308) == OK
         assert instance.step(0.0, 10.0) == DISCARD

@@ -20,8 +20,8 @@ from flexfmu.fmu_build import build, cache, toolchain
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
-from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, generate_sources
+from flexfmu.fmu_build.toolchain import native_platform
 from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS, read_elf
 from flexfmu.model.symbolic import SymbolicModel
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from flexfmu.fmu_build.description import description_xml, plant_description
+from flexfmu.fmu_build.description import description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.platforms import PLATFORMS
+from flexfmu.fmu_build.sources import plant_description
+from flexfmu.fmu_build.toolchain import PLATFORMS
 from flexfmu.model.symbolic import SymbolicModel
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "fmu.md"

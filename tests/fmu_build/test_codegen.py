@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 
 from flexfmu.fmu_build.codegen import function_file, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.templating import c_double, c_string
-from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler, native_platform
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]

@@ -12,9 +12,8 @@ import pytest
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.platforms import PLATFORMS
 from flexfmu.fmu_build.sources import generate_sources
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler
 from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel

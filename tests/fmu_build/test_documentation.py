@@ -12,10 +12,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from flexfmu.fmu_build.description import plant_description
-from flexfmu.fmu_build.documentation import PICTURE_SIZE, documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.picture import png
+from flexfmu.fmu_build.picture import plant_picture, png
+from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.file import load_scene
@@ -60,7 +59,7 @@ def robot(request: pytest.FixtureRequest) -> SymbolicModel:
 
 
 def _page(model: SymbolicModel) -> str:
-    return documentation(model, plant_description(model), DefaultExperiment())["documentation/index.html"]
+    return generate_sources(model, DefaultExperiment()).documentation["documentation/index.html"]
 
 
 def test_page_tells_all_effects_and_variables(robot: SymbolicModel) -> None:
@@ -132,7 +131,7 @@ def test_page_tells_which_tolerances_are_kept(robot: SymbolicModel) -> None:
 
 def test_mechanism_is_drawn_to_scale(robot: SymbolicModel) -> None:
     """The links of the picture have the ratio of the scene's lengths, and meet at the joints."""
-    lines = plant_picture(robot, 400, 300).lines
+    lines = plant_picture(robot.drawing, 400, 300).lines
     lengths = [abs(complex(*line.end) - complex(*line.start)) for line in lines]
     assert lengths[1] / lengths[0] == pytest.approx(0.38079 / 0.24)
     assert lengths[3] / lengths[2] == pytest.approx(0.38079 / 0.24)
@@ -152,8 +151,8 @@ POSES: dict[str, dict[str, object]] = {
 def test_labels_can_be_read(pose: str) -> None:
     """Names lie within the picture and touch neither each other nor a bar or spot."""
     scene = load_scene("barnard2012-6kg").replace(POSES[pose])
-    width, height = PICTURE_SIZE
-    picture = plant_picture(build_model(scene), width, height, labelled=True)
+    width, height = 560, 420
+    picture = plant_picture(build_model(scene).drawing, width, height, labelled=True)
     boxes = {label.text: label.box for label in picture.labels}
     assert len(boxes) == 9
     for left, top, right, bottom in boxes.values():
@@ -190,7 +189,7 @@ def test_names_cannot_break_the_page(make_oscillators: Callable[..., SymbolicMod
 
 def test_icon_is_a_sound_png(robot: SymbolicModel) -> None:
     """Signature, size, checksums and as many pixels as it says; links in colour on a transparent ground."""
-    image = png(plant_picture(robot))
+    image = png(plant_picture(robot.drawing))
     assert image.startswith(b"\x89PNG\r\n\x1a\n")
     chunks = {}
     at = 8

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.naming import flat_name, structured_names
+from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.model.symbolic import SymbolicModel
 
 COMPONENTS = st.from_regex(r"[a-z][a-z0-9_]{0,5}", fullmatch=True)
@@ -98,4 +99,4 @@ def test_names_that_are_flattened_alike_are_refused(make_oscillators: Callable[.
     with pytest.raises(
         ModelError, match=r"'first_position' and 'first\.position' have the same flat name, first_position"
     ):
-        plant_description(replace(model, parameters=(mass, *model.parameters[1:]))).named("flat")
+        generate_sources(replace(model, parameters=(mass, *model.parameters[1:])), DefaultExperiment(), "flat")

@@ -12,8 +12,7 @@ import pytest
 
 from flexfmu.fmu_build import toolchain
 from flexfmu.fmu_build.errors import CompileError, MissingCompilerError, PlatformError
-from flexfmu.fmu_build.platforms import PLATFORMS, find_platforms, native_platform
-from flexfmu.fmu_build.toolchain import CompileJob, find_compiler
+from flexfmu.fmu_build.toolchain import PLATFORMS, CompileJob, find_compiler, find_platforms, native_platform
 from flexfmu.fmu_build.validation.binaries import read_elf
 
 HAS_ZIG = importlib.util.find_spec("ziglang") is not None

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from flexfmu.fmu_build.codegen import _prepare, _sizes, c_code, twin_arguments, with_all_arguments
-from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import runtime_sources
-from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler, native_platform
 from flexfmu.fmu_build.twins import Graph, find_twins, twin_code
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene

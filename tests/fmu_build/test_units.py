@@ -8,8 +8,8 @@ from math import pi
 
 import pytest
 
-from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.sources import plant_description
 from flexfmu.fmu_build.units import display_unit, real_types, unit_definitions, unit_exponents
 from flexfmu.model.symbolic import SymbolicModel
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
 from flexfmu.fmu_build.sources import Sources
-from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder
+from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler, fmi_header_folder, native_platform
 
 pytestmark = pytest.mark.slow
 

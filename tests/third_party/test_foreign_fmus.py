@@ -12,7 +12,7 @@ from third_party_support.tools import python_tool, run
 from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
-from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.toolchain import native_platform
 from flexfmu.fmu_build.validation.finding import Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
 

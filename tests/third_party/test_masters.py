@@ -15,7 +15,7 @@ from export_support.blocks import SAMPLE_TIME, expected
 from export_support.kinds import KINDS, motion, seen_late, signals_of, source
 from third_party_support.agreement import ROUNDING, TOOLS, SharedRun, Tool, apart, exact, shared_run, tool
 
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -77,10 +77,10 @@ SAMPLES = 160
 
 def side_by_side(blocks: Mapping[str, SymbolicBlock], folder: Path) -> SharedRun:
     """The blocks' FMUs, all fed by one source."""
-    fmus, connections, signals = {"source": str(build_block_fmu(source()).path)}, [], []
+    fmus, connections, signals = {"source": str(build_fmu(source()).path)}, [], []
     for number, block in enumerate(blocks.values()):
         name = f"block{number}"
-        fmus[name] = str(build_block_fmu(block).path)
+        fmus[name] = str(build_fmu(block).path)
         pairs = zip(signals_of(block), block.inputs, strict=True)
         connections += [[f"source.signal{i}", f"{name}.{each.name}"] for i, each in pairs]
         signals += [f"{name}.{each.name}" for each in block.outputs]

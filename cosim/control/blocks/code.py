@@ -16,13 +16,12 @@ import casadi
 
 from flexfmu.cosim.engine.binding import Evaluation
 from flexfmu.cosim.engine.slave import Call, RealArray
-from flexfmu.fmu_build.block_codegen import sample_function
+from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, runtime_sources
-from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler, native_platform
 from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock
 
 COMPILED_FROM = 200

@@ -12,7 +12,7 @@ from flexfmu.cosim.control.blocks.code import block_function, bound, evaluation
 from flexfmu.cosim.engine.binding import Copy, Phase, Reevaluation, SampleCall, Take, is_range
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
-from flexfmu.fmu_build.block_codegen import check_block
+from flexfmu.fmu_build.block_build import check_block
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 

@@ -17,7 +17,7 @@ from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.shapers.sequence import Oscillator
 from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
@@ -163,7 +163,7 @@ def test_noise_is_the_same_for_the_same_seed(robot: Scene) -> None:
 def test_an_exported_controller_in_the_scene_file(robot: Scene, tmp_path: Path) -> None:
     """The FMU of a controller moves the robot as its Python twin does, and its parameters can be set."""
     short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
-    build_block_fmu(pd(5e3, 100.0, sample_time=1e-3), tmp_path / "pd.fmu")
+    build_fmu(pd(5e3, 100.0, sample_time=1e-3), tmp_path / "pd.fmu")
     gains = {f"joint{joint}.proportional_gain": 1e4 for joint in (1, 2)}
     section = {"kind": "fmu", "path": str(tmp_path / "pd.fmu"), "name": "mine", "parameters": gains}
     exported = run_scene(short.replace({"controller": [section]})).recording
@@ -178,7 +178,7 @@ def test_an_exported_controller_by_its_path(robot: Scene, tmp_path: Path) -> Non
     """An FMU's path stands for the block that it was exported from: sampled at the same instants, no step late."""
     short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
     block = pd(5e3, 100.0, sample_time=1e-3)
-    build_block_fmu(block, tmp_path / "mine.fmu")
+    build_fmu(block, tmp_path / "mine.fmu")
     exported = flexfmu.run(short, controllers=[tmp_path / "mine.fmu"])
     assert {each.name: each.sample_time for each in exported.slaves}["mine"] == 1e-3
     for delay in exported.delays:

@@ -20,7 +20,7 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import coupling_of, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.signals import cycle_errors
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -253,7 +253,7 @@ def scene_in(folder: Path, section: str) -> Scene:
 
 def test_fmus_are_found_beside_the_scene(tmp_path: Path) -> None:
     """Wherever the command is started, and also when values of the scene are replaced afterwards."""
-    build_block_fmu(pd(1e3, 10.0, sample_time=1e-3), tmp_path / "mine" / "pd.fmu")
+    build_fmu(pd(1e3, 10.0, sample_time=1e-3), tmp_path / "mine" / "pd.fmu")
     scene = scene_in(tmp_path / "mine", 'kind = "fmu"\npath = "pd.fmu"')
     (slave,) = loop_of(scene.replace({"payload.mass": 1.0})).controllers
     assert isinstance(slave, SampledFmu)

@@ -12,8 +12,7 @@ import pytest
 from flexfmu.cosim.metrics import analysis as compiled
 from flexfmu.cosim.metrics.analysis import CompiledAnalysis, NumpyAnalysis, analyse
 from flexfmu.cosim.metrics.segments import HermiteSegments
-from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.toolchain import find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler, native_platform
 
 SHAPES = [(3, 1), (5, 1), (3, 2), (5, 2), (2, 1)]
 """(orders, channels) of the signals."""

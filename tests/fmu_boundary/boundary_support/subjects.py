@@ -12,10 +12,10 @@ from export_support.trajectories import Swing
 
 from boundary_support.raw import DISCARD, OK, RawInstance
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.sources import Sources, generate_sources, runtime_sources
-from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu, generate_trajectory_sources
+from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -96,11 +96,11 @@ def _subject(sources: Sources, counts: tuple[int, ...]) -> Subject:
 
 
 def _block() -> Subject:
-    return _subject(generate_block_sources(pd_controller(), EXPERIMENT), (2, 5, 6, 1))
+    return _subject(generate_sources(pd_controller(), EXPERIMENT), (2, 5, 6, 1))
 
 
 def _trajectory() -> Subject:
-    sources = generate_trajectory_sources(Swing(), EXPERIMENT, axes=["axis"], unit="m")  # type: ignore[arg-type]
+    sources = generate_sources(Motion(Swing(), ["axis"], "m"), EXPERIMENT)  # type: ignore[arg-type]
     return _subject(sources, (0, 0, 3, 1))
 
 
@@ -115,8 +115,8 @@ SUBJECTS: dict[str, Callable[[], Subject]] = {
 
 FILES: dict[str, Callable[[], Path]] = {
     "robot": lambda: build_scene(scene("motion")).path,
-    "block": lambda: build_block_fmu(pd_controller()).path,
-    "trajectory": lambda: build_trajectory_fmu(Swing(), axes=["axis"], unit="m").path,  # type: ignore[arg-type]
+    "block": lambda: build_fmu(pd_controller()).path,
+    "trajectory": lambda: build_fmu(Motion(Swing(), ["axis"], "m")).path,  # type: ignore[arg-type]
 }
 """Name → function that builds the FMU, or finds it in the cache."""
 

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder
+from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder, native_platform
 
 SOURCES = Path(__file__).parent / "spring-fmu"
 DESCRIPTION = "modelDescription.xml"

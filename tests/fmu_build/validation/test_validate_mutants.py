@@ -36,7 +36,7 @@ from flexfmu.cosim.cli.main import app, validate
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.toolchain import native_platform
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.fmu_build.validation.worker import disturbances

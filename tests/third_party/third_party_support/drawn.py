@@ -14,9 +14,10 @@ from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.control.imperfections.lag import lag
 from flexfmu.cosim.control.imperfections.signal_blocks import encoder, gaussian_noise
 from flexfmu.cosim.control.shapers import shaper_block
-from flexfmu.fmu_build.block_build import block_description, with_starts
-from flexfmu.fmu_build.description import Description, description_xml, plant_description
+from flexfmu.fmu_build.block_build import block_description, regular_block
+from flexfmu.fmu_build.description import Description, description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.sources import plant_description
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
@@ -56,7 +57,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 def descriptions() -> dict[str, str]:
     """Name → text of modelDescription.xml."""
     plants = {scene.name: plant_description(build_model(scene)) for scene in scenes()}
-    blocks_ = {name: block_description(with_starts(block)) for name, block in blocks().items()}
+    blocks_ = {name: block_description(regular_block(block)) for name, block in blocks().items()}
     return {name: _text(description) for name, description in (plants | blocks_).items()}
 
 

@@ -24,7 +24,7 @@ from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -169,7 +169,7 @@ def test_a_shared_library_is_in_the_fmu(write: Write, robot: Scene, tmp_path: Pa
         subprocess.run(["cc", "-shared", "-fPIC", "-Wl,-soname,libgain.so.7", "-o", library, source], check=True)
         block = c_function(library, inputs=["in"], outputs=["out"], sample_time=H)
         slave, value = BlockSlave(block), np.empty(1)
-        fmu = build_block_fmu(block, tmp_path / f"gain{gain:g}.fmu").path
+        fmu = build_fmu(block, tmp_path / f"gain{gain:g}.fmu").path
         library.unlink()
         slave.set(np.array([0]), np.array([3.0]))
         slave.initialize(0.0, 1.0, None)
@@ -324,7 +324,7 @@ def test_a_file_of_the_runtime_keeps_its_name(write: Write, tmp_path: Path) -> N
     block = c_function(write("taken", "y[0] = u[0];"), inputs=["in"], outputs=["out"], sample_time=H)
     header = {**block.c_files, "model.h": ""}
     with pytest.raises(ModelError, match=r"'model\.h' has the name of a file of every FMU; rename it"):
-        build_block_fmu(replace(block, c_files=header), tmp_path / "x.fmu")
+        build_fmu(replace(block, c_files=header), tmp_path / "x.fmu")
 
 
 def test_section_says_what_it_takes() -> None:

@@ -19,7 +19,7 @@ from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.fmu_build.block_codegen import sample_function
+from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock

@@ -29,7 +29,7 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
@@ -130,7 +130,7 @@ def test_slave_and_fmu_agree(kind: str, tmp_path: Path) -> None:
     block, count = BLOCKS[kind](), 120
     names = tuple(variable.name for variable in block.inputs)
     values = np.random.default_rng(5).normal(size=(count + 1, len(names)))
-    path = build_block_fmu(block, tmp_path / "block.fmu").path
+    path = build_fmu(block, tmp_path / "block.fmu").path
     recordings = []
     for slave in (BlockSlave(block, "controller"), FmuSlave(path, "controller", {})):
         wires = [(f"signals.{name}", f"controller.{name}") for name in names]

@@ -19,7 +19,7 @@ from flexfmu.cosim.control.controllers.learning_laws import (
     zero_phase,
 )
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.fmu_build.block_codegen import sample_function
+from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from fmpy.fmi2 import FMU2Slave
 from flexfmu.cosim.control.imperfections.channels import joint_channels
 from flexfmu.cosim.control.imperfections.delay import whole_delay
 from flexfmu.cosim.control.imperfections.signal_blocks import gaussian_noise, jitter, uniform_noise
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
@@ -31,7 +31,7 @@ RANDOM = {
 @contextmanager
 def instance(block: SymbolicBlock, folder: Path, parameters: dict[str, float]) -> Iterator[tuple[FMU2Slave, Any]]:
     """An initialised instance of the block's FMU, and its value references by name."""
-    path = build_block_fmu(block, folder / "block.fmu").path
+    path = build_fmu(block, folder / "block.fmu").path
     description = fmpy.read_model_description(str(path))
     references = {each.name: each.valueReference for each in description.modelVariables}
     slave = FMU2Slave(

@@ -14,7 +14,7 @@ from flexfmu.cosim.engine.master.master import simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.shapers import Oscillator, ShapedTrajectory, design
 
@@ -27,7 +27,7 @@ def test_slave_fmu_and_closed_form_agree(name: str, tmp_path: Path) -> None:
     motion = plan(load_scene("barnard2012-6kg")).joints
     sequence = design(name, [Oscillator(58.84, 0.018)])
     block = shaper_block(sequence, SAMPLE_TIME)
-    fmu = build_block_fmu(block, tmp_path / "shaper.fmu").path
+    fmu = build_fmu(block, tmp_path / "shaper.fmu").path
     shapers = [BlockSlave(block, "python"), FmuSlave(fmu, "exported")]
     names = [signal.name for signal in JOINT_REFERENCES]
     wires = [(f"trajectory.{each}", f"{shaper.name}.{each}") for shaper in shapers for each in names]

@@ -22,7 +22,7 @@ from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
 from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -105,7 +105,7 @@ def test_python_functions_and_fmus_have_the_margins_of_blocks(
         for name in ("traced", "pi_d")
     )
     block = pid(4e3, 2e4, 40.0, filter_time=2e-3, **TIME)
-    fmu = build_block_fmu(block, tmp_path / "own.fmu")
+    fmu = build_fmu(block, tmp_path / "own.fmu")
     gains = {"proportional": 4e3, "integral": 2e4, "derivative": 40.0, "filter_time": 2e-3}
     by_block = scene_margins(robot({"kind": "pid", **gains, **TIME}), poses=1).worst
     by_fmu = scene_margins(robot({"kind": "fmu", "path": str(fmu.path)}), poses=1).worst

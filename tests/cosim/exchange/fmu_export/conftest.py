@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from export_support.instance import opened
 
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 
 
 @pytest.fixture
@@ -24,6 +24,6 @@ def export(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     with ExitStack() as stack:
 
         def make(block: Any, **options: Any) -> Any:
-            return stack.enter_context(opened(build_block_fmu(block, **options).path, tmp_path))
+            return stack.enter_context(opened(build_fmu(block, **options).path, tmp_path))
 
         yield make

@@ -12,10 +12,9 @@ import pytest
 from export_support.blocks import pd_controller, quantiser
 from export_support.trajectories import Swing
 
-from flexfmu.fmu_build.block_build import generate_block_sources
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import Sources, c_files
-from flexfmu.fmu_build.trajectory_build import generate_trajectory_sources
+from flexfmu.fmu_build.sources import Sources, c_files, generate_sources
+from flexfmu.fmu_build.trajectory_build import Motion
 
 DRIVER = Path(__file__).parent / "c" / "drive.c"
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
@@ -25,10 +24,10 @@ SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recove
 EXPERIMENT = DefaultExperiment()
 
 SOURCES: dict[str, tuple[Callable[[], Sources], int, int]] = {
-    "block": (lambda: generate_block_sources(pd_controller(), EXPERIMENT), 6, 2),
-    "stateless block": (lambda: generate_block_sources(quantiser(), EXPERIMENT), 2, 1),
+    "block": (lambda: generate_sources(pd_controller(), EXPERIMENT), 6, 2),
+    "stateless block": (lambda: generate_sources(quantiser(), EXPERIMENT), 2, 1),
     "trajectory": (
-        lambda: generate_trajectory_sources(Swing(), EXPERIMENT, axes=["axis"], unit="m"),  # type: ignore[arg-type]
+        lambda: generate_sources(Motion(Swing(), ["axis"], "m"), EXPERIMENT),  # type: ignore[arg-type]
         3,
         0,
     ),

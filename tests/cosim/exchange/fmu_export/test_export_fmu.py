@@ -19,10 +19,11 @@ from export_support.instance import run
 from export_support.trajectories import Swing, lame
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
-from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
+from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
 from flexfmu.fmu_build.validation.validate import validate_fmu
@@ -37,14 +38,14 @@ BLOCKS = [pd_controller, fir, delay, quantiser, saturation]
 @pytest.mark.parametrize("make", BLOCKS, ids=lambda make: make.__name__)
 def test_block_is_valid(make: Callable[[], SymbolicBlock], tmp_path: Path) -> None:
     """Other tools check more than ours: description by fmpy, symbols, and a short life in a process of its own."""
-    built = build_block_fmu(make(), tmp_path / "block.fmu", stop_time=0.05)
+    built = build_fmu(make(), tmp_path / "block.fmu", stop_time=0.05)
     assert validate_by_fmpy(str(built.path)) == []
     assert validate_fmu(built.path) == []
 
 
 def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A block that claims to follow a ramp between communication points is tried with several samples between them."""
-    path = build_block_fmu(fir(), stop_time=0.05).path
+    path = build_fmu(fir(), stop_time=0.05).path
     fmpy.extract(str(path), tmp_path)
     fmu = FmuUnderTest(fmpy.read_model_description(str(path)), tmp_path, InterfaceType.COSIMULATION)
     assert list(interpolates_inputs(fmu)) == []
@@ -56,7 +57,7 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.slow
 def test_trajectory_is_valid(tmp_path: Path) -> None:
     """The same for trajectories."""
-    built = build_trajectory_fmu(lame(BangBang()), tmp_path / "trajectory.fmu")
+    built = build_fmu(Motion(lame(BangBang())), tmp_path / "trajectory.fmu")
     assert validate_by_fmpy(str(built.path)) == []
     assert validate_fmu(built.path) == []
 
@@ -64,7 +65,7 @@ def test_trajectory_is_valid(tmp_path: Path) -> None:
 def test_fmpy_simulates_a_block(tmp_path: Path) -> None:
     """Somebody else's master gets the samples as well: inputs are set, then the step is made, then the outputs are read,
     so that it records at each instant the sample with the input of the step before it."""
-    built = build_block_fmu(quantiser(), tmp_path / "block.fmu")
+    built = build_fmu(quantiser(), tmp_path / "block.fmu")
     times = SAMPLE_TIME * np.arange(51)
     signal = np.array(list(zip(times, np.sin(60.0 * times), strict=True)), dtype=[("time", "f8"), ("in1", "f8")])
     result = fmpy.simulate_fmu(
@@ -77,7 +78,7 @@ def test_fmpy_simulates_a_block(tmp_path: Path) -> None:
 def test_fmpy_simulates_a_trajectory(tmp_path: Path) -> None:
     """Left limits at the communication points."""
     swing = Swing()
-    built = build_trajectory_fmu(swing, tmp_path / "swing.fmu", axes=["axis"], unit="m")  # type: ignore[arg-type]
+    built = build_fmu(Motion(swing, ["axis"], "m"), tmp_path / "swing.fmu")  # type: ignore[arg-type]
     result = fmpy.simulate_fmu(str(built.path), step_size=0.01, output_interval=0.01)
     exact = swing.evaluate(result["time"], 2, "left")[:, :, 0]
     for row, kind in zip(exact, ("position", "velocity", "acceleration"), strict=True):
@@ -86,7 +87,7 @@ def test_fmpy_simulates_a_trajectory(tmp_path: Path) -> None:
 
 def test_description_says_what_it_is(tmp_path: Path) -> None:
     """Outputs that jump are discrete, feedthrough is declared, and tools that look find sample time and breakpoints."""
-    path = build_block_fmu(delay(sample_time=0.25, offset=0.125), tmp_path / "delay.fmu").path
+    path = build_fmu(delay(sample_time=0.25, offset=0.125), tmp_path / "delay.fmu").path
     description = fmpy.read_model_description(str(path))
     output = next(each for each in description.modelVariables if each.causality == "output")
     assert (output.variability, output.initial, output.type) == ("discrete", "calculated", "Real")
@@ -94,7 +95,7 @@ def test_description_says_what_it_is(tmp_path: Path) -> None:
     assert (description.defaultExperiment.stepSize, description.defaultExperiment.tolerance) == ("0.25", None)
     text = zipfile.ZipFile(path).read("modelDescription.xml").decode()
     assert '<Sampling sampleTime="0.25" offset="0.125"/>' in text
-    path = build_trajectory_fmu(Swing(), tmp_path / "swing.fmu", axes=["axis"], unit="m").path  # type: ignore[arg-type]
+    path = build_fmu(Motion(Swing(), ["axis"], "m"), tmp_path / "swing.fmu").path  # type: ignore[arg-type]
     text = zipfile.ZipFile(path).read("modelDescription.xml").decode()
     assert '<Breakpoints times="0.0 0.4 1.0"/>' in text
     description = fmpy.read_model_description(str(path))
@@ -104,7 +105,7 @@ def test_description_says_what_it_is(tmp_path: Path) -> None:
 
 def test_trajectory_declares_no_derivatives(tmp_path: Path) -> None:
     """Importers stumble over declared derivatives without states: Maestro where both outputs are connected, libcosim always."""
-    path = build_trajectory_fmu(Swing(), tmp_path / "swing.fmu", axes=["axis"], unit="m").path  # type: ignore[arg-type]
+    path = build_fmu(Motion(Swing(), ["axis"], "m"), tmp_path / "swing.fmu").path  # type: ignore[arg-type]
     description = fmpy.read_model_description(str(path))
     assert [each.name for each in description.modelVariables if each.derivative is not None] == []
     assert list(description.derivatives) == []
@@ -116,7 +117,7 @@ def test_trajectory_declares_no_derivatives(tmp_path: Path) -> None:
 def test_feedthrough_is_declared(declared: dict[str, tuple[str, ...]], dependencies: list[str], tmp_path: Path) -> None:
     """Masters sort their slaves by it; an output without a statement depends on all inputs."""
     controller = pd_controller()
-    path = build_block_fmu(replace(controller, feedthrough=declared), tmp_path / "block.fmu").path
+    path = build_fmu(replace(controller, feedthrough=declared), tmp_path / "block.fmu").path
     unknown = fmpy.read_model_description(str(path)).outputs[0]
     assert [each.name for each in unknown.dependencies] == dependencies
 
@@ -124,9 +125,9 @@ def test_feedthrough_is_declared(declared: dict[str, tuple[str, ...]], dependenc
 @pytest.mark.slow
 def test_equal_exports_are_equal_files(tmp_path: Path) -> None:
     """The same block gives the same bytes, and is found in the cache; any change makes another GUID."""
-    first, second = (build_block_fmu(fir(), tmp_path / f"{name}.fmu", cache=name == "a") for name in "ab")
+    first, second = (build_fmu(fir(), tmp_path / f"{name}.fmu", cache=name == "a") for name in "ab")
     assert first.path.read_bytes() == second.path.read_bytes()
-    again = build_block_fmu(fir())
+    again = build_fmu(fir())
     assert again.cached
     assert again.guid == first.guid
     changed = [
@@ -134,8 +135,8 @@ def test_equal_exports_are_equal_files(tmp_path: Path) -> None:
         replace(fir(), offset=1e-4),
         replace(fir(), states=(0.0, 0.0, 0.0, 1.0)),
     ]
-    assert len({generate_block_sources(each, DefaultExperiment()).guid for each in [fir(), *changed]}) == 4
-    one, two = (build_trajectory_fmu(lame(BangBang()), tmp_path / f"{name}.fmu", cache=name == "c") for name in "cd")
+    assert len({generate_sources(each, DefaultExperiment()).guid for each in [fir(), *changed]}) == 4
+    one, two = (build_fmu(Motion(lame(BangBang())), tmp_path / f"{name}.fmu", cache=name == "c") for name in "cd")
     assert one.path.read_bytes() == two.path.read_bytes()
 
 
@@ -153,7 +154,7 @@ def test_equal_exports_are_equal_files(tmp_path: Path) -> None:
 def test_contradictions_are_refused(change: dict[str, Any], sentence: str) -> None:
     """What was given, and what would be right, before any compiler runs."""
     with pytest.raises(ModelError, match=sentence):
-        build_block_fmu(replace(fir(), **change))
+        build_fmu(replace(fir(), **change))
 
 
 def learning_table(states: int) -> SymbolicBlock:
@@ -190,7 +191,7 @@ def test_thousands_of_states(export: Export) -> None:
     """A table of 5000 states works, in C of as many loops as one of 1000 needs, each run as often as there are states."""
     table = learning_table(5000)
     large, small = (
-        generate_block_sources(each, DefaultExperiment()).generated["model_sample.c"]
+        generate_sources(each, DefaultExperiment()).generated["model_sample.c"]
         for each in (table, learning_table(1000))
     )
     assert large.count(";") == small.count(";")
@@ -205,9 +206,7 @@ def test_thousands_of_states(export: Export) -> None:
 @pytest.mark.slow
 def test_long_delay_lines_stay_linear(export: Export) -> None:
     """A delay line of thousands of scalars is a loop in C; statement by statement it took GCC half a minute."""
-    sizes = [
-        len(generate_block_sources(delay(n), DefaultExperiment()).generated["model_sample.c"]) for n in (1000, 2000)
-    ]
+    sizes = [len(generate_sources(delay(n), DefaultExperiment()).generated["model_sample.c"]) for n in (1000, 2000)]
     assert sizes[1] < 1.1 * sizes[0]
     inputs = np.arange(1.0, 2101.0)[:, None]
     found = run(export(delay(2000))(), inputs, SAMPLE_TIME)
@@ -234,7 +233,7 @@ def test_runs_are_copied_between_computed_states(export: Export) -> None:
         ],
     )
     inputs = np.random.default_rng(4).normal(size=(150, 2))
-    assert "casadi_f1" in generate_block_sources(mixed, DefaultExperiment()).generated["model_sample.c"]
+    assert "casadi_f1" in generate_sources(mixed, DefaultExperiment()).generated["model_sample.c"]
     np.testing.assert_array_equal(run(export(mixed)(), inputs, SAMPLE_TIME), expected(mixed, inputs))
 
 
@@ -248,7 +247,7 @@ def test_thousands_of_statements(export: Export) -> None:
         lambda x, u, p: [x[0] * u[0]],
         lambda x, u, p: [0.5 * x[i] + x[(7 * i) % 2000] * u[0] for i in range(2000)],
     )
-    assert "optimize" in generate_block_sources(many, DefaultExperiment()).generated["model_sample.c"]
+    assert "optimize" in generate_sources(many, DefaultExperiment()).generated["model_sample.c"]
     inputs = np.random.default_rng(6).normal(size=(20, 1))
     exact = expected(many, inputs)
     np.testing.assert_allclose(run(export(many)(), inputs, SAMPLE_TIME), exact, rtol=1e-12)
@@ -258,7 +257,7 @@ def test_thousands_of_statements(export: Export) -> None:
 @pytest.mark.skipif(find_spec("ziglang") is None, reason="no zig")
 def test_cross_compiles(tmp_path: Path) -> None:
     """A colleague on Windows gets the same controller."""
-    built = build_block_fmu(pd_controller(), tmp_path / "block.fmu", platforms=["linux64", "win64"])
+    built = build_fmu(pd_controller(), tmp_path / "block.fmu", platforms=["linux64", "win64"])
     names = zipfile.ZipFile(built.path).namelist()
     assert "binaries/win64/PD_controller.dll" in names
     assert "binaries/linux64/PD_controller.so" in names

@@ -23,8 +23,8 @@ from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
-from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.trajectories.profiles import BangBang
 
 
@@ -62,7 +62,7 @@ def test_exported_controller_equals_its_twin(ratio: float, offset: float) -> Non
     """Sampled at the same instants, in the same order, with the same inputs: whatever the communication step."""
     block = replace(pd_controller(), offset=offset * SAMPLE_TIME)
     twin = closed_loop(BlockSlave(block, "controller"), ratio * SAMPLE_TIME)
-    found = closed_loop(SampledFmu(build_block_fmu(block).path, "controller"), ratio * SAMPLE_TIME)
+    found = closed_loop(SampledFmu(build_fmu(block).path, "controller"), ratio * SAMPLE_TIME)
     for name, values in twin.items():
         np.testing.assert_allclose(found[name], values, rtol=0.0, atol=1e-12 * max(1.0, abs(values).max()))
     assert abs(twin["controller.out1"]).max() > 0.5, "the controller does something"
@@ -71,7 +71,7 @@ def test_exported_controller_equals_its_twin(ratio: float, offset: float) -> Non
 def test_controller_without_feedthrough(tmp_path: Path) -> None:
     """A pure delay in a loop isn't algebraic, as its description says."""
     block = replace(delay(3), feedthrough={"out1": ()})
-    fmu = SampledFmu(build_block_fmu(block).path, "delay")
+    fmu = SampledFmu(build_fmu(block).path, "delay")
     twin = BlockSlave(block, "delay")
     assert dict(fmu.feedthrough) == dict(twin.feedthrough)
     found, exact = (_delayed(slave) for slave in (fmu, twin))
@@ -85,7 +85,7 @@ def _delayed(slave: Any) -> RealArray:
 
 def test_parameters_reach_the_fmu() -> None:
     """Gains are given when the slave is made, by name."""
-    path = build_block_fmu(pd_controller()).path
+    path = build_fmu(pd_controller()).path
     weak = closed_loop(SampledFmu(path, "controller", {"kp": 0.0, "kd": 0.0}), SAMPLE_TIME)
     assert (weak["controller.out1"] == 0.0).all()
     with pytest.raises(InputError, match="no parameter 'gain'"):
@@ -94,7 +94,7 @@ def test_parameters_reach_the_fmu() -> None:
 
 def test_saves_and_restores() -> None:
     """A master that repeats steps gets the same samples."""
-    slave = SampledFmu(build_block_fmu(pd_controller()).path)
+    slave = SampledFmu(build_fmu(pd_controller()).path)
     indices, values = np.array([0, 1]), np.empty(1)
     output = np.array([i for i, each in enumerate(slave.variables) if each.causality == "output"])
 
@@ -124,7 +124,7 @@ def test_agrees_with_python_control() -> None:
     inputs = random.normal(size=(2, 200))
     system = control.ss(a, b, c, d, SAMPLE_TIME)
     exact = control.forced_response(system, U=inputs, X0=[0.3, -0.2, 0.1]).outputs
-    slave = SampledFmu(build_block_fmu(block).path)
+    slave = SampledFmu(build_fmu(block).path)
     slave.initialize(0.0, 1.0, None)
     outputs = np.array([i for i, each in enumerate(slave.variables) if each.causality == "output"])
     found = np.empty((200, 2))
@@ -139,7 +139,7 @@ def test_agrees_with_python_control() -> None:
 def test_trajectory_streams_as_its_twin() -> None:
     """References, derivatives and breakpoints that a plant is fed with, from the FMU and from Python."""
     trajectory = lame(BangBang())
-    exported = FmuTrajectory(build_trajectory_fmu(trajectory).path)
+    exported = FmuTrajectory(build_fmu(Motion(trajectory)).path)
     assert exported.breakpoints == trajectory.breakpoints
     recordings = [
         simulate(connect([TrajectorySlave(each)], []), 1.1 * trajectory.duration, 1e-3).recording
@@ -160,7 +160,7 @@ def test_trajectory_streams_as_its_twin() -> None:
 def test_higher_derivatives_come_along() -> None:
     """A master streams polynomials with derivatives up to the sixth of the motion; the higher, the less exact."""
     trajectory = lame(BangBang())
-    exported = FmuTrajectory(build_trajectory_fmu(trajectory).path)
+    exported = FmuTrajectory(build_fmu(Motion(trajectory)).path)
     times = np.random.default_rng(5).uniform(0.0, trajectory.duration, 200)
     exact, found = (each.evaluate(times, 6) for each in (trajectory, exported))
     errors = abs(found - exact).max(axis=(1, 2)) / abs(exact).max(axis=(1, 2))
@@ -169,7 +169,7 @@ def test_higher_derivatives_come_along() -> None:
 
 def test_other_fmus_are_refused() -> None:
     """A trajectory has no sample time, a controller no breakpoints."""
-    controller, trajectory = build_block_fmu(pd_controller()).path, build_trajectory_fmu(lame(BangBang())).path
+    controller, trajectory = build_fmu(pd_controller()).path, build_fmu(Motion(lame(BangBang()))).path
     assert isinstance(fmu_slave(controller), SampledFmu)
     assert isinstance(fmu_slave(trajectory), FmuSlave)
     with pytest.raises(FmuFileError, match="doesn't tell its sample time"):

@@ -20,7 +20,7 @@ from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 COUNT = 200
@@ -113,7 +113,7 @@ class WithBlock(SampledFmu):
 
     def __init__(self, block: SymbolicBlock, *arguments: Any) -> None:
         self.block = block
-        super().__init__(build_block_fmu(block).path, block.name, *arguments)
+        super().__init__(build_fmu(block).path, block.name, *arguments)
 
 
 class Task(FmuTask):
@@ -121,7 +121,7 @@ class Task(FmuTask):
 
     def __init__(self, block: SymbolicBlock, offset: float) -> None:
         self.block = block
-        slave = FmuSlave(build_block_fmu(block).path, block.name, input_order=0, output_order=0)
+        slave = FmuSlave(build_fmu(block).path, block.name, input_order=0, output_order=0)
         super().__init__(slave, 2.0 * SAMPLE_TIME, offset)
 
 

@@ -20,7 +20,7 @@ from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.imperfections.signal_blocks import encoder
 from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.cosim.engine.binding import Phase
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -36,7 +36,7 @@ def in_fmpy(block: SymbolicBlock, inputs: Any) -> Any:
     names = ["time", *(each.name for each in block.inputs)]
     table = unstructured_to_structured(np.column_stack([time, inputs]), np.dtype([(name, float) for name in names]))
     result = fmpy.simulate_fmu(
-        str(build_block_fmu(block).path),
+        str(build_fmu(block).path),
         input=table,
         output=[each.name for each in block.outputs],
         output_interval=block.sample_time,
@@ -111,4 +111,4 @@ def test_rate_of_an_encoder_in_fmpy(window: int) -> None:
 @pytest.mark.parametrize("name", ["pid", "computed_torque", "iterative_learning", "shaper_block"])
 def test_exported_block_is_valid(name: str) -> None:
     """Descriptions with every unit and limit, and a short life with the start values of all inputs."""
-    assert validate_fmu(build_block_fmu(KINDS[name](), stop_time=0.1).path) == []
+    assert validate_fmu(build_fmu(KINDS[name](), stop_time=0.1).path) == []

@@ -13,8 +13,9 @@ import pytest
 from export_support.instance import Instance, RefusedError, opened
 from export_support.trajectories import Swing, lame, robot
 
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
+from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
 from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
 from flexfmu.trajectories.own import as_trajectory
@@ -55,8 +56,8 @@ def export(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Function that exports a trajectory and gives a function that makes instances of it."""
     with ExitStack() as stack:
 
-        def make(trajectory: Any, **options: Any) -> Any:
-            return stack.enter_context(opened(build_trajectory_fmu(trajectory, **options).path, tmp_path))
+        def make(trajectory: Any, **names: Any) -> Any:
+            return stack.enter_context(opened(build_fmu(Motion(trajectory, **names)).path, tmp_path))
 
         yield make
 

@@ -20,7 +20,7 @@ from ssp_support.packages import SSD, package
 
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.exchange.ssp.export import export_ssp
-from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -184,7 +184,7 @@ def furnished_scene(drive_scene: Scene, tmp_path_factory: pytest.TempPathFactory
     """A PD whose gains follow the pose, with feedforwards of the flexible robot, in Python, in C and as an FMU of a python-control
     system; filters, dead zone, backlash, a known delay; a force, band noise, and a payload that is dropped."""
     folder = tmp_path_factory.mktemp("furnished")
-    fmu = build_block_fmu(control_block(LINEAR, name="linear", **ENDS), folder / "linear.fmu").path
+    fmu = build_fmu(control_block(LINEAR, name="linear", **ENDS), folder / "linear.fmu").path
     (folder / "damping.py").write_text(DAMPING_IN_PYTHON, encoding="utf-8")
     (folder / "damping.c").write_text(DAMPING_IN_C, encoding="utf-8")
     time = {"sample_time": 1e-3}
