@@ -18,8 +18,7 @@ from flexfmu.fmu_build.codegen import (
     generate_functions,
     identifier,
 )
-from flexfmu.fmu_build.description import Content, Description, FmuKind, description_xml
-from flexfmu.fmu_build.documentation import documentation
+from flexfmu.fmu_build.description import Content, Description, FmuKind, description_xml, documentation
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import build_interface
