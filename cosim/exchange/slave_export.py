@@ -3,8 +3,8 @@ their variables."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.recording import SlaveFacts, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.system import PLANT, SceneSystem, scene_system
+from flexfmu.cosim.experiment.system import PLANT, scene_system
 from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.naming import namer
@@ -68,25 +68,6 @@ class ExportedSystem:
     step: float
     stop_time: float
 
-    def named(self, naming: Naming, slaves: Collection[str]) -> ExportedSystem:
-        """Return the system with another naming of the variables of these slaves.
-
-        Raises:
-            ModelError: a variable has no flat name.
-        """
-        name = namer(naming)
-
-        def port(end: str) -> str:
-            slave, _, variable = end.partition(".")
-            return f"{slave}.{name(variable)}" if slave in slaves else end
-
-        def renamed(slave: ExportedSlave) -> ExportedSlave:
-            starts = {name(key): value for key, value in slave.parameters.items()}
-            return replace(slave, parameters=starts) if slave.name in slaves else slave
-
-        connections = tuple((port(source), port(target)) for source, target in self.connections)
-        return replace(self, slaves=tuple(map(renamed, self.slaves)), connections=connections)
-
 
 def export_slaves(
     scene: Scene,
@@ -128,20 +109,31 @@ def export_slaves(
     chosen = _chosen(system.slaves, names, step)
     # an FMU for each slave
     options = BuildOptions(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
+    flat = namer(naming)
+
+    def called(slave: Slave) -> Callable[[str], str]:
+        return str if _is_copied(slave) else flat
+
     stop_time = float(f"{loop.motion.stop_time:.12g}")
     exported = []
     for number, facts in enumerate(slave_facts(chosen)):
         progress(f"exporting {facts.name}", number / len(chosen))
         path = folder / f"{facts.name}.fmu"
         _write(chosen[number], path, scene, stop_time, options)
-        exported.append(ExportedSlave(facts, path, _start_values(chosen[number], system)))
-    # connections between exported slaves
-    there = {slave.name for slave in chosen}
-    connections = tuple(
-        ends for ends in system.wiring.connections if all(end.partition(".")[0] in there for end in ends)
-    )
-    whole = ExportedSystem(tuple(exported), connections, step, stop_time)
-    return whole.named(naming, {slave.name for slave in chosen if not _is_copied(slave)})
+        slave = chosen[number]
+        values = slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}
+        if slave is system.plant:
+            values = {**system.changes, **system.constants}
+        exported.append(ExportedSlave(facts, path, {called(slave)(name): value for name, value in values.items()}))
+    # connections between exported slaves, with the names of the variables in the FMUs
+    ports = {
+        f"{slave.name}.{each.name}": f"{slave.name}.{called(slave)(each.name)}"
+        for slave in chosen
+        for each in slave.variables
+    }
+    connections = ((ports.get(source), ports.get(target)) for source, target in system.wiring.connections)
+    joined = tuple((source, target) for source, target in connections if source is not None and target is not None)
+    return ExportedSystem(tuple(exported), joined, step, stop_time)
 
 
 def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: BuildOptions) -> None:
@@ -200,10 +192,3 @@ def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float)
             )
         chosen.append(exported)
     return tuple(chosen)
-
-
-def _start_values(slave: Slave, system: SceneSystem) -> Mapping[str, Value]:
-    """Return the start values that differ from those in the slave's FMU."""
-    if slave is system.plant:
-        return {**system.changes, **system.constants}
-    return slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}

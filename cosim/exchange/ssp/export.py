@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
+from dataclasses import replace
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
@@ -74,7 +75,10 @@ def export_ssp(
     """
     target = Path(path)
     loop = loop_of(scene) if loop is None else loop
-    robot = _robot(scene, loop)
+    # the FMU has the parameters of the loop even if an importer ignores the parameter set; for a torque-driven robot without
+    # controllers the torques that hold its start pose follow from the scene's parameters
+    holds = scene.cosimulation.drive == "torque" and not loop.controllers
+    robot = scene if holds else scene_with_parameters(scene, loop.parameters)
     # build all FMUs, then describe the system from their descriptions
     with tempfile.TemporaryDirectory(prefix="flexfmu-") as folder:
         system = export_slaves(robot, Path(folder), loop=loop, platforms=platforms, cache=cache, progress=progress)
@@ -87,15 +91,6 @@ def export_ssp(
     return target
 
 
-def _robot(scene: Scene, loop: Loop) -> Scene:
-    """Return the scene with the robot's parameters in ``loop``, so that the FMU has them even if an importer ignores the parameter set.
-
-    A torque-driven robot without controllers is unchanged: the torques that hold its start pose follow from the scene's parameters.
-    """
-    holds = scene.cosimulation.drive == "torque" and not loop.controllers
-    return scene if holds else scene_with_parameters(scene, loop.parameters)
-
-
 def describe(name: str, system: ExportedSystem) -> Structure:
     """Return the system structure of exported slaves.
 
@@ -103,91 +98,71 @@ def describe(name: str, system: ExportedSystem) -> Structure:
         name: name of the system.
         system: the slaves and their connections.
     """
-    # components with their connectors
-    fmus = {slave.name: _fmu(slave, system.connections) for slave in system.slaves}
-    parameters = [each for slave in system.slaves for each in _parameters(slave, fmus[slave.name])]
-    connectors = [each for fmu in fmus.values() for each in fmu.component.connectors]
+    connections = tuple(SspConnection(_ends(source), _ends(target)) for source, target in system.connections)
+    fed = {each.end for each in connections}
+    components: list[Component] = []
+    parameters: list[SspParameter] = []
+    known: dict[str, SspUnit] = {}
+    tolerances: list[float] = []
+    for slave in system.slaves:
+        fmu = open_fmu(slave.path)
+        owner = ComponentFmu(Component(slave.name, _source(slave), ()), fmu)
+        known |= owner.units
+        # units by their names, where the FMU defines them
+        defined = {each: owner.unit(each) for each in owner.variables}
+        units = {each: unit.name for each, unit in defined.items() if isinstance(unit, SspUnit)}
+        # all outputs, and the connected inputs
+        shown = (
+            Connector(each.name, each.causality, each.type, units.get(each.name))
+            for each in owner.variables.values()
+            if each.causality == "output" or (slave.name, each.name) in fed
+        )
+        # sample time and offset, unless the FMU states them
+        facts, times = slave.facts, None
+        if facts.sample_time is not None:
+            times = facts.sample_time, facts.offset or 0.0
+        stated = fmu.sampling is not None or (fmu.fixed_step, 0.0) == times
+        components.append(
+            replace(
+                owner.component,
+                connectors=tuple(shown),
+                description=facts.description,
+                sampling=None if stated else times,
+            )
+        )
+        # Real parameters with the FMU's start values, then the values of the scene, each in its variable's type
+        values: dict[str, Value] = {
+            each.name: float(each.start)
+            for each in owner.variables.values()
+            if each.causality == "parameter" and each.type == "Real" and each.start is not None
+        }
+        for variable, value in {**values, **slave.parameters}.items():
+            kind = owner.variables[variable].type
+            value = typed(owner.variables[variable], value) if kind == "Integer" else value
+            value = float(value) if kind == "Real" else value
+            parameters.append(SspParameter(f"{slave.name}.{variable}", kind, value, units.get(variable)))
+        if (default := fmu.description.defaultExperiment) is not None and default.tolerance:
+            tolerances.append(float(default.tolerance))
+
+    def used(names: Iterable[str | None]) -> tuple[SspUnit, ...]:
+        return tuple(known[each] for each in sorted({each for each in names if each is not None}))
+
     # one parameter set for the whole system, with hierarchical names
-    values = ParameterSet(f"{name} parameters", tuple(parameters), _units((each.unit for each in parameters), fmus))
-    defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
+    found = ParameterSet(f"{name} parameters", tuple(parameters), used(each.unit for each in parameters))
+    # an identifier, as OMSimulator requires
+    identifier = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return Structure(
-        name=_identifier(name),
-        components=tuple(fmu.component for fmu in fmus.values()),
-        connections=tuple(SspConnection(_ends(source), _ends(target)) for source, target in system.connections),
-        bindings=(Binding(values, source=PARAMETERS),) if parameters else (),
-        units=_units((each.unit for each in connectors), fmus),
+        name=f"_{identifier}" if identifier[:1].isdigit() else identifier,
+        components=tuple(components),
+        connections=connections,
+        bindings=(Binding(found, source=PARAMETERS),) if parameters else (),
+        units=used(each.unit for component in components for each in component.connectors),
         start=0.0,
         stop=system.stop_time,
         step=system.step,
-        tolerance=min(
-            (float(each.tolerance) for each in defaults if each is not None and each.tolerance), default=None
-        ),
+        tolerance=min(tolerances, default=None),
         description=f"Scene {name}: a flexible five-bar robot with its motion and what stands between them.",
     )
-
-
-def _identifier(name: str) -> str:
-    """Return the name as an identifier (letters, digits, underscores), as OMSimulator requires."""
-    found = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    return f"_{found}" if found[:1].isdigit() else found
-
-
-def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> ComponentFmu:
-    """Return the slave's component with connectors for all outputs and for the connected inputs."""
-    fed = {_ends(target) for _, target in connections}
-    fmu = open_fmu(slave.path)
-    bare = ComponentFmu(Component(slave.name, _source(slave), ()), fmu)
-    # all outputs, and the connected inputs
-    shown = [
-        Connector(each.name, each.causality, each.type, _unit_name(bare, each.name))
-        for each in bare.variables.values()
-        if each.causality == "output" or (slave.name, each.name) in fed
-    ]
-    # write sample time and offset unless the FMU states them
-    facts = slave.facts
-    times = None if facts.sample_time is None else (facts.sample_time, facts.offset or 0.0)
-    stated = fmu.sampling is not None or (fmu.fixed_step, 0.0) == times
-    component = Component(
-        slave.name,
-        _source(slave),
-        tuple(shown),
-        description=facts.description,
-        sampling=None if stated else times,
-    )
-    return ComponentFmu(component, fmu)
-
-
-def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[SspParameter]:
-    """Return the values of all Real parameters, and of other variables whose start value differs from the FMU's."""
-    # Real parameters with the FMU's start values, then the values of the scene
-    started = {
-        name: float(each.start)
-        for name, each in fmu.variables.items()
-        if each.causality == "parameter" and each.type == "Real" and each.start is not None
-    }
-    values: Mapping[str, Value] = {**started, **slave.parameters}
-    # each value in its variable's type
-    found = []
-    for name, value in values.items():
-        variable = fmu.variables[name]
-        if variable.type == "Real":
-            value = float(value)
-        elif variable.type == "Integer":
-            value = typed(variable, value)
-        found.append(SspParameter(f"{slave.name}.{name}", variable.type, value, _unit_name(fmu, name)))
-    return found
-
-
-def _unit_name(fmu: ComponentFmu, name: str) -> str | None:
-    """Return the name of a variable's unit; None if the FMU doesn't define it."""
-    unit = fmu.unit(name)
-    return unit.name if isinstance(unit, SspUnit) else None
-
-
-def _units(names: Iterable[str | None], fmus: Mapping[str, ComponentFmu]) -> tuple[SspUnit, ...]:
-    """Return the definitions of the units, sorted by name."""
-    known = {name: unit for fmu in fmus.values() for name, unit in fmu.units.items()}
-    return tuple(known[name] for name in sorted({name for name in names if name is not None}))
 
 
 def _source(slave: ExportedSlave) -> str:
