@@ -28,7 +28,7 @@ from flexfmu.fmu_build.naming import namer
 from flexfmu.fmu_build.trajectory_build import Motion
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.experiment.loop import Loop
+    from flexfmu.cosim.experiment.scene_loop import Loop
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.model.scene.schema import Scene
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from math import dist
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
@@ -19,6 +20,7 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.curves import Point, Side, checked_side
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from flexfmu.model.reference_design.inverse_dynamics import FlexibleReferences
+    from flexfmu.trajectories.own import OwnMotion
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 
@@ -122,6 +125,9 @@ class Tabulated:
 
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s2"}
 """Derivatives of a motion by their order, with what their unit has behind that of the position."""
+
+SAME_ANGLE, SAME_PLACE = 1e-9, 1e-9
+"""Joint angles [rad] and places [m] that differ by less are the same."""
 
 POSES = 401
 """Number of poses at which a motion is examined."""
@@ -320,6 +326,49 @@ def plan_rigid(scene: Scene) -> MotionPlan:
     # the motion with its duration
     motion = cast(TaskTrajectory, joints.task).with_duration(section.duration)
     return MotionPlan(scene, motion, cast(RigidKinematics, joints.kinematics), motion, joints.timed(motion))
+
+
+def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
+    """Plan a motion that a user's object gives, instead of that of the scene's path, and check it all along.
+
+    Args:
+        scene: the scene; its start point and duration become those of the motion, its path and profile play no part.
+        own: see `flexfmu.trajectories.own.as_trajectory`.
+
+    Raises:
+        TrajectoryError: the motion can't be used, see `as_trajectory`, leaves the workspace, comes too close to a singularity,
+            its joint angles aren't those of the scene's working mode, or the scene's motion is a table that starts elsewhere.
+        SceneError: the scene's modes don't fit the start of the motion.
+    """
+    from flexfmu.trajectories.own import as_trajectory, coordinates_of  # which few scenes need
+    from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory
+
+    # motion of the end effector, given or by forward kinematics
+    given, kinematics = as_trajectory(own), RigidKinematics(scene.mechanism)
+    by_joints = coordinates_of(own) == "joints"
+    task = EndEffectorTrajectory(given, RigidForwardKinematics(scene.mechanism)) if by_joints else given
+    start = tuple(task.evaluate(0.0, 0)[0, 0].tolist())
+    if isinstance(scene.trajectory, TrajectorySection):
+        scene = scene.replace({"trajectory.start": start})
+    elif dist(start, scene.start) > SAME_PLACE:
+        raise TrajectoryError(
+            "scene {} has a motion from a table, which starts at ({:.9g}, {:.9g}) m, the own motion at ({:.9g}, {:.9g}) m: "
+            "let it start there, or give a scene with a path".format(scene.name, *scene.start, *start)
+        )
+    scene = scene.replace({"trajectory.duration": given.duration})
+    joints: Trajectory = JointTrajectory(task, kinematics)
+    # joint angles as given, which have to be those of the robot's start pose
+    if by_joints:
+        angles, wanted = (each.evaluate(0.0, 0)[0, 0] for each in (given, joints))
+        if abs(angles - wanted).max() > SAME_ANGLE:
+            raise TrajectoryError(
+                f"the own motion starts at joint angles {angles.round(6).tolist()} rad, but the scene's modes have the end "
+                f"effector there with {wanted.round(6).tolist()} rad: give these, or change `mechanism.working_mode`"
+            )
+        joints = given
+    planned = MotionPlan(scene, task, kinematics, task, joints, source=f"own motion {type(own).__name__}")
+    # a motion of the joints is taken as it is
+    return planned if by_joints else with_references(planned)
 
 
 def _motion(path: PickAndPlacePath, law: Law, mechanism: Mechanism, duration: float) -> JointTrajectory:

@@ -20,7 +20,6 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import COINCIDENT, RealArray
 from flexfmu.cosim.experiment.convergence import companion_share, companion_step
-from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
@@ -28,7 +27,7 @@ from flexfmu.cosim.experiment.recording import VELOCITIES, RigidMotion, SceneRec
 from flexfmu.cosim.experiment.run_checks import check_size, check_step, divergence, recorded_bytes
 from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
 from flexfmu.cosim.experiment.scene_run import Companion, Health, RestPositions, Run, StaticEquilibria, Timing
 from flexfmu.cosim.experiment.system import PLANT, TORQUES, coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch

@@ -1,28 +1,55 @@
-"""Builds the loop of a scene from the sections for controllers, shapers, imperfections and disturbances."""
+"""The loop around the robot: planned motion, controllers, shapers, imperfections and disturbances, from the sections of a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
-from flexfmu.cosim.engine.slave import Sampled, Slave
-from flexfmu.cosim.experiment.feedforwards import with_sum
-from flexfmu.cosim.experiment.loop import Loop, shape
+from flexfmu.cosim.engine.slave import HasOffset, Sampled, Slave
 from flexfmu.cosim.experiment.parameters import holding_torques
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan, plan_own, shape_joints
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
-from flexfmu.cosim.experiment.wiring import inline_block
+from flexfmu.cosim.experiment.wiring import OPTIONAL, InlineBlock, inline_block
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, ObjectSection, PythonSection
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from flexfmu.cosim.control.shapers import Shaper
+    from flexfmu.trajectories.own import OwnMotion
+
+
+WHOLE = ("feedforward", "computed-torque")
+"""Kinds of controllers whose torques are those of the whole rigid robot."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The loop around the robot: planned motion, controllers, shapers and imperfections.
+
+    Attributes:
+        motion: the planned motion with all shapers.
+        driving: joint trajectory of the references; equal to that of the motion, but without sampled shapers.
+        controllers: slaves that output torques or other inputs of the robot.
+        inline_blocks: slaves in series with signals.
+        connect: ``slave.input`` → source, beyond equal names.
+        parameters: parameters of the robot that differ from the scene's.
+        disturbances: slaves that output forces, torques and masses that disturb the robot.
+    """
+
+    motion: MotionPlan
+    driving: Trajectory
+    controllers: tuple[Slave, ...] = ()
+    inline_blocks: tuple[InlineBlock, ...] = ()
+    connect: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    disturbances: tuple[Slave, ...] = ()
 
 
 def loop_of(
@@ -56,7 +83,7 @@ def loop_of(
     names = SlaveNames()
     builder = _Builder(scene, planned, names, about_rest)
     # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
-    shaped = shape(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
+    shaped = _shaped(planned, [builder.shaper(each) for each in shapers], names, partial(_repeated, scene, with_cycles))
     sections = [each for each in scene.controller if probes or not (about_rest and isinstance(each, LearningSection))]
     controllers = [slave for each in sections for slave in builder.slaves(each, shaped.motion)]
     # torques are filtered before they meet imperfections, measurements and references after that
@@ -71,12 +98,122 @@ def loop_of(
         disturbances = with_sums(disturbances, names.unused)
     return replace(
         shaped,
-        controllers=with_sum(controllers, builder.connect, names),
+        controllers=_with_sum(controllers, builder.connect, names),
         inline_blocks=(*shaped.inline_blocks, *inline_blocks),
         connect=builder.connect,
         parameters=_payload(scene),
         disturbances=tuple(disturbances),
     )
+
+
+def own_loop(scene: Scene, own: OwnMotion | Trajectory) -> Loop:
+    """Return the loop of a scene with an own motion, to which its shapers and cycles apply.
+
+    Raises:
+        InputError: the scene leaves the choice of effects open, or a slave can't be made or connected.
+        TrajectoryError, SceneError: as for `plan_own`.
+    """
+    if scene.effects.select is not None:
+        raise InputError(
+            f'scene {scene.name} has `select = "auto"`, which chooses the effects for the scene\'s own path: name the effects '
+            "for an own motion, for example those that `flexfmu effects` prints"
+        )
+    planned = plan_own(scene, own)
+    return loop_of(planned.scene, own=planned)
+
+
+def _shaped(
+    motion: MotionPlan,
+    shapers: Sequence[Shaper | Slave],
+    names: SlaveNames,
+    repeat: Callable[[MotionPlan], MotionPlan],
+) -> Loop:
+    """Apply the shapers: along the path, then of the joints, then sampled ones as slaves of a loop without controllers.
+
+    Args:
+        motion: the planned motion.
+        shapers: `flexfmu.cosim.control.shapers.Shaper`, or slaves in series with references.
+        names: names assigned so far.
+        repeat: function that repeats the motion, for cycles or learning controllers; applied before the sampled shapers.
+
+    Raises:
+        TrajectoryError: a shaper can't act on this motion.
+    """
+    if not shapers:
+        motion = repeat(motion)
+        return Loop(motion, motion.joints)
+
+    from flexfmu.cosim.control.shapers import Shaper
+
+    # shapers that change the planned motion: along the path, then of the joints
+    for place in ("path", "joints"):
+        for each in shapers:
+            if isinstance(each, Shaper) and each.apply == place:
+                motion = APPLICATIONS[place](motion, each.sequence)
+    motion = repeat(motion)
+    # sampled shapers act in the loop; the motion includes their effect
+    driving, inline_blocks = motion.joints, []
+    for each in shapers:
+        if not isinstance(each, Shaper):
+            inline_blocks.append(inline_block(each))
+        elif each.sample_time is not None:
+            from flexfmu.cosim.control.shapers import shaper_block
+
+            block = shaper_block(each.sequence, each.sample_time, offset=each.offset, name=each.name)
+            inline_blocks.append(inline_block(as_slave(block, names)))
+            # shape the motion and its single repetition
+            sequence = each.sequence.split(each.sample_time)
+            shaped = shape_joints(motion, sequence)
+            if motion.repetition is not None:
+                once = shape_joints(motion.once, sequence)
+                shaped = replace(shaped, repetition=replace(motion.repetition, once=once))
+            motion = shaped
+    return Loop(motion, driving, inline_blocks=tuple(inline_blocks))
+
+
+def _with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: SlaveNames) -> tuple[Slave, ...]:
+    """The controllers, and the sum of the feedforwards that several of them output.
+
+    Args:
+        controllers: the controllers.
+        connect: ``slave.input`` → source; inputs that have a source here don't take the sum.
+        names: assigns unique names.
+
+    Raises:
+        WiringError: the controllers that take the sum aren't sampled, or not at the same instants.
+    """
+    sources: dict[str, list[str]] = {}
+    for each in controllers:
+        for variable in each.variables:
+            if variable.causality == "output" and variable.name.endswith(OPTIONAL):
+                sources.setdefault(variable.name, []).append(each.name)
+    several = {name: owners for name, owners in sources.items() if len(owners) > 1}
+    takers = [
+        each
+        for each in controllers
+        for variable in each.variables
+        if variable.causality == "input" and variable.name in several and f"{each.name}.{variable.name}" not in connect
+    ]
+    if not takers:
+        return tuple(controllers)
+    # one clock, at whose instants the sum is up to date
+    clocks = {
+        (each.sample_time, each.offset if isinstance(each, HasOffset) else 0.0) if isinstance(each, Sampled) else None
+        for each in takers
+    }
+    clock = clocks.pop()
+    if clocks or clock is None:
+        signal, owners = next(iter(several.items()))
+        raise WiringError(
+            f"{' and '.join(owners)} all output {signal}, but {', '.join(dict.fromkeys(each.name for each in takers))}, "
+            "which take the sum, aren't sampled at the same instants: give them one sample_time and offset [s], or connect "
+            f'one of them, connect = {{ "{signal}" = "{owners[0]}.{signal}" }} for example'
+        )
+    from flexfmu.cosim.control.blocks.slave import BlockSlave
+    from flexfmu.cosim.control.sums import feedforward_sum
+
+    block = feedforward_sum(several, sample_time=clock[0], offset=clock[1], name=names.unused("feedforward_sum"))
+    return (*controllers, BlockSlave(block))
 
 
 def _payload(scene: Scene) -> dict[str, float]:
@@ -293,3 +430,19 @@ def _rate(signal: str, controllers: Sequence[Slave]) -> float:
     name = "joint1.reference.position" if signal == "reference" else f"joint1.{signal}"
     exchanging = [each for each in loops if any(v.name == name for v in each.variables)]
     return next((each.sample_time for each in [*exchanging, *sampled]), 0.0)
+
+
+def counted_twice(scene: Scene) -> list[str]:
+    """Sentences about gravity and friction that several controllers of a scene compensate."""
+    kinds = [each.kind for each in scene.controller]
+    whole = [each for each in WHOLE if each in kinds]
+    parts = {"all torques of the motion": whole}
+    if any(scene.effects.gravity):
+        parts["gravity"] = [*whole[:1], *(each for each in kinds if each == "gravity-feedforward")]
+    if scene.effects.joint_friction.is_there:
+        parts["friction"] = [*whole[:1], *(each for each in kinds if each == "friction-compensation")]
+    return [
+        f"{what} counts twice: `{found[0]}` has it, and so does `{found[1]}`; leave one of them out"
+        for what, found in parts.items()
+        if len(found) > 1
+    ]

@@ -15,8 +15,8 @@ from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolv
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import HERMITE_ORDER, TrajectorySlave
-from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.parameters import holding_torques, parameters_for
+from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.experiment.wiring import Wiring, wire
 from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR
 from flexfmu.model.scene import cosimulation as sections

@@ -18,9 +18,9 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.showing import shown_unit
-from flexfmu.cosim.experiment.feedforwards import counted_twice
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.scene_loop import counted_twice
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import Metrics
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads

@@ -123,7 +123,7 @@ def run(
     robot = with_parts(as_scene(scene), parts)
     loop = None
     if trajectory is not None:
-        from flexfmu.cosim.experiment.own_motion import own_loop  # which few runs need
+        from flexfmu.cosim.experiment.scene_loop import own_loop  # which few runs need
 
         loop = own_loop(robot, trajectory)
     if fmu is not None:
@@ -256,7 +256,7 @@ def reference_motion(scene: SceneSource, trajectory: OwnMotion | Trajectory | No
     robot = as_scene(scene)
     if trajectory is None:
         return in_cycles(plan_of(robot))
-    from flexfmu.cosim.experiment.own_motion import plan_own
+    from flexfmu.cosim.experiment.planning import plan_own
 
     return in_cycles(plan_own(robot, trajectory))
 

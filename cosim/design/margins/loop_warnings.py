@@ -24,9 +24,8 @@ from flexfmu.cosim.design.margins.margins import critical_gain, gain_limits, gai
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.system import PLANT
 from flexfmu.model.numeric import inverse_dynamics

@@ -22,7 +22,7 @@ from flexfmu.cosim.engine.master.isolation import is_foreign
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, System, connect
 from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
-from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 from flexfmu.cosim.experiment.wiring import wire
 from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store

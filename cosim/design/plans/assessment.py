@@ -16,8 +16,8 @@ from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
-from flexfmu.cosim.experiment.own_motion import own_loop
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.scene.schema import Scene

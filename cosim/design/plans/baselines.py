@@ -28,8 +28,7 @@ from flexfmu.cosim.design.plans.sequential_programme import MotionStudy
 from flexfmu.cosim.design.plans.studies import study_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
-from flexfmu.cosim.experiment.own_motion import plan_own
-from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.planning import plan, plan_own
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError

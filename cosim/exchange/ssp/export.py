@@ -33,7 +33,7 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.fmu_build.archive import pack, write_atomically
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.experiment.loop import Loop
+    from flexfmu.cosim.experiment.scene_loop import Loop
     from flexfmu.model.scene.schema import Scene
 
 TOOL = f"flexfmu {version('flexfmu')}"

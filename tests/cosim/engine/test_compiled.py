@@ -13,10 +13,9 @@ from flexfmu.cosim.engine.master import c_library
 from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
 from flexfmu.cosim.experiment.system import scene_system
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

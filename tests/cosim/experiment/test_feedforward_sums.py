@@ -7,10 +7,8 @@ import pytest
 
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.feedforwards import counted_twice
-from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_loop import Loop, counted_twice, loop_of
 from flexfmu.cosim.experiment.wiring import wire
 from flexfmu.model.scene.schema import Scene
 

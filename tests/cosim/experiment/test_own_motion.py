@@ -13,8 +13,7 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.own_motion import plan_own
-from flexfmu.cosim.experiment.planning import plan, shape_joints, shape_path
+from flexfmu.cosim.experiment.planning import plan, plan_own, shape_joints, shape_path
 from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.report import render_report
