@@ -64,8 +64,7 @@ def plan(
             acceleration=2.5x, jerk=2.5x.
         margin (METRES): How far the motion may enter the keep-out region. Default: the scene's, or 1e-4.
         corridor (METRES): How far the motion may leave the given path to the outside. Default: the scene's, or 0.01.
-        method (NAME): search, flexible, optimal, or for comparison ruckig or toppra; may be repeated. Default: all
-            that are installed.
+        method (NAME): search, flexible or optimal; may be repeated. Default: all.
         candidate (FILE.csv): A motion of your own, of joints or end effector, to compare; may be repeated.
             Default: none.
         budget (SECONDS): Start no further method or candidate after this time. Default: no limit.
@@ -74,9 +73,9 @@ def plan(
     """
     import os
 
-    from flexfmu.cosim.design.plans.baselines import file_candidate
+    from flexfmu.cosim.design.plans.assessment import file_candidate
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
-    from flexfmu.cosim.design.plans.planner import plan_scene, usual_methods
+    from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
 
     if output is not None and output.suffix != ".toml":
         raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
@@ -91,7 +90,7 @@ def plan(
     with progress() as show:
         result = plan_scene(
             robot,
-            methods=method or usual_methods(),
+            methods=method or METHODS,
             candidates=[file_candidate(robot, path) for path in candidate or ()],
             processes=processes or os.cpu_count() or 1,
             budget=budget,

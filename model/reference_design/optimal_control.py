@@ -264,7 +264,7 @@ class Effort:
 
     def _figures(self, motion: JointSpline, response: Response) -> RealArray:
         """Torques, or for the energy powers, (P, N, 2), relative to the largest of the first motion."""
-        torque = response.torque / self._torque
+        torque = np.asarray(response.torque / self._torque)
         return torque * motion.evaluate(self._fractions, 1)[1] / self._speed if self._aim == "energy" else torque
 
     def _costs(self, y: RealArray) -> tuple[RealArray, RealArray, RealArray]:

@@ -282,8 +282,7 @@ def plan_motion(
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
-        methods: which of ``search``, ``flexible`` and ``optimal``, and of the planners to compare with, ``ruckig`` and ``toppra``;
-            None for all that are installed.
+        methods: which of ``search``, ``flexible`` and ``optimal``; None for all.
         candidates: name → further motion to compare with those found, as `run` takes it.
         processes: number of processes of the search; None for one on each processor.
         budget: time [s] after which no further candidate is started; None for no limit.
@@ -305,16 +304,16 @@ def plan_motion(
         ResultsError: the given motion can't be run, or a file can't be written.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.design.plans.baselines import own_candidate
+    from flexfmu.cosim.design.plans.assessment import own_candidate
     from flexfmu.cosim.design.plans.planned_files import write_plan
-    from flexfmu.cosim.design.plans.planner import plan_scene, usual_methods
+    from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
 
     robot = as_scene(scene)
     if wishes:
         robot = robot.replace({f"plan.{key}": value for key, value in wishes.items()})
     result = plan_scene(
         robot,
-        methods=usual_methods() if methods is None else tuple(methods),
+        methods=METHODS if methods is None else tuple(methods),
         candidates=[own_candidate(robot, name, motion) for name, motion in (candidates or {}).items()],
         processes=processes or os.cpu_count() or 1,
         budget=budget,

@@ -6,29 +6,37 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
-from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
+from flexfmu.cosim.experiment.planning import plan, plan_own
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.own import OwnMotion, as_trajectory
+from flexfmu.trajectories.table_file import read_table
 from flexfmu.trajectories.trajectory import Trajectory
 
-Method = Literal["given", "search", "flexible references", "optimal control", "ruckig", "toppra", "csv"]
+Method = Literal["given", "search", "flexible references", "optimal control", "csv"]
 """Where a candidate comes from."""
 
 STEP, TOLERANCE = 2e-4, 1e-8
 """Communication step [s] and tolerance of the runs that judge."""
+
+SAME_PLACE = 1e-5
+"""Distance [m] within which a user's motion starts and ends where the scene's does."""
 
 INSTANTS = 4001
 """Instants at which references are examined."""
@@ -59,6 +67,35 @@ class Candidate:
         loop = None if self.trajectory is None else own_loop(self.scene, self.trajectory)
         scene = self.scene if loop is None else loop.motion.scene
         return PreparedScene(scene, loop=loop, communication_step=step, tolerance=tolerance)
+
+
+def file_candidate(scene: Scene, path: Path) -> Candidate:
+    """A user's motion from a CSV file, of the joints or the end effector, to be judged beside those found.
+
+    Raises:
+        TrajectoryError: the file can't be read, or its motion can't be used; the message names line, column and value.
+        InputError: the motion starts or ends elsewhere than the scene's.
+    """
+    return own_candidate(scene, path.name, read_table(path).trajectory())
+
+
+def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Candidate:
+    """A user's motion, to be judged beside those found.
+
+    Raises:
+        TrajectoryError: the motion can't be used.
+        InputError: it starts or ends elsewhere than the scene's.
+    """
+    scene = resolved(scene).replace({"shaper": [], "trajectory.references": None})
+    given, own = plan(scene).once.task, plan_own(scene, motion).task
+    for verb, time, usual in (("starts", 0.0, 0.0), ("ends", own.duration, given.duration)):
+        here, wanted = own.evaluate([time], 0, "left")[0, 0], given.evaluate([usual], 0, "left")[0, 0]
+        if np.hypot(*(here - wanted)) > SAME_PLACE:
+            raise InputError(
+                f"the motion {name} {verb} at ({here[0]:.6g}, {here[1]:.6g}) m, that of scene {scene.name} at "
+                f"({wanted[0]:.6g}, {wanted[1]:.6g}) m: move it there"
+            )
+    return Candidate(name, "csv", scene, as_trajectory(motion))
 
 
 @dataclass(frozen=True, eq=False)

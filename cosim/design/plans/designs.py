@@ -253,8 +253,3 @@ def _laws(count: int) -> RealArray:
         law = ((eta * (1.0 - eta)) ** 2 * wave).integ()
         found[k, : len(law.coef)] = law.coef
     return found
-
-
-def changed(scene: Scene, design: Design) -> Scene:
-    """The scene with the motion of a design."""
-    return scene.replace(design.changes)

@@ -13,10 +13,7 @@ import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.baselines import BASELINES, installed
-from flexfmu.cosim.design.plans.checks import check_holding_torque, checked_goals
-from flexfmu.cosim.design.plans.goals import Goals, judged_scene
-from flexfmu.cosim.design.plans.required_effects import most_robust
+from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.rows import Rows
@@ -38,9 +35,6 @@ Stage = Callable[[Goals, Sequence[Assessment], int, ShowProgress], Iterator[Cand
 
 METHODS = ("search", "flexible", "optimal")
 """Names of the methods, in the order in which they run: what one finds, the next can start from."""
-
-COMPARED = ("ruckig", "toppra", "csv")
-"""Methods whose motions stand beside the front even if others are better in every figure."""
 
 SCREENED, JUDGED = 7, 25
 """Payloads within the band with which every candidate is assessed, and with which the chosen motion is judged."""
@@ -128,12 +122,10 @@ class PlanResult(Rows):
 
     @property
     def table(self) -> tuple[Assessment, ...]:
-        """The front and, to compare with, motions of other planners and of the user; the fastest first."""
+        """The front and, to compare with, motions of the user; the fastest first."""
         front = self.front
         there = {id(each.candidate) for each in front}
-        others = [
-            each for each in self.assessed if each.candidate.method in COMPARED and id(each.candidate) not in there
-        ]
+        others = [each for each in self.assessed if each.candidate.method == "csv" and id(each.candidate) not in there]
         return tuple(sorted([*front, *others], key=lambda each: each.time))
 
     @property
@@ -224,7 +216,7 @@ def plan_scene(
 
     Args:
         scene: the scene.
-        methods: which of `METHODS` and `BASELINES`, the planners to compare with.
+        methods: which of `METHODS`.
         candidates: further motions that are assessed beside those found.
         processes: number of processes of the search.
         budget: time [s] after which nothing new is started; None for no limit.
@@ -238,14 +230,14 @@ def plan_scene(
         InputError: wishes contradict each other, or a method is unknown.
         TrajectoryError, SceneError, BuildError, ResultsError: the given motion can't be planned or run.
     """
-    if unknown := [name for name in methods if name not in (*METHODS, *BASELINES)]:
-        raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join((*METHODS, *BASELINES))}")
+    if unknown := [name for name in methods if name not in METHODS]:
+        raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
     judge = Judge(goals, SCREENED)
-    check_holding_torque(goals, judge.given)
+    check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
     found, failures = [judge.given], list(_notes(scene, goals))
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
     interrupted = False
@@ -265,9 +257,6 @@ def plan_scene(
     show("the chosen motion, with all payloads", None)
     final = Judge(goals, JUDGED)
     chosen = _chosen(found, goals, final)
-    if robust and not interrupted:
-        chosen, note = most_robust(chosen, _ranked(found, goals), final)
-        failures += [note] if note else []
     lines = list[RobustnessLine]()
     try:
         for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
@@ -290,11 +279,6 @@ def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
         )
 
 
-def usual_methods() -> tuple[str, ...]:
-    """All methods, and the planners to compare with that are installed."""
-    return (*METHODS, *installed())
-
-
 def _candidates(
     goals: Goals,
     found: Sequence[Assessment],
@@ -306,19 +290,16 @@ def _candidates(
 ) -> Iterator[Candidate]:
     """The candidates of all methods; a method that fails doesn't end the plan."""
     yield from given
-    for name in (*METHODS, *BASELINES):
-        if name not in methods:
-            continue
+    for name in (each for each in METHODS if each in methods):
         try:
             yield from _stage(name)(goals, found, processes, show)
-        except (*FAILURES, ModuleNotFoundError) as error:
+        except FAILURES as error:
             failures.append(f"{name}: {error}")
 
 
 def _stage(name: str) -> Stage:
-    """A method by its name: the function of this name in the module of this name, or in that of the baselines."""
-    module = "baselines" if name in BASELINES else name
-    stage: Stage = getattr(import_module(f"flexfmu.cosim.design.plans.{module}"), name)
+    """A method by its name: the function of this name in the module of this name."""
+    stage: Stage = getattr(import_module(f"flexfmu.cosim.design.plans.{name}"), name)
     return stage
 
 

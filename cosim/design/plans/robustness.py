@@ -8,14 +8,14 @@ in the same model.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.goals import Goals, damping_of, goals_of
+from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge
+from flexfmu.cosim.design.plans.goals import Goals, Variation, goals_of
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_loop import own_loop
@@ -173,10 +173,14 @@ def _assessed(
     """The line of another model of the robot."""
 
     def line() -> RobustnessLine:
-        judge = judge_of(goals, changes, stiffness, damping)
-        found = judge.assess(in_robot(fixed, judge.goals.scene))
-        worst = max(found.peaks, key=lambda each: each.residual)
-        return RobustnessLine(name, found.residual, str(worst.variation), _ratio(found), found.off_path, found.uses)
+        scene = goals.scene.replace({**changes}) if changes else goals.scene
+        judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
+        robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
+        found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
+        worst, ratio = max(found.peaks, key=lambda each: each.residual), found.torque_ratio
+        return RobustnessLine(
+            name, found.residual, str(worst.variation), None if np.isnan(ratio) else ratio, found.off_path, found.uses
+        )
 
     return _attempted(name, line)
 
@@ -188,38 +192,6 @@ def _attempted(name: str, line: Any) -> RobustnessLine:
         return found
     except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
         return RobustnessLine(name, float("nan"), "", note=str(error))
-
-
-def judge_of(goals: Goals, changes: Mapping[str, Any], stiffness: float = 1.0, damping: float = 1.0) -> Judge:
-    """A judge with the same wishes and another model of the robot.
-
-    Args:
-        goals: the wishes.
-        changes: keys of the scene.
-        stiffness, damping: factors of Young's modulus and of the damping.
-    """
-    other = dict(changes)
-    material = goals.scene.mechanism.material
-    if stiffness != 1.0:
-        other["mechanism.material.youngs_modulus"] = stiffness * material.youngs_modulus
-    if damping != 1.0:
-        other |= {f"effects.damping.{key}": damping * value for key, value in damping_of(goals.scene).items()}
-    return Judge(goals_of(goals.scene.replace(other) if other else goals.scene), PAYLOADS)
-
-
-def in_robot(fixed: Candidate, scene: Scene) -> Candidate:
-    """The frozen motion for another model of the robot."""
-    keys = ("mechanism", "effects", "payload")
-    return Candidate(
-        fixed.label,
-        fixed.method,
-        fixed.scene.model_copy(update={key: getattr(scene, key) for key in keys}),
-        fixed.trajectory,
-    )
-
-
-def _ratio(found: Assessment) -> float | None:
-    return None if np.isnan(found.torque_ratio) else found.torque_ratio
 
 
 def _by_elements(fixed: Candidate, goals: Goals) -> RobustnessLine:

@@ -55,28 +55,6 @@ class Bounds:
     passage: Callable[[RealArray], float] | None = None
 
 
-@dataclass(frozen=True)
-class Figures:
-    """What a motion is worth, without its run.
-
-    Attributes:
-        values, uses: see `Score`.
-    """
-
-    values: Mapping[str, float]
-    uses: Mapping[str, float]
-
-    @property
-    def feasible(self) -> bool:
-        """Whether all limits are kept."""
-        return not self.exceeded
-
-    @property
-    def exceeded(self) -> tuple[str, ...]:
-        """Names of the limits that aren't kept."""
-        return tuple(name for name, use in self.uses.items() if use > 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class Score:
     """Figures of a motion, the worst of all variants, and what each limit is used of.
@@ -138,20 +116,10 @@ class Score:
         """Name of each limit → what is used of it; 1 is at the limit."""
         return {name: float(rows.max()) for name, rows in self.rows.items()}
 
-    @cached_property
-    def figures(self) -> Figures:
-        """Values and uses, without the run."""
-        return Figures(self.values, self.uses)
-
     @property
     def feasible(self) -> bool:
         """Whether all limits are kept."""
-        return self.figures.feasible
-
-    @property
-    def exceeded(self) -> tuple[str, ...]:
-        """Names of the limits that aren't kept."""
-        return self.figures.exceeded
+        return max(self.uses.values()) <= 1.0
 
     def forget(self) -> None:
         """Drop the rows, which take a megabyte and a few milliseconds to calculate again."""

@@ -8,32 +8,37 @@ half is dropped. The result doesn't depend on the number of processes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import inf
 from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
-from flexfmu.cosim.design.plans.designs import changed
-from flexfmu.cosim.design.plans.goals import Goals
-from flexfmu.cosim.design.plans.motion_families import BLENDS, LAWS, MotionFamily, motion_families, shaper_uses
-from flexfmu.cosim.design.plans.scoring import CLEARANCE
+from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidate
+from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
+from flexfmu.cosim.design.plans.motion_families import BLENDS, LAWS, MotionFamily, Space, motion_families, shaper_uses
+from flexfmu.cosim.design.plans.quick_runs import JointMotion, QuickRobot
+from flexfmu.cosim.design.plans.scoring import CLEARANCE, Bounds, Score
 from flexfmu.cosim.design.plans.sequential_programme import (
-    RADIUS,
     FrontMember,
     Iterate,
     MotionStudy,
     MotionTrial,
     first_iterate,
     improved,
-    merged,
 )
-from flexfmu.cosim.design.plans.studies import study_of
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
+from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_run import RestPositions, StaticEquilibria
 from flexfmu.cosim.many.executor import mapping
+from flexfmu.model.modes import damped_modes
+from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.shapers.sequence import Oscillator
 
 Iterating = Callable[[Sequence[tuple[Any, ...]]], Iterator[Iterate]]
 """Functions and their further arguments → their iterates, in this order."""
@@ -53,9 +58,6 @@ SPREAD = 0.15
 ROUNDS = ((8, 4), (5, 6), (3, 8), (2, 10))
 """Number of families and of linear programmes in each round."""
 
-RELAXED = ((3, 6), (1, 12))
-"""The same for what would be possible without a limit."""
-
 PIECE = 2
 """Linear programmes in a task of a process: after it the search can be interrupted."""
 
@@ -71,9 +73,24 @@ WIDEST = 1.5
 STRETCHES = (1.05, 1.1, 1.2, 1.35, 1.5)
 """Times of the front's other members, as multiples of the best."""
 
+MOST_MODES, NEIGHBOURHOOD = 2, 3.0
+"""Modes that shapers are designed for: at most so many, with frequencies up to this multiple of the lowest."""
+
+PERIODS = 4.0
+"""Standstill after a quick run, in periods of the lowest mode."""
+
+LEAST_DWELL, MOST_DWELL = 0.03, 0.25
+"""Limits of that [s]."""
+
+CLOSE = {"torque": 0.998, "speed": 0.999, "acceleration": 0.998, "jerk": 0.96, "power": 0.998}
+"""Part of a limit that quick runs allow, since they miss peaks between instants."""
+
+LOWEST, HIGHEST = 0.6, 2.0
+"""Range of the path's height, as multiples of the given one, where the given motion's way doesn't bound it."""
+
 
 def search(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
-    """Yield ever better motions, then what would be possible without the clearance, then slower ones with less vibration.
+    """Yield ever better motions, then slower ones with less vibration.
 
     Args:
         goals: limits, bands and clearance.
@@ -87,24 +104,67 @@ def search(goals: Goals, found: Sequence[Assessment], processes: int, show: Show
     """
     show("search: modes and limits", 0.0)
     study, judge = (study_of(goals, *each) for each in (QUICK, CONFIRMED))
-    relaxable = (CLEARANCE,) if study.bounds.distance is not None else ()
-    searching = MotionSearch(study, judge, goals.wishes.seed, processes, relaxable)
-    for each in searching.found(lambda fraction, text: show(f"search: {text}", fraction)):
-        without = "".join(f", without the {name}" for name in each.without)
-        yield Candidate(f"{each.trial.design.label}{without}", "search", changed(goals.scene, each.trial.design))
+    motions = MotionSearch(study, judge, goals.wishes.seed, processes)
+    for each in motions.found(lambda fraction, text: show(f"search: {text}", fraction)):
+        yield Candidate(each.design.label, "search", goals.scene.replace(each.design.changes))
 
 
-@dataclass(frozen=True)
-class Found:
-    """A motion that a search found.
+def study_of(goals: Goals, payloads: int, step: float) -> MotionStudy:
+    """The study of goals.
 
-    Attributes:
-        trial: the motion and its figures.
-        without: names of the limits that it was allowed to exceed.
+    Args:
+        goals: limits, bands and clearance.
+        payloads: number of payloads within the band.
+        step: longest communication step of its runs [s].
+
+    Raises:
+        InputError: the scene's motion is a table.
+        BuildError, EquilibriumError, TrajectoryError: the robot can't be run, or its given motion.
     """
+    scene, section = goals.scene, goals.scene.trajectory
+    if not isinstance(section, TrajectorySection):
+        raise InputError(f"scene {scene.name} has a motion from a table, and no path whose corners could change")
+    given = loop_of(scene).motion.once
+    variants = [each.changes(scene) for each in goals.variations(payloads)]
+    # modes at the end of the motion
+    found = damped_modes(scene, given.end_pose[0])
+    pairs = zip(found.frequencies[:MOST_MODES], found.ratios[:MOST_MODES], strict=True)
+    modes = [Oscillator(float(f), float(z)) for f, z in pairs if f <= NEIGHBOURHOOD * found.frequencies[0]]
+    dwell = min(max(PERIODS / modes[0].frequency, LEAST_DWELL), MOST_DWELL) if modes else LEAST_DWELL
+    # the robot, and its equilibria at the end
+    path = build_scene(scene).path
+    rests = RestPositions(given, StaticEquilibria(scene, path))
+    rest = np.array([rests.at(each) for each in variants])
+    dwell += goals.wishes.settled_within
+    robot = QuickRobot(scene, path, variants, rest, min(step, given.duration / 50.0), dwell)
+    # corners and heights
+    low, high = LOWEST * section.height, HIGHEST * section.height
+    if goals.wishes.keep_out is None:
+        low, high = section.height, section.height + goals.wishes.corridor
+    space = Space(tuple(modes), (low, high), section.width, given.duration, goals.wishes.duration)
+    return MotionStudy(scene, space, robot, _bounds(goals, robot, given))
 
-    trial: MotionTrial
-    without: tuple[str, ...] = ()
+
+def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:
+    """The limits in SI units, those relative to the given motion by its quick run."""
+    times = np.linspace(0.0, given.duration, robot.steps(given.duration) + 1)
+    run = robot.run(JointMotion(times, np.asarray(given.joints.evaluate(times, 2, "left"))))
+    wishes, clearance = goals.wishes, goals.clearance
+    free = Bounds(wishes.minimise, wishes.residual, wishes.settled_within, np.full_like(run.peak_torques, inf))
+    usual = {**Score(run, free).values, **dict(zip(RATES, peak_rates(given.joints, INSTANTS).tolist(), strict=True))}
+    limits = {
+        name: CLOSE.get(name, 1.0) * float(limit.resolved(np.array(usual[name])))
+        for name, limit in goals.limits.items()
+        if name in usual and name != "torque"
+    }
+    # torques of each motor and robot
+    largest = CLOSE["torque"] * goals.limit("torque", run.peak_torques, inf)
+    bounded = bool(clearance.regions) or len(clearance.origins) > 0
+    distance = clearance.distance if bounded else None
+    return Bounds(
+        wishes.minimise, wishes.residual, wishes.settled_within, largest, limits, distance, wishes.margin,
+        clearance.passage if clearance.thin and bounded else None,
+    )  # fmt: skip
 
 
 class MotionSearch:
@@ -115,19 +175,16 @@ class MotionSearch:
         judge: the same with more variants and shorter steps, which confirms what is reported.
         seed: of the second starts.
         processes: number of processes.
-        relaxable: names of limits without which the search is repeated.
     """
 
-    def __init__(
-        self, study: MotionStudy, judge: MotionStudy, seed: int = 0, processes: int = 1, relaxable: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, study: MotionStudy, judge: MotionStudy, seed: int = 0, processes: int = 1) -> None:
         self._study, self._judge, self._processes = study, judge, processes
-        self._random, self._relaxable = np.random.default_rng(seed), relaxable
+        self._random = np.random.default_rng(seed)
         self._tighter: Mapping[str, float] = {}
         self._reported, self._within = inf, False
 
-    def found(self, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Iterator[Found]:
-        """Yield ever better motions, then what would be possible without limits, then the rest of the front."""
+    def found(self, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Iterator[MotionTrial]:
+        """Yield ever better motions, then the rest of the front."""
         with mapping(partial(_iterate_of, self._study), self._processes) as iterating:
             # shapers first, then corners and time laws
             iterates, starts = list[Iterate](), shaper_uses(len(self._study.space.modes))
@@ -142,15 +199,10 @@ class MotionSearch:
             yield from self._confirmed(iterates)
             # the best families
             last = iterates
-            for done, last in self._rounds(iterating, iterates, ROUNDS):
-                progress(0.15 + 0.65 * done, "the best families")
+            for done, last in self._rounds(iterating, iterates):
+                progress(0.15 + 0.85 * done, "the best families")
                 yield from self._confirmed(last)
-            # without some limit
-            for name in self._relaxable:
-                progress(0.8, f"without the {name}")
-                yield from self._relaxed(iterating, last, name)
-            yield from self._front(merged([iterate.front for iterate in last]))
-            progress(1.0, "done")
+            yield from self._front([member for iterate in last for member in iterate.front])
 
     def _first_iterates(
         self, iterating: Iterating, chosen: Sequence[MotionFamily], *, near: bool = False
@@ -164,12 +216,10 @@ class MotionSearch:
     def _near(self, start: RealArray) -> RealArray:
         return np.asarray(np.clip(start + SPREAD * self._random.standard_normal(len(start)), 0.0, 1.0))
 
-    def _rounds(
-        self, iterating: Iterating, iterates: Sequence[Iterate], rounds: Sequence[tuple[int, int]]
-    ) -> Iterator[tuple[float, list[Iterate]]]:
+    def _rounds(self, iterating: Iterating, iterates: list[Iterate]) -> Iterator[tuple[float, list[Iterate]]]:
         """Yield the finished fraction, and the iterates of each round after a few more steps."""
-        total, passed, iterates = sum(count * steps for count, steps in rounds), 0, list(iterates)
-        for count, steps in rounds:
+        total, passed = sum(count * steps for count, steps in ROUNDS), 0
+        for count, steps in ROUNDS:
             for first in range(0, steps, PIECE):
                 # the best that aren't over; those that are make room for others
                 length = min(PIECE, steps - first)
@@ -181,22 +231,7 @@ class MotionSearch:
                 passed += count * length
                 yield passed / total, iterates
 
-    def _relaxed(self, iterating: Iterating, iterates: Sequence[Iterate], name: str) -> Iterator[Found]:
-        """Yield the best motion that may exceed a limit, if it gains by that."""
-        own = self._reported, self._within
-        iterates = sorted(iterates, key=lambda iterate: iterate.cost)[:KEPT]
-        free = [
-            replace(iterate, tighter={**iterate.tighter, name: 0.0}, radius=RADIUS, front=()) for iterate in iterates
-        ]
-        chosen = list(dict.fromkeys(iterate.family for iterate in iterates))
-        others = [
-            replace(each, tighter={**each.tighter, name: 0.0}) for each in self._first_iterates(iterating, chosen)
-        ]
-        *_, (_, last) = self._rounds(iterating, [*free, *others], RELAXED)
-        yield from self._confirmed(last)
-        self._reported, self._within = own
-
-    def _confirmed(self, iterates: Sequence[Iterate]) -> Iterator[Found]:
+    def _confirmed(self, iterates: Sequence[Iterate]) -> Iterator[MotionTrial]:
         """Yield the best motion if it is better than all before and the judge finds it within limits too."""
         iterate = min(iterates, key=lambda iterate: iterate.cost)
         if iterate.best is None or iterate.cost > self._reported - BETTER:
@@ -204,37 +239,29 @@ class MotionSearch:
         judged = self._judge.tried(iterate.best.design)
         if judged is None:
             return
-        without = tuple(name for name, factor in iterate.tighter.items() if factor == 0.0)
         # between the variants and instants of the quick runs a limit may be exceeded
         exceeded = {
             name: judged.score.uses[name] / use
             for name, use in iterate.best.score.uses.items()
-            if name != CLEARANCE and iterate.tighter.get(name, 1.0) and use <= 1.0 < judged.score.uses[name]
+            if name != CLEARANCE and use <= 1.0 < judged.score.uses[name]
         }
         if exceeded:
             further = {name: min(SAFETY * ratio, WIDEST) for name, ratio in exceeded.items()}
             self._tighter = {**self._tighter, **further}
             return
         # until limits hold, what exceeds them least
-        within = set(judged.score.exceeded) <= set(without)
-        if within or not self._within:
-            self._reported, self._within = iterate.cost, self._within or within
-            yield Found(judged, without)
+        if judged.score.feasible or not self._within:
+            self._reported, self._within = iterate.cost, self._within or judged.score.feasible
+            yield judged
 
-    def _front(self, front: Sequence[FrontMember]) -> Iterator[Found]:
+    def _front(self, front: Sequence[FrontMember]) -> Iterator[MotionTrial]:
         """Yield slower motions with less residual vibration."""
-        feasible = [each for each in front if each.figures.feasible]
-        fastest = min((each.figures.values["time"] for each in feasible), default=0.0)
-        reported = set[int]()
-        for stretch in STRETCHES:
-            within = [each for each in feasible if each.figures.values["time"] <= stretch * fastest]
-            best = min(within, key=lambda each: each.figures.values["residual"], default=None)
-            if best is None or id(best) in reported:
-                continue
-            reported.add(id(best))
-            judged = self._judge.tried(best.design)
+        fastest = min((time for time, _, _ in front), default=0.0)
+        within = [[each for each in front if each[0] <= stretch * fastest] for stretch in STRETCHES]
+        for design in dict.fromkeys(min(each, key=lambda member: member[1])[2] for each in within if each):
+            judged = self._judge.tried(design)
             if judged is not None and judged.score.feasible:
-                yield Found(judged)
+                yield judged
 
 
 def _cost_without_clearance(iterate: Iterate) -> float:

@@ -20,7 +20,7 @@ from scipy.optimize import linprog
 from flexfmu.cosim.design.plans.designs import Design, references
 from flexfmu.cosim.design.plans.motion_families import MotionFamily, Space
 from flexfmu.cosim.design.plans.quick_runs import QuickRobot
-from flexfmu.cosim.design.plans.scoring import CLEARANCE, INSIDE, WORTH, Bounds, Figures, Score
+from flexfmu.cosim.design.plans.scoring import CLEARANCE, INSIDE, WORTH, Bounds, Score
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -51,8 +51,8 @@ POWERS = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "
 RESIDUAL, MOST = 0.1, 1.5
 """The same of the residual vibration, which falls faster, and the largest ratio of a correction."""
 
-FRONT = ("time", "residual", "torque", "energy")
-"""Figures of the front: a motion that is worse in all of them than another one is dropped."""
+FrontMember = tuple[float, float, Design]
+"""Time [s] and residual vibration [m] of a motion within limits, and the motion."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,6 @@ class MotionTrial:
 
     design: Design
     score: Score
-
-
-@dataclass(frozen=True)
-class FrontMember:
-    """A motion of a front."""
-
-    design: Design
-    figures: Figures
 
 
 @dataclass(frozen=True)
@@ -112,8 +104,8 @@ class Iterate:
         point: (n,) the numbers of the best motion.
         best: that motion; None for none.
         radius: of the trust region.
-        front: motions within limits, none of which is worse than another in all figures.
-        tighter: factors of the limits' uses; 0 for limits that play no part.
+        front: all its motions within limits.
+        tighter: factors of the limits' uses.
     """
 
     family: MotionFamily
@@ -222,14 +214,14 @@ def best_change(
     unit = float(score.minimised.max()) or 1.0
     parts = [_part(score.minimised / unit, [each.minimised / unit for each in others], NEAR, 0.0)]
     now, weights = 1.0, [1.0]
-    for name, factor in ((name, tighter.get(name, INSIDE)) for name in score.rows):
-        if factor > 0.0:
-            worst = factor * float(score.rows[name].max())
-            unit, reach = (1.0, REACH) if name == CLEARANCE else (max(1.0, worst), NEAR)
-            rows, *shifted = (factor / unit * each.rows[name] for each in (score, *others))
-            parts.append(_part(rows, shifted, reach, 1.0 / unit))
-            now += WORTH * max(0.0, worst - 1.0) / unit
-            weights.append(WORTH)
+    for name in score.rows:
+        factor = tighter.get(name, INSIDE)
+        worst = factor * float(score.rows[name].max())
+        unit, reach = (1.0, REACH) if name == CLEARANCE else (max(1.0, worst), NEAR)
+        rows, *shifted = (factor / unit * each.rows[name] for each in (score, *others))
+        parts.append(_part(rows, shifted, reach, 1.0 / unit))
+        now += WORTH * max(0.0, worst - 1.0) / unit
+        weights.append(WORTH)
     # one slack for each of them
     slacks = np.repeat(-np.eye(len(parts)), [len(right) for _, right in parts], axis=0)
     slopes = np.concatenate([*(slopes / differences for slopes, _ in parts), -further[1]])
@@ -254,27 +246,8 @@ def _part(rows: RealArray, further: Sequence[RealArray], reach: float, limit: fl
 
 
 def _kept(iterate: Iterate, trial: MotionTrial) -> tuple[FrontMember, ...]:
-    """The front of an iterate with a further motion, if it is within limits and no other is better in all figures."""
+    """The motions of an iterate within limits, with a further one if it is."""
     # of the run only the figures are needed later, or all again
-    member = FrontMember(trial.design, trial.score.figures)
-    trial.score.cost(iterate.tighter)
+    values, feasible = trial.score.values, trial.score.feasible
     trial.score.forget()
-    allowed = {name for name, factor in iterate.tighter.items() if factor == 0.0}
-    return undominated((*iterate.front, member)) if set(member.figures.exceeded) <= allowed else iterate.front
-
-
-def undominated(members: Sequence[FrontMember]) -> tuple[FrontMember, ...]:
-    """The members of a front without those that the last one beats in all figures of `FRONT`; without it if one beats it."""
-    figures = np.array([[each.figures.values[name] for name in FRONT] for each in members])
-    if (figures[:-1] <= figures[-1]).all(axis=1).any():
-        return tuple(members[:-1])
-    beaten = (figures[:-1] >= figures[-1]).all(axis=1)
-    return (*(each for each, out in zip(members[:-1], beaten, strict=True) if not out), members[-1])
-
-
-def merged(fronts: Sequence[tuple[FrontMember, ...]]) -> tuple[FrontMember, ...]:
-    """One front of several."""
-    front: tuple[FrontMember, ...] = ()
-    for member in (each for members in fronts for each in members):
-        front = undominated((*front, member))
-    return front
+    return (*iterate.front, (values["time"], values["residual"], trial.design)) if feasible else iterate.front

@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 
 import flexfmu
 from flexfmu.cosim.design.plans import planner
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.checks import check_holding_torque
-from flexfmu.cosim.design.plans.goals import Goals, goals_of
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, file_candidate, own_candidate
+from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, goals_of
 from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
 from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, plan_scene
 from flexfmu.cosim.engine.errors import InputError
@@ -29,6 +28,8 @@ from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.scene.file import load_scene
+from flexfmu.trajectories.piecewise import PiecewisePolynomial
+from flexfmu.trajectories.table import write_table
 
 pytestmark = pytest.mark.slow
 
@@ -255,13 +256,14 @@ def test_a_ratio_below_the_holding_torque_is_refused_at_once(shift: float) -> No
     """Exactly those below what the FMU needs at rest, relative to the given motion's peak, for any payload and joint."""
     ratio = (1.0 + shift) * _resting_share()
     goals = goals_of(SCENE.replace({"plan.limits.torque": {"ratio": ratio}}))
+    given = {each.variation: each.torque for each in _given().peaks}
     if abs(shift) < 1e-4:
         return
     if shift > 0.0:
-        check_holding_torque(goals, _given())
+        check_holding_torque(goals, given)
         return
     with pytest.raises(InputError, match="against gravity: allow more, or carry less"):
-        check_holding_torque(goals, _given())
+        check_holding_torque(goals, given)
 
 
 @cache
@@ -292,3 +294,46 @@ def test_a_thin_wall_across_the_path_is_not_kept(place: float, thickness: float,
     (use,) = (each for each in found.uses if each.name == "clearance")
     assert use.met is not crossed
     assert found.clearance < 0.0 if crossed else found.clearance == pytest.approx(0.005, rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> PlanResult:
+    """A plan with a motion of the end effector from a file, longer than the given one."""
+    file = tmp_path_factory.mktemp("motion") / "mine.csv"
+    write_table(file, flexfmu.reference_motion(SCENE.replace({"trajectory.duration": 0.5})).task)
+    candidate = file_candidate(SCENE.replace({"shaper": [{"kind": "zv"}]}), file)
+    slow = Candidate("slower", "csv", GOALS.scene.replace({"trajectory.duration": 0.6}))
+    return plan_scene(SCENE.replace({"plan.residual": 1.0}), methods=(), candidates=[candidate, slow], robust=False)
+
+
+def test_file(planned: PlanResult) -> None:
+    """A motion from a file is judged as the same motion of a scene, without the scene's shapers, and stands in the table."""
+    found = next(each for each in planned.assessed if each.candidate.label == "mine.csv")
+    same = Judge(GOALS, 2).assess(Candidate("same", "search", SCENE.replace({"trajectory.duration": 0.5})))
+    assert found.time == pytest.approx(0.5)
+    assert found.residual == pytest.approx(same.residual, rel=1e-3)
+    assert found.torque == pytest.approx(same.torque, rel=1e-4)
+    assert [each.candidate.label for each in planned.table] == ["given", "mine.csv", "slower"]
+
+
+def test_end_effector_motion_is_written_as_such(planned: PlanResult, tmp_path: Path) -> None:
+    """A chosen motion of the end effector is the same motion in the planned scene."""
+    found = next(each for each in planned.assessed if each.candidate.label == "mine.csv")
+    chosen = PlanResult(planned.goals, planned.given, found, planned.assessed, (), False, 0.0)
+    write_scene(chosen, tmp_path / "planned.toml")
+    again = flexfmu.reference_motion(flexfmu.load_scene(tmp_path / "planned.toml")).task
+    wanted = flexfmu.reference_motion(SCENE.replace({"trajectory.duration": 0.5})).task
+    instants = np.linspace(0.0, 0.5, 50)
+    np.testing.assert_allclose(again.evaluate(instants, 0), wanted.evaluate(instants, 0), atol=1e-7)
+
+
+def test_wrong_place() -> None:
+    """A motion that ends elsewhere is told, with both places."""
+    knots = np.array([0.0, 0.2])
+    start, end = np.array([-0.175, 0.320]), np.array([0.1, 0.32])
+    shape = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
+    taylor = shape[:, None, None] * (end - start) / 0.2 ** np.arange(6)[:, None, None]
+    taylor[0, 0] = start
+    motion = PiecewisePolynomial(knots, taylor)
+    with pytest.raises(InputError, match=r"mine ends at \(0.1, 0.32\) m, .* at \(0.175, 0.32\) m"):
+        own_candidate(SCENE, "mine", motion)
