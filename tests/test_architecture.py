@@ -106,7 +106,6 @@ ALONE = {
     "cosim.experiment.recorded_instants": "choice of steps",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",
-    "cosim.metrics.analysis": "the compiled analysis of segments",
     "cosim.metrics.small_deflections": "limits of small deflections, which hard cases check too",
     "cosim.reports.plots": "drawing",
     "cosim.reports.report": "the page of a run",

@@ -12,13 +12,16 @@ from flexfmu.fmu_build.errors import BuildError
 from flexfmu.fmu_build.toolchain import Compiler, find_compiler, native_platform
 
 
-def shared_library(package: str, folder: str) -> CDLL | None:
-    """Load the library of the C files in a package's folder; None if that fails, for example without a C compiler."""
+def shared_library(package: str, folder: str) -> CDLL:
+    """Load the library of the C files in a package's folder, compiled on its first use on this machine.
+
+    Raises:
+        BuildError: it can't be compiled or loaded, for example without a C compiler.
+    """
     try:
-        # compile on the first use on this machine
         return CDLL(str(_library(package, folder)))
-    except (BuildError, OSError):
-        return None
+    except OSError as error:
+        raise BuildError(f"can't load the library of {package}/{folder}: {error}") from None
 
 
 def _library(package: str, folder: str) -> Path:

@@ -87,7 +87,7 @@ def run_variants(
 
     Variants that differ in parameters of a motion-driven robot (for peaks also in the motion's duration) are simulated side by
     side in the lanes of the processor's vector registers if ``measure`` tells which outputs it needs, as
-    `flexfmu.cosim.metrics.chosen.measuring` does. They have common steps, chosen by the variant with the largest error: each
+    `flexfmu.cosim.metrics.metrics.measuring` does. They have common steps, chosen by the variant with the largest error: each
     result agrees with that of the variant's own run within the tolerance. Motions of other durations have communication points
     at the same places of the motion, at most ``communication_step`` apart. All other variants are runs of the FMU, to the last
     bit.

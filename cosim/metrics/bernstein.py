@@ -32,10 +32,6 @@ MAXIMUM_BISECTIONS = 60
 """Bisections after which a segment is as short as the spacing of floating-point numbers."""
 
 
-ZERO_BISECTIONS = 30
-"""Bisections at a zero, beyond which a polynomial's integral is below rounding."""
-
-
 def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
     """Return the Bernstein polynomials (k, degree + 1) at ``theta`` (k,)."""
     order = np.arange(degree + 1)
@@ -58,13 +54,12 @@ def norms(vectors: RealArray) -> RealArray:
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))
 
 
-def maximum_norm(control: RealArray, least: float = 0.0) -> float:
+def maximum_norm(control: RealArray) -> float:
     """Return the largest norm on [0, 1] of polynomials with Bernstein control points (degree + 1, n, c).
 
-    Divides the segments whose bound, the control points, exceeds the largest value found so far, which is at least
-    ``least``. The result is NaN if a control point is NaN.
+    Divides the segments whose bound, the control points, exceeds the largest value found so far. The result is NaN if a control point is NaN.
     """
-    best = least
+    best = 0.0
     for _ in range(0, MAXIMUM_BISECTIONS, HALVINGS):
         if control.shape[1] == 0:
             break
@@ -106,61 +101,6 @@ def cut(control: RealArray, theta: float = 0.5) -> tuple[RealArray, RealArray]:
         first[i], second[-1 - i] = level[0], level[-1]
         level = (1.0 - theta) * level[:-1] + theta * level[1:]
     return first, second
-
-
-def integrals_of_parts(control: RealArray, duration: RealArray) -> tuple[float, float]:
-    """Return the integrals over time of the positive part and of the negated negative part of polynomials.
-
-    The integral of a polynomial is the mean of its control points; those with both signs are divided until the rest is far
-    below rounding.
-
-    Args:
-        control: (degree + 1, n) control points.
-        duration: (n,) lengths of the segments.
-    """
-    parts = np.zeros(2)
-    for remaining in range(ZERO_BISECTIONS, -1, -1):
-        mixed = (control.min(axis=0) < 0.0) & (control.max(axis=0) > 0.0) & (remaining > 0)
-        integrals = control[:, ~mixed].mean(axis=0) * duration[~mixed]
-        parts += np.maximum(integrals, 0.0).sum(), np.maximum(-integrals, 0.0).sum()
-        if not mixed.any():
-            break
-        control = np.concatenate(cut(control[:, mixed]), axis=1)
-        duration = np.tile(0.5 * duration[mixed], 2)
-    return float(parts[0]), float(parts[1])
-
-
-def last_time_above(control: RealArray, start: RealArray, duration: RealArray, level: float) -> float | None:
-    """Return the last time at which the norm of the polynomials is at least ``level``; None if it is below throughout.
-
-    Args:
-        control: (degree + 1, n, c) control points of n consecutive segments.
-        start, duration: (n,) start and length of each segment.
-        level: zero or positive, in the unit of ``control``.
-    """
-    reach = norms(control).max(axis=0)
-    for index in np.flatnonzero(reach >= level)[::-1]:
-        theta = _last_theta_above(control[:, index : index + 1], level)
-        if theta is not None:
-            return float(start[index] + theta * duration[index])
-    return None
-
-
-def _last_theta_above(control: RealArray, level: float) -> float | None:
-    """Return the last such normalised time in one segment, by bisection; None if the norm is below throughout."""
-    # search halves from the right, drop those whose bound is below the level
-    pieces = [(control, 0.0, 1.0)]
-    while pieces:
-        piece, left, right = pieces.pop()
-        sizes = norms(piece[:, 0])
-        if sizes.max() < level:
-            continue
-        middle = 0.5 * (left + right)
-        if sizes[-1] >= level or not left < middle < right:
-            return right
-        first, second = cut(piece)
-        pieces += [(first, left, middle), (second, middle, right)]
-    return None
 
 
 SAMPLES = np.linspace(0.0, 1.0, 9)

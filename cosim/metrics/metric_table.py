@@ -1,13 +1,12 @@
 """Table of the metrics of a run: name, unit, description and computation of each.
 
-A metric is a function of a `Solution`, the signals of a motion from a recording (`flexfmu.cosim.metrics.metrics`) or
-from an estimate (`flexfmu.cosim.design.effects.estimator`): a peak, a root mean square, a final value or a settling
-time.
+A metric is computed from the solution of a motion, by a recording (`flexfmu.cosim.metrics.recorded_solution`) or by an
+estimate (`flexfmu.cosim.design.effects.estimator`): a peak, a root mean square, a final value of a signal, a settling time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import degrees, inf, log10, pi
 from operator import methodcaller
@@ -20,14 +19,11 @@ from flexfmu.cosim.metrics.signals import (
     FIRST_BENDING,
     JOINT_POSITIONS,
     POSITION,
-    TIP_DEFLECTIONS,
-    TORQUES,
     VELOCITY,
 )
-from flexfmu.cosim.metrics.solution import Solution, TimeSignal
 
-Computation = Callable[[Solution], Metric]
-"""Signals of a motion → value of a metric."""
+Computation = Callable[[Any], Metric]
+"""Solution of a motion → value of a metric."""
 
 
 @dataclass(frozen=True)
@@ -80,255 +76,143 @@ _DISPLAY: Mapping[str, tuple[str, float, float]] = {
 """SI unit → display unit, factor to it, and negligible error in the SI unit."""
 
 
-def _peak(signal: Callable[[Solution], TimeSignal | None]) -> Computation:
-    """Return the computation of a signal's largest norm; no value without the signal."""
-    return lambda solution: found.peak() if (found := signal(solution)) else Metric(None)
+Row = tuple[str, str, str, str, tuple[Any, ...], tuple[str, ...]]
+"""Name, label, unit, description, method of the solution with the reduction of its signal, recorded columns; # is the joint or leg."""
 
 
-def _root_mean_square(signal: Callable[[Solution], TimeSignal | None], order: int = 0) -> Computation:
-    """Return the computation of the root mean square of a signal's time derivative; no value without the signal."""
-    return lambda solution: found.root_mean_square(order) if (found := signal(solution)) else Metric(None)
+def _defined(rows: Iterable[Row], joints: Iterable[int] = (1, 2)) -> dict[str, MetricDefinition]:
+    """Return name → metric; of a row with ``#`` one for each joint or leg, in place of it."""
+    found = {}
+    for name, label, unit, text, how, columns in rows:
+        for joint in joints if "#" in name else (0,):
+            own, words, sentence, *signals = (each.replace("#", str(joint)) for each in (name, label, text, *columns))
+            computation = _computation(how, (joint,) if joint else ())
+            found[own] = MetricDefinition(words, unit, sentence, computation, tuple(signals))
+    return found
 
 
-def _final(signal: Callable[[Solution], TimeSignal | None], order: int) -> Computation:
-    """Return the computation of the norm of a signal's time derivative at its end; no value without the signal."""
-    return lambda solution: found.final(order) if (found := signal(solution)) else Metric(None)
+def _computation(how: tuple[Any, ...], of: tuple[int, ...]) -> Computation:
+    """Return the computation by a method of the solution, ``(method,)``, or by one of its signal, ``(method, reduction, arguments)``.
+
+    There is no value without the signal; a solution doesn't have signals for which it has no method.
+    """
+    method, *reduction = how
+
+    def computed(solution: Any) -> Metric:
+        found = getattr(solution, method)(*of) if hasattr(solution, method) else None
+        if found is None:
+            return Metric(None)
+        value: Metric = methodcaller(*reduction)(found) if reduction else found
+        return value
+
+    return computed
 
 
-def _of_power(joint: int, method: str, *arguments: int) -> Computation:
-    """Return the computation of a value of a motor's power; no value without it."""
-    value = methodcaller(method, *arguments)
-    return lambda solution: value(found) if (found := solution.duty_power(joint)) else Metric(None)
+_IN_MOTION = "over the motion, both sides of every jump and t = 0+ included"
 
+# fmt: off
+METRICS: Mapping[str, MetricDefinition] = _defined([
+    ("peak_torque_#", "Peak torque, joint #", "N.m", f"Largest |torque| of motor # {_IN_MOTION}.",
+     ("torque", "peak"), ("joint#.torque",)),
+    ("peak_modal_deflection_1", "Modal deflection, link 1", "m",
+     "Largest |first bending coordinate| of proximal link 1 over the motion.", ("modal_deflection", "peak"), (FIRST_BENDING,)),
+    ("peak_tip_deflection_#", "Tip deflection, link #", "m",
+     "Largest |transverse displacement| of the tip of proximal link # over the motion.",
+     ("tip_deflection", "peak"), ("link#1.tip_deflection",)),
+    ("peak_position_error", "Peak position error", "m",
+     "Largest distance from the rigid robot's end effector over motion and dwell.", ("path_error", "peak"), POSITION),
+    ("rms_acceleration_error", "RMS acceleration error", "m/s2",
+     "Root mean square over the motion of the distance from the rigid acceleration.",
+     ("path_error_in_motion", "root_mean_square", 2), ACCELERATION),
+    ("end_position_error", "End position error", "m",
+     "Distance from the rigid robot's end effector at the end of the motion.", ("path_error_in_motion", "final", 0), POSITION),
+    ("end_velocity_error", "End velocity error", "m/s",
+     "Norm of the velocity's deviation from the rigid robot's at the end of the motion.",
+     ("path_error_in_motion", "final", 1), VELOCITY),
+    ("end_acceleration_error", "End acceleration error", "m/s2",
+     "Norm of the acceleration's deviation at the end of the motion, before the acceleration's last jump.",
+     ("path_error_in_motion", "final", 2), ACCELERATION),
+    ("residual_vibration_amplitude", "Residual vibration, peak", "m",
+     "Largest distance from the equilibrium at the end pose during the dwell.", ("residual_vibration", "peak"), POSITION),
+    ("residual_vibration_rms", "Residual vibration, RMS", "m",
+     "Root mean square during the dwell of the distance from that equilibrium.",
+     ("residual_vibration", "root_mean_square"), POSITION),
+    ("settling_time", "Settling time", "s",
+     "Time after the motion's end from which the end effector stays within the settling band around that equilibrium.",
+     ("settling_time",), ("time",)),
+])
 
-_BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
+_DUTY: list[Row] = [(f"{name}_#", f"{label}, joint #", unit, f"{what} of motor # over motions and standstills.", how, ("joint#.torque",))
+    for name, label, unit, what, how in (
+        ("rms_torque", "RMS torque", "N.m", "Root mean square of the torque", ("duty_torque", "root_mean_square")),
+        ("peak_speed", "Peak speed", "rad/s", "Largest |angular velocity|", ("duty_speed", "peak")),
+        ("rms_speed", "RMS speed", "rad/s", "Root mean square of the angular velocity", ("duty_speed", "root_mean_square")),
+        ("peak_power", "Peak power", "W", "Largest power into the robot", ("duty_power", "peak", 1)),
+        ("peak_regenerated_power", "Regenerated power", "W", "Largest power from the robot into the shaft",
+         ("duty_power", "peak", -1)),
+        ("mean_power", "Mean power", "W", "Mean mechanical power", ("duty_power", "mean")),
+        ("positive_energy", "Positive energy", "J", "Energy into the robot, a cycle,", ("duty_power", "energy", 1)),
+        ("regenerated_energy", "Regenerated energy", "J", "Energy out of the robot, a cycle,", ("duty_power", "energy", -1)),
+        ("net_energy", "Net energy", "J", "Positive minus regenerated energy", ("duty_power", "energy", 0)),
+    )]
 
-METRICS: Mapping[str, MetricDefinition] = {
-    **{
-        f"peak_torque_{joint}": MetricDefinition(
-            f"Peak torque, joint {joint}",
-            "N.m",
-            f"Largest |torque| of motor {joint} {_BOTH_SIDES}.",
-            _peak(methodcaller("torque", joint)),
-            TORQUES[joint - 1 : joint],
-        )
-        for joint in (1, 2)
-    },
-    "peak_modal_deflection_1": MetricDefinition(
-        "Modal deflection, link 1",
-        "m",
-        "Largest |first bending coordinate| of proximal link 1 over the motion.",
-        _peak(lambda solution: solution.modal_deflection()),
-        (FIRST_BENDING,),
-    ),
-    **{
-        f"peak_tip_deflection_{leg}": MetricDefinition(
-            f"Tip deflection, link {leg}",
-            "m",
-            f"Largest |transverse displacement| of the tip of proximal link {leg} over the motion.",
-            _peak(methodcaller("tip_deflection", leg)),
-            TIP_DEFLECTIONS[leg - 1 : leg],
-        )
-        for leg in (1, 2)
-    },
-    "peak_position_error": MetricDefinition(
-        "Peak position error",
-        "m",
-        "Largest distance from the rigid robot's end effector over motion and dwell.",
-        _peak(lambda solution: solution.path_error()),
-    ),
-    "rms_acceleration_error": MetricDefinition(
-        "RMS acceleration error",
-        "m/s2",
-        "Root mean square over the motion of the distance from the rigid acceleration.",
-        _root_mean_square(lambda solution: solution.path_error_in_motion(), order=2),
-        ACCELERATION,
-    ),
-    "end_position_error": MetricDefinition(
-        "End position error",
-        "m",
-        "Distance from the rigid robot's end effector at the end of the motion.",
-        _final(lambda solution: solution.path_error_in_motion(), order=0),
-    ),
-    "end_velocity_error": MetricDefinition(
-        "End velocity error",
-        "m/s",
-        "Norm of the velocity's deviation from the rigid robot's at the end of the motion.",
-        _final(lambda solution: solution.path_error_in_motion(), order=1),
-        VELOCITY,
-    ),
-    "end_acceleration_error": MetricDefinition(
-        "End acceleration error",
-        "m/s2",
-        "Norm of the acceleration's deviation at the end of the motion, before the acceleration's last jump.",
-        _final(lambda solution: solution.path_error_in_motion(), order=2),
-        ACCELERATION,
-    ),
-    "residual_vibration_amplitude": MetricDefinition(
-        "Residual vibration, peak",
-        "m",
-        "Largest distance from the equilibrium at the end pose during the dwell.",
-        _peak(lambda solution: solution.residual_vibration()),
-    ),
-    "residual_vibration_rms": MetricDefinition(
-        "Residual vibration, RMS",
-        "m",
-        "Root mean square during the dwell of the distance from that equilibrium.",
-        _root_mean_square(lambda solution: solution.residual_vibration()),
-    ),
-    "settling_time": MetricDefinition(
-        "Settling time",
-        "s",
-        "Time after the motion's end from which the end effector stays within the settling band around that equilibrium.",
-        lambda solution: solution.settling_time(),
-        ("time",),
-    ),
-}
-
-
-def _drive_metrics(joint: int) -> Iterator[tuple[str, MetricDefinition]]:
-    """Yield name and metric of what a motor has to do."""
-    torque, speed = methodcaller("duty_torque", joint), methodcaller("duty_speed", joint)
-    for name, label, unit, what, computation in (
-        ("rms_torque", "RMS torque", "N.m", "Root mean square of the torque", _root_mean_square(torque)),
-        ("peak_speed", "Peak speed", "rad/s", "Largest |angular velocity|", _peak(speed)),
-        ("rms_speed", "RMS speed", "rad/s", "Root mean square of the angular velocity", _root_mean_square(speed)),
-        ("peak_power", "Peak power", "W", "Largest power into the robot", _of_power(joint, "peak", 1)),
-        (
-            "peak_regenerated_power",
-            "Regenerated power",
-            "W",
-            "Largest power from the robot into the shaft",
-            _of_power(joint, "peak", -1),
-        ),
-        ("mean_power", "Mean power", "W", "Mean mechanical power", _of_power(joint, "mean")),
-        ("positive_energy", "Positive energy", "J", "Energy into the robot, a cycle,", _of_power(joint, "energy", 1)),
-        (
-            "regenerated_energy",
-            "Regenerated energy",
-            "J",
-            "Energy out of the robot, a cycle,",
-            _of_power(joint, "energy", -1),
-        ),
-        ("net_energy", "Net energy", "J", "Positive minus regenerated energy", _of_power(joint, "energy", 0)),
-    ):
-        text = f"{what} of motor {joint} over motions and standstills."
-        yield (
-            f"{name}_{joint}",
-            MetricDefinition(f"{label}, joint {joint}", unit, text, computation, TORQUES[joint - 1 : joint]),
-        )
-
-
-DRIVE_METRICS: Mapping[str, MetricDefinition] = {
-    name: metric for joint in (1, 2) for name, metric in _drive_metrics(joint)
-}
+DRIVE_METRICS: Mapping[str, MetricDefinition] = _defined(_DUTY, (1,)) | _defined(_DUTY, (2,))
 """What each motor has to do over the duty cycle; tables show them for scenes with motors."""
 
-MOTOR_METRICS: Mapping[str, MetricDefinition] = {
-    f"inertia_ratio_{joint}": MetricDefinition(
-        f"Inertia ratio, joint {joint}",
-        "1",
-        f"Largest inertia of the load, reflected to the shaft, over that of the rotor of motor {joint}.",
-        methodcaller("inertia_ratio", joint),
-    )
-    for joint in (1, 2)
-}
+MOTOR_METRICS: Mapping[str, MetricDefinition] = _defined([
+    ("inertia_ratio_#", "Inertia ratio, joint #", "1",
+     "Largest inertia of the load, reflected to the shaft, over that of the rotor of motor #.", ("inertia_ratio",), POSITION),
+])
 """Additional metrics of a scene with motors."""
 
 COMMON_METRICS: Mapping[str, MetricDefinition] = {**METRICS, **DRIVE_METRICS}
 """The metrics of every robot."""
 
-LOOP_METRICS: Mapping[str, MetricDefinition] = {
-    **{
-        f"peak_tracking_error_{joint}": MetricDefinition(
-            f"Tracking error, joint {joint}",
-            "rad",
-            f"Largest |angle of motor {joint} - planned angle| over motion and dwell.",
-            _peak(methodcaller("tracking_error", joint)),
-            JOINT_POSITIONS,
-        )
-        for joint in (1, 2)
-    },
-    **{
-        f"rms_tracking_error_{joint}": MetricDefinition(
-            f"RMS tracking error, joint {joint}",
-            "rad",
-            f"Root mean square over the motion of the angle of motor {joint} - planned angle.",
-            _root_mean_square(methodcaller("tracking_error_in_motion", joint)),
-            JOINT_POSITIONS,
-        )
-        for joint in (1, 2)
-    },
-}
+LOOP_METRICS: Mapping[str, MetricDefinition] = _defined([
+    ("peak_tracking_error_#", "Tracking error, joint #", "rad",
+     "Largest |angle of motor # - planned angle| over motion and dwell.", ("tracking_error", "peak"), JOINT_POSITIONS),
+    ("rms_tracking_error_#", "RMS tracking error, joint #", "rad",
+     "Root mean square over the motion of the angle of motor # - planned angle.",
+     ("tracking_error_in_motion", "root_mean_square"), JOINT_POSITIONS),
+])
 """Additional metrics of a torque-driven robot."""
 
 ALL_METRICS: Mapping[str, MetricDefinition] = {**COMMON_METRICS, **MOTOR_METRICS, **LOOP_METRICS}
 """The metrics of runs."""
 
+
+def _decibels(value: float) -> float:
+    return 20.0 * log10(value) if value > 0.0 else -inf
+
+
+def _milli(value: float) -> float:
+    return 1e3 * value
+
+
+def _hertz(value: float) -> float:
+    return 0.5 * value / pi
+
+
 LOOP_FIGURES: Mapping[str, MetricDefinition] = {
     name: MetricDefinition(label, unit, text, display=(shown, convert))
     for name, label, unit, shown, convert, text in (
-        (
-            "gain_margin",
-            "Gain margin",
-            "1",
-            "dB",
-            lambda value: 20.0 * log10(value),
-            "Least factor on the torques above 1 with which the loop is unstable.",
-        ),
-        (
-            "gain_reduction",
-            "Gain reduction",
-            "1",
-            "dB",
-            lambda value: 20.0 * log10(value) if value > 0.0 else -inf,
-            "Largest factor on the torques below 1 with which the loop is unstable; 0 if there is none.",
-        ),
+        ("gain_margin", "Gain margin", "1", "dB", _decibels,
+         "Least factor on the torques above 1 with which the loop is unstable."),
+        ("gain_reduction", "Gain reduction", "1", "dB", _decibels,
+         "Largest factor on the torques below 1 with which the loop is unstable; 0 if there is none."),
         ("phase_margin", "Phase margin", "rad", "deg", degrees, "Phase lag with which the loop is unstable."),
-        (
-            "delay_margin",
-            "Delay margin",
-            "s",
-            "ms",
-            lambda value: 1e3 * value,
-            "Delay with which the loop is unstable.",
-        ),
+        ("delay_margin", "Delay margin", "s", "ms", _milli, "Delay with which the loop is unstable."),
         ("disk_margin", "Disk margin", "1", "1", float, "Size of the disk of changes of gain and phase, 0 to 2."),
-        (
-            "sensitivity_peak",
-            "Sensitivity peak",
-            "1",
-            "1",
-            float,
-            "Largest gain from disturbances to what remains of them.",
-        ),
-        (
-            "bandwidth",
-            "Bandwidth",
-            "rad/s",
-            "Hz",
-            lambda value: 0.5 * value / pi,
-            "Lowest frequency at which less than 3 dB of a disturbance are suppressed.",
-        ),
-        (
-            "crossover",
-            "Crossover frequency",
-            "rad/s",
-            "Hz",
-            lambda value: 0.5 * value / pi,
-            "Highest frequency at which the loop's gain is 1.",
-        ),
-        (
-            "cpu_time",
-            "Processor time of the simulation",
-            "s",
-            "ms",
-            lambda value: 1e3 * value,
-            "Processor time that the simulation took.",
-        ),
+        ("sensitivity_peak", "Sensitivity peak", "1", "1", float,
+         "Largest gain from disturbances to what remains of them."),
+        ("bandwidth", "Bandwidth", "rad/s", "Hz", _hertz,
+         "Lowest frequency at which less than 3 dB of a disturbance are suppressed."),
+        ("crossover", "Crossover frequency", "rad/s", "Hz", _hertz, "Highest frequency at which the loop's gain is 1."),
+        ("cpu_time", "Processor time of the simulation", "s", "ms", _milli, "Processor time that the simulation took."),
     )
 }
 """Figures of a loop beside the metrics of its run: the worst margins along the path, and what it costs."""
+# fmt: on
 
 
 def metric(name: str, value: float | None, **known: Any) -> Metric:
@@ -365,20 +249,16 @@ def display(name: str, value: float | None, digits: int | None = None, error: fl
     Raises:
         KeyError: there is no such metric.
     """
-    info = definition(name)
-    text, _ = _printed(info, value, error, digits)
-    return text if text == "–" else f"{text} {info.display_unit}".rstrip()
+    text, _ = _printed(name, value, error, digits)
+    return text if text == "–" else f"{text} {definition(name).display_unit}".rstrip()
 
 
 def display_error(name: str, value: float | None, error: float | None) -> str:
     """Format the bound of a metric's numerical error, in its display unit like `display`: ``1e-6``; empty where unknown."""
-    _, bound = _printed(definition(name), value, error)
-    return bound
+    return _printed(name, value, error)[1]
 
 
-def _printed(
-    info: MetricDefinition, value: float | None, error: float | None, digits: int | None = None
-) -> tuple[str, str]:
+def _printed(name: str, value: float | None, error: float | None, digits: int | None = None) -> tuple[str, str]:
     # an error is a small change of the value
-    shown = None if value is None else info.displayed(value)
-    return printed(shown, None if error is None else info.displayed(error), digits)
+    shown = definition(name).displayed
+    return printed(None if value is None else shown(value), None if error is None else shown(error), digits)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 from typing import TYPE_CHECKING
@@ -26,7 +27,15 @@ from flexfmu.cosim.experiment.scene_run import Companion, Run, rest_position
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, COMMON_METRICS, LOOP_METRICS, MOTOR_METRICS, metric
 from flexfmu.cosim.metrics.motors import inertia_ratios
 from flexfmu.cosim.metrics.recorded_solution import RecordedSolution, Settings
-from flexfmu.cosim.metrics.signals import ROUNDING
+from flexfmu.cosim.metrics.signals import (
+    ACCELERATION,
+    FIRST_BENDING,
+    POSITION,
+    ROUNDING,
+    TIP_DEFLECTIONS,
+    TORQUES,
+    VELOCITY,
+)
 
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -261,3 +270,62 @@ def measure(recording: Recording, settings: Settings, names: Collection[str] | N
         if each.value is not None and not math.isfinite(each):
             raise ResultsError(f"metric `{name}` is {each.value}: the recorded signals are not finite")
     return found
+
+
+PEAKS: Mapping[str, str] = {
+    **{f"peak_torque_{joint}": name for joint, name in enumerate(TORQUES, start=1)},
+    **{f"peak_tip_deflection_{leg}": name for leg, name in enumerate(TIP_DEFLECTIONS, start=1)},
+}
+"""Metrics that are the largest magnitude of one output over the motion → name of the output."""
+
+
+SIGNALS = (*TORQUES, *TIP_DEFLECTIONS, *POSITION, *VELOCITY, *ACCELERATION, FIRST_BENDING, f"der({FIRST_BENDING},2)")
+"""The recorded signals that any metric of a motion-driven robot needs."""
+
+
+@dataclass(frozen=True)
+class ChosenMetrics:
+    """The values of some metrics of a run, by name; None for no value.
+
+    Attributes:
+        names: names of the metrics.
+    """
+
+    names: tuple[str, ...]
+
+    def __call__(self, run: Run) -> dict[str, float | None]:
+        """Measure a run."""
+        found = metrics_of(run, self.names)
+        return {name: found[name] for name in self.names}
+
+    @property
+    def signals(self) -> Sequence[str]:
+        """The outputs that the metrics need, with two derivatives."""
+        return SIGNALS
+
+
+@dataclass(frozen=True)
+class PeakMetrics(ChosenMetrics):
+    """The values of metrics that are peaks of outputs, see `PEAKS`."""
+
+    @property
+    def outputs(self) -> Sequence[str]:
+        """Names of the outputs."""
+        return tuple(PEAKS[name] for name in self.names)
+
+    def of_peaks(self, peaks: Mapping[str, float]) -> dict[str, float | None]:
+        """The metrics from the peaks, name of an output → largest magnitude over the motion."""
+        return {name: peaks[PEAKS[name]] for name in self.names}
+
+
+def measuring(names: Collection[str]) -> ChosenMetrics:
+    """Return the measure of these metrics, as a sweep takes it: ``run_variants(scene, variants, measuring(names))``.
+
+    `flexfmu.cosim.many.variants.run_variants` then simulates variants side by side; peaks of torques and of tip
+    deflections alone are the fastest.
+
+    Raises:
+        InputError: there is no metric of such a name.
+    """
+    check_names(names)
+    return (PeakMetrics if all(name in PEAKS for name in names) else ChosenMetrics)(tuple(names))

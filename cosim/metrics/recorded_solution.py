@@ -1,9 +1,4 @@
-"""The solution of a recorded run, from which metrics are computed: its signals, interpolated between communication points.
-
-Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
-
-Speed and mechanical power of the motors over the duty cycle, as Hermite segments.
-"""
+"""The solution of a recorded run, from which metrics are computed: its signals, interpolated between communication points."""
 
 from __future__ import annotations
 
@@ -18,8 +13,7 @@ import numpy as np
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.metrics.analysis import CompiledAnalysis, NumpyAnalysis, analyse
-from flexfmu.cosim.metrics.segments import HermiteSegments
+from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
     TIP_DEFLECTIONS,
@@ -33,7 +27,6 @@ from flexfmu.cosim.metrics.signals import (
     position_rounding,
     segments,
 )
-from flexfmu.cosim.metrics.solution import Solution
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
@@ -73,14 +66,14 @@ def product(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:
 
 @dataclass(frozen=True)
 class RecordedPower:
-    """A power, interpolated between communication points; see `flexfmu.cosim.metrics.solution.PowerSignal`."""
+    """A power, interpolated between communication points."""
 
     segments: HermiteSegments
     cycles: int
 
     @cached_property
     def _parts(self) -> tuple[float, ...]:
-        return analyse(self.segments).parts()
+        return Analysis(self.segments).parts()
 
     def peak(self, sign: int) -> Metric:
         """Largest positive or negated negative power."""
@@ -143,7 +136,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class RecordedSignal:
-    """A recorded signal, interpolated between communication points; see `flexfmu.cosim.metrics.solution.TimeSignal`.
+    """A recorded signal, interpolated between communication points.
 
     Attributes:
         segments: the signal.
@@ -154,8 +147,8 @@ class RecordedSignal:
     rounding: float = 0.0
 
     @cached_property
-    def _analysis(self) -> CompiledAnalysis | NumpyAnalysis:
-        return analyse(self.segments)
+    def _analysis(self) -> Analysis:
+        return Analysis(self.segments)
 
     def peak(self) -> Metric:
         """Largest norm; its error is how far another segment may exceed it, at least the peak segment's error."""
@@ -170,7 +163,7 @@ class RecordedSignal:
         analysis, noise = self._analysis, 0.0
         if order == 2:
             resolving, noise = self.segments.resolving_curvature(self.rounding)
-            analysis = analysis if resolving is self.segments else analyse(resolving)
+            analysis = analysis if resolving is self.segments else Analysis(resolving)
         squares, common, deviation = analysis.mean_products(order)
         root, bound, change = math.sqrt(squares), math.sqrt(deviation), abs(common) + 0.5 * deviation
         if root == 0.0:
@@ -200,24 +193,14 @@ class RecordedSignal:
         return Metric(crossing - begin if crossing < stop else None, interpolation_error=late - early)
 
 
-class NoSignal:
-    """Deflection of a rigid link, exactly zero; see `flexfmu.cosim.metrics.solution.TimeSignal`."""
-
-    def peak(self) -> Metric:
-        """Zero."""
-        return Metric(0.0)
-
-    def root_mean_square(self, order: int = 0) -> Metric:
-        """Zero."""
-        return Metric(0.0)
-
-    def final(self, order: int = 0) -> Metric:
-        """Zero."""
-        return Metric(0.0)
+REST = RecordedSignal(HermiteSegments(np.zeros(1), np.ones(1), np.zeros((3, 1, 1)), np.zeros((3, 1, 1))))
+"""Deflection of a rigid link, exactly zero."""
 
 
-class RecordedSolution(Solution):
-    """The signals of a complete recording, interpolated when first needed; methods as in `Solution`.
+class RecordedSolution:
+    """The signals of a complete recording, interpolated when first needed; None for a signal that the robot doesn't have.
+
+    Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
 
     Args:
         recording: signals with their time derivatives.
@@ -235,57 +218,72 @@ class RecordedSolution(Solution):
         self.tracks_joints = settings.joints is not None and all(name in recording.columns for name in JOINT_POSITIONS)
 
     def torque(self, joint: int) -> RecordedSignal:
+        """Torque of motor 1 or 2 over the motion [N.m]."""
         return self._in_motion(self.duty_torque(joint).segments)
 
-    def modal_deflection(self) -> RecordedSignal | NoSignal:
+    def modal_deflection(self) -> RecordedSignal:
+        """First bending coordinate of proximal link 1 over the motion [m]; zero for a rigid link."""
         modal = modal_deflection(self._recording)
-        return NoSignal() if modal is None else self._in_motion(modal)
+        return REST if modal is None else self._in_motion(modal)
 
-    def tip_deflection(self, leg: int) -> RecordedSignal | NoSignal:
+    def tip_deflection(self, leg: int) -> RecordedSignal:
+        """Transverse displacement of the tip of proximal link 1 or 2 over the motion [m]; zero for a rigid link."""
         name = TIP_DEFLECTIONS[leg - 1]
-        return self._in_motion(segments(self._recording, [name])) if name in self._recording.columns else NoSignal()
+        return self._in_motion(segments(self._recording, [name])) if name in self._recording.columns else REST
 
     def path_error(self) -> RecordedSignal:
+        """Deviation of the end effector from the rigid robot's over motion and dwell [m]."""
         return RecordedSignal(self._path_error)
 
     def path_error_in_motion(self) -> RecordedSignal:
+        """Deviation of the end effector from the rigid robot's over the motion alone [m]."""
         return self._path_error_in_motion
 
     def residual_vibration(self) -> RecordedSignal | None:
+        """Deviation of the end effector from the equilibrium at the end pose during the dwell [m]."""
         # a dwell that is too short for a communication point is none
         return self._vibration if self._settings.dwell and self._vibration.segments.start.size else None
 
     def tracking_error(self, joint: int) -> RecordedSignal | None:
+        """Angle of motor 1 or 2 minus its planned angle, over motion and dwell [rad]."""
         error = self._tracking_error(joint)
         return None if error is None else RecordedSignal(error)
 
     def tracking_error_in_motion(self, joint: int) -> RecordedSignal | None:
+        """Angle of motor 1 or 2 minus its planned angle, over the motion alone [rad]."""
         error = self._tracking_error(joint)
         return None if error is None else self._in_motion(error)
 
     def settling_time(self, uncertainty: float = 0.0) -> Metric:
-        """As in `Solution`; ``uncertainty`` as for `RecordedSignal.settling`."""
+        """Time after the motion from which the residual vibration stays within the settling band [s].
+
+        ``uncertainty`` as for `RecordedSignal.settling`.
+        """
         vibration = self.residual_vibration()
         return Metric(None) if vibration is None else vibration.settling(self._settings.settling_band, uncertainty)
 
     def duty_torque(self, joint: int) -> RecordedSignal:
+        """Torque of motor 1 or 2 over the duty cycle: all motions and standstills [N.m]."""
         if joint not in self._torques:
             self._torques[joint] = RecordedSignal(segments(self._recording, TORQUES[joint - 1 : joint]))
         return self._torques[joint]
 
     def duty_speed(self, joint: int) -> RecordedSignal | None:
+        """Angular velocity of motor 1 or 2 over the duty cycle [rad/s]."""
         if joint not in self._speeds:
             speed = joint_speed(self._recording, joint - 1, self._settings.joints)
             self._speeds[joint] = None if speed is None else RecordedSignal(speed)
         return self._speeds[joint]
 
     def duty_power(self, joint: int) -> RecordedPower | None:
+        """Mechanical power of motor 1 or 2 over the duty cycle, positive into the robot [W]."""
         torque, speed = self.duty_torque(joint), self.duty_speed(joint)
         if speed is not None and joint not in self._powers:
             self._powers[joint] = RecordedPower(product(torque.segments, speed.segments), self._settings.cycles)
         return self._powers.get(joint)
 
     def inertia_ratio(self, joint: int) -> Metric:
+        """Largest inertia of the load over the rotor's, both seen by motor 1 or 2."""
         return Metric(self._settings.largest_inertia_ratios[joint - 1])
 
     def _in_motion(self, signal: HermiteSegments) -> RecordedSignal:

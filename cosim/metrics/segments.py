@@ -3,18 +3,22 @@
 Every segment has the signal and its first ``m - 1`` time derivatives at both ends (one-sided limits, so a signal may
 jump between segments). The polynomial of degree ``2 m - 1`` through them is stored in Bernstein form, whose control
 points follow from the derivatives in closed form and bound the polynomial (G. Farin, *Curves and Surfaces for CAGD*,
-chapters 5 and 6). With ``m = 3`` (value, velocity, acceleration) this is the quintic of order 6.
+chapters 5 and 6). With ``m = 3`` (value, velocity, acceleration) this is the quintic of order 6. Peaks, means and
+crossings with their errors are found in C, see `Analysis`.
 """
 
 from __future__ import annotations
 
-import math
+from ctypes import POINTER, Structure, byref, c_double, c_int, c_size_t, c_void_p
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.bernstein import (
     SAMPLES,
@@ -23,15 +27,11 @@ from flexfmu.cosim.metrics.bernstein import (
     ends_matrix,
     gauss_legendre,
     highest_matrix,
-    maximum_norm,
     node_polynomial,
     norms,
     two_point_matrix,
     value_matrix,
 )
-
-COMPARABLE_STEPS = 0.1
-"""Ratio of neighbouring segments' lengths below which high derivatives in the shorter one are only rounding errors."""
 
 DIVERGING = 3.0
 """Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out:
@@ -40,8 +40,8 @@ its derivatives belong to a vibration or a decay that is far faster than the ste
 RESOLVED = 1e-6
 """Rounding of a second derivative, relative to the largest one, that is never looked at: its square is below rounding."""
 
-CONTINUITY = 1e-9
-"""Jump of a signal or derivative, relative to its magnitude, above which a node is a breakpoint."""
+LARGEST = 5, 2
+"""Largest numbers of derivatives and channels for which the C code has memory."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,12 @@ class HermiteSegments:
     Attributes:
         start, end: (n,) times of the segments' ends [s]; each segment starts where the one before it ends.
         left, right: (m, n, c) time derivatives of order 0..m-1 at the start and at the end of each segment.
-        doubt: estimated error of the interpolants of `consistent` where orders were left out, zero elsewhere; None
-            where no order was left out.
     """
 
     start: RealArray
     end: RealArray
     left: RealArray
     right: RealArray
-    doubt: HermiteSegments | None = None
 
     @cached_property
     def duration(self) -> RealArray:
@@ -121,139 +118,32 @@ class HermiteSegments:
 
         Each order should contribute less to the interpolant than the one before it. Where an order from the second on
         contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is
-        truncated; the estimated error is the contribution of the last order that is left in.
+        truncated.
         """
-        kept = self._kept_orders()
-        cut = kept < len(self.left)
+        added, m = contributions(*self._two_point), len(self.left)
+        diverging = added[1:] > DIVERGING**2 * added[:-1]
+        cut = np.asarray(diverging.any(axis=0))
         if not cut.any():
             return self
-        # truncated segments keep the lower orders; the last one kept gives the error
-        some, kept, order = self.select(cut), kept[cut], np.arange(len(self.left))[:, np.newaxis]
-        left, right, doubt = self.left.copy(), self.right.copy(), np.zeros((2, *self.left.shape))
-        left[:, cut], right[:, cut] = some._of_terms(order < kept)
-        doubt[:, :, cut] = some._of_terms(order == kept - 1)
-        doubtful = HermiteSegments(self.start, self.end, *doubt) if np.any(doubt) else None
-        return HermiteSegments(self.start, self.end, left, right, doubtful)
-
-    def _kept_orders(self) -> NDArray[np.intp]:
-        """Return the number (n,) of orders below the first that diverges, all where none does."""
-        added = contributions(*self._two_point)
-        if len(added) < 2:
-            return np.full(self.start.size, len(self.left))
-        diverging = added[1:] > DIVERGING**2 * added[:-1]
-        return np.where(diverging.any(axis=0), 2 + diverging.argmax(axis=0), len(self.left))
+        # the terms of the lower orders, as derivatives at both ends
+        kept = np.arange(m)[:, np.newaxis] < 2 + diverging.argmax(axis=0)[cut]
+        some = self.select(cut)
+        terms = np.concatenate([np.where(kept[:, :, np.newaxis], each, 0.0) for each in some._two_point])
+        ends = np.tensordot(ends_matrix(m), terms, axes=1).reshape(2, *some.left.shape) / some._scales
+        left, right = self.left.copy(), self.right.copy()
+        left[:, cut], right[:, cut] = ends
+        return HermiteSegments(self.start, self.end, left, right)
 
     def evaluate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return a time derivative (k, n, c) at the normalised times ``theta`` (k,) of every segment."""
         values = self._mapped(value_matrix(len(self.left), tuple(theta.tolist()), order))
         return values / (self.duration**order)[:, np.newaxis] if order else values
 
-    def maximum_norm(self) -> float:
-        """Return the largest Euclidean norm over the channels on all segments, both sides of every jump included."""
-        return maximum_norm(self.control)
-
-    @cached_property
-    def bounds(self) -> tuple[RealArray, RealArray]:
-        """(n,) largest norm at the ends of each segment, and an upper bound of the norm within it."""
-        start, end = self._two_point
-        sizes = np.sqrt(np.maximum(*(np.einsum("knc,knc->kn", each, each) for each in (start, end))))
-        return sizes[0], 0.25 ** np.arange(len(sizes)) @ sizes
-
-    def mean_product(self, first: RealArray, second: RealArray) -> float:
-        """Return the mean over time of the inner product of two signals (k, n, c) at the k points of `quadrature`."""
-        _, weights = self.quadrature
-        products = np.einsum("knc,knc->kn", first, second)
-        return float(weights @ products @ self.duration / np.sum(self.duration))
-
-    @property
-    def quadrature(self) -> tuple[RealArray, RealArray]:
-        """Normalised times and weights of Gauss quadrature, exact for products of the signal with its error."""
-        return gauss_legendre(2 * len(self.left) + 1)
-
-    def error_estimate(self) -> RealArray:
-        """Return the estimated largest interpolation error of the norm within each segment (n,).
-
-        The m-th derivative (m odd), the first that is not interpolated, jumps between neighbouring segments in
-        proportion to the signal's derivative of order 2 m, which determines the interpolation error. Only nodes count
-        at which the interpolated derivatives are continuous. For a segment without such a node (alone between two
-        breakpoints) the estimate is the contribution of its highest derivative. The estimate is within a factor of two
-        where a step is below 2 rad of the vibration, within an order of magnitude beyond.
-        """
-        m, derivative = len(self.left), norms(self._highest_derivatives)
-        estimate: RealArray = np.fmax(*derivative) * (0.25**m / math.factorial(2 * m) * self.duration ** (2 * m))
-        alone = np.asarray(np.isnan(estimate))
-        if np.any(alone):
-            estimate[alone] = self.select(alone)._lower_degree_change()
-        if self.doubt is not None:
-            estimate += norms(self.doubt.evaluate(SAMPLES)).max(axis=0)
-        return estimate
-
-    def deviation_estimate(self, theta: RealArray, order: int = 0) -> RealArray:
-        """Return the estimated deviation (k, n, c) of the signal's time derivative from the interpolant's.
-
-        Where only its magnitude is known (see `error_estimate`), it has the direction of that derivative.
-
-        Args:
-            theta: (k,) normalised times in each segment.
-            order: order of the derivative, at most that of the highest interpolated one.
-        """
-        # mean of the known derivatives of order 2 m at both ends
-        ends = self._highest_derivatives
-        known = ~np.isnan(ends)
-        mean = np.where(known, ends, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        deviation: RealArray = self._error_shape(theta, order)[:, :, np.newaxis] * mean
-        alone = ~known.any(axis=(0, 2))
-        if np.any(alone):
-            # segments without a continuous node: the whole error in the direction of the derivative
-            lone = self.select(np.asarray(alone))
-            values = lone.evaluate(theta, order)
-            norm = np.linalg.norm(values, axis=2, keepdims=True)
-            direction = values / np.where(norm > 0.0, norm, 1.0)
-            deviation[:, alone] = direction * lone._lower_degree_change(order)[:, np.newaxis]
-        return deviation if self.doubt is None else deviation + self.doubt.evaluate(theta, order)
-
-    @cached_property
-    def _highest_derivatives(self) -> RealArray:
-        """(2, n, c) derivative of order 2 m next to the start and to the end of each segment; NaN where unknown."""
-        m = len(self.left)
-        # jumps of the interpolant's derivative of order m at the nodes
-        m = len(self.left)
-        begin, stop = self._mapped(highest_matrix(m)) / (self.duration**m)[:, np.newaxis]
-        first, second = self.duration[:-1], self.duration[1:]
-        scale = math.factorial(2 * m) / math.factorial(m) / (first**m + second**m)
-        inner = (begin[1:] - stop[:-1]) * scale[:, np.newaxis]
-        # use nodes between segments of comparable length at which all interpolated derivatives are continuous
-        comparable = np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
-        before, after = self.right[:, :-1], self.left[:, 1:]
-        differing = np.flatnonzero((before != after).any(axis=(0, 2)))
-        if differing.size:
-            allowed = CONTINUITY * np.maximum(norms(before), norms(after)).max(axis=1, keepdims=True)
-            comparable[differing] &= np.all(norms(after[:, differing] - before[:, differing]) <= allowed, axis=0)
-        inner[~comparable] = np.nan
-        unknown = np.full((1, inner.shape[1]), np.nan)
-        return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
-
-    def _error_shape(self, theta: RealArray, order: int) -> RealArray:
-        """Return the interpolation error (k, n), differentiated, of a signal with a unit derivative of order 2 m."""
-        m = len(self.left)
-        return np.outer(node_polynomial(m, tuple(theta.tolist()), order), self.duration ** (2 * m - order))
-
-    def _lower_degree_change(self, order: int = 0) -> RealArray:
-        """Return the largest difference (n,) from the interpolant without the highest derivative, a wide bound."""
-        lower = HermiteSegments(self.start, self.end, self.left[:-1], self.right[:-1])
-        return np.asarray(norms(self.evaluate(SAMPLES, order) - lower.evaluate(SAMPLES, order)).max(axis=0))
-
     @cached_property
     def _two_point(self) -> tuple[RealArray, RealArray]:
         """Coefficients alpha and beta (m, n, c) of the two-point form; see `flexfmu.cosim.metrics.bernstein`."""
         start, end = self._mapped(two_point_matrix(len(self.left))).reshape(2, *self.left.shape)
         return start, end
-
-    def _of_terms(self, chosen: NDArray[np.bool_]) -> RealArray:
-        """Return the derivatives (2, m, n, c) at both ends of the sum of the ``chosen`` terms (m, n)."""
-        terms = np.concatenate([np.where(chosen[:, :, np.newaxis], each, 0.0) for each in self._two_point])
-        ends = np.tensordot(ends_matrix(len(self.left)), terms, axes=1).reshape(2, *self.left.shape)
-        return ends / self._scales
 
     def _mapped(self, matrix: RealArray) -> RealArray:
         """Return the product (k, n, c) of a matrix (k, 2 m) with the ends; see `flexfmu.cosim.metrics.bernstein`."""
@@ -272,3 +162,155 @@ class HermiteSegments:
             scales[0, k, :, 0] = scales[0, k - 1, :, 0] * (self.duration / k)
             scales[1, k] = (-1.0) ** k * scales[0, k]
         return scales
+
+
+class CSignal(Structure):
+    """``metrics_signal`` of ``metrics.h``."""
+
+    _fields_ = (
+        *((name, c_size_t) for name in ("segments", "channels", "orders", "left_stride", "right_stride")),
+        *((name, c_void_p) for name in ("duration", "left", "right", "control", "highest")),
+        *((name, c_void_p) for name in ("terms", "ends", "bounds", "errors", "jumps", "kept")),
+    )
+
+
+class CQuadrature(Structure):
+    """``metrics_quadrature`` of ``metrics.h``."""
+
+    _fields_ = (
+        *((name, c_size_t) for name in ("points", "order")),
+        *((name, c_void_p) for name in ("weights", "values", "shape", "last")),
+    )
+
+
+@cache
+def library() -> Any:
+    """The C library.
+
+    Raises:
+        BuildError: it can't be compiled or loaded.
+    """
+    found: Any = shared_library("flexfmu.cosim.metrics", "c-metrics")
+    pair, size = POINTER(c_double), POINTER(c_size_t)
+    for name, result, arguments in (
+        ("prepare", c_size_t, ()),
+        ("peak", None, (pair,)),
+        ("products", None, (POINTER(CQuadrature), pair)),
+        ("parts", None, (pair,)),
+        ("last_above", c_int, (c_double, size, pair)),
+    ):
+        function = getattr(found, f"metrics_{name}")
+        function.restype, function.argtypes = result, (POINTER(CSignal), *arguments)
+    return found
+
+
+class Analysis:
+    """What metrics are computed from, in C, without the orders of derivatives that diverge, see `HermiteSegments.consistent`.
+
+    The m-th derivative (m odd), the first that is not interpolated, jumps between neighbouring segments in proportion to
+    the signal's derivative of order 2 m, which determines the interpolation error. Only nodes count at which the
+    interpolated derivatives are continuous. For a segment without such a node (alone between two breakpoints) the
+    estimate is the contribution of its highest derivative; where orders were left out, that of the last one that is left
+    in is added. The estimate is within a factor of two where a step is below 2 rad of the vibration, within an order of
+    magnitude beyond.
+
+    Args:
+        signal: with at most `LARGEST` derivatives and channels.
+
+    Attributes:
+        diverging: number of segments in which an order diverges.
+        kept: (n,) orders below the first one that diverges; all where none does.
+        errors: (n,) estimated largest interpolation error of the norm within each segment.
+
+    Raises:
+        BuildError: the C code can't be compiled or loaded.
+    """
+
+    def __init__(self, signal: HermiteSegments) -> None:
+        left, right, duration = signal.left, signal.right, np.ascontiguousarray(signal.duration)
+        m, n, channels = left.shape
+        if m > LARGEST[0] or channels > LARGEST[1]:
+            raise ValueError(f"at most {LARGEST} derivatives and channels can be analysed, got {m} and {channels}")
+        # one block of memory for the terms, three numbers for each segment, and the jumps at the nodes
+        sizes = 2 * m * channels * n, n, n, n, channels * (n + 1)
+        memory, self.kept = np.empty(sum(sizes)), np.empty(n, dtype=np.uintp)
+        places = accumulate((8 * size for size in sizes[:-1]), initial=_address(memory))
+        self.errors = memory[sum(sizes[:3]) : sum(sizes[:4])]
+        rows = 8 * channels, 8
+        left, right = (each if each.strides[1:] == rows else np.ascontiguousarray(each) for each in (left, right))
+        self._start, self._duration, self._memory = signal.start, duration, (memory, left, right)
+        self._signal = CSignal(
+            n,
+            channels,
+            m,
+            left.strides[0] // 8,
+            right.strides[0] // 8,
+            _address(duration),
+            _address(left),
+            _address(right),
+            *map(_address, _matrices(m)),
+            *places,
+            _address(self.kept),
+        )
+        self._library = library()
+        self.diverging = int(self._library.metrics_prepare(byref(self._signal)))
+
+    def peak(self) -> tuple[float, float]:
+        """Return the largest norm, both sides of every jump included, and how far it may be exceeded.
+
+        That is how far another segment may exceed it with its interpolation error, at least the peak segment's error.
+        """
+        result = (c_double * 2)()
+        self._library.metrics_peak(byref(self._signal), result)
+        return result[0], result[1]
+
+    def mean_products(self, order: int = 0) -> tuple[float, ...]:
+        """Return the means over time of |v|², v . e and |e|² of the time derivative v of this order.
+
+        e is the estimated deviation of the signal's derivative from v; where only its magnitude is known, it has the
+        direction of that derivative.
+        """
+        quadrature, integrals = _quadrature(self._signal.orders, order), (c_double * 3)()
+        points = CQuadrature(len(quadrature[0]), order, *map(_address, quadrature))
+        self._library.metrics_products(byref(self._signal), byref(points), integrals)
+        total = float(self._duration.sum())
+        return tuple(each / total for each in integrals)
+
+    def parts(self) -> tuple[float, ...]:
+        """Return what the positive and the negative part of a signal with one channel are.
+
+        These are: largest value, negated least value (both at least 0), integrals over time of the positive part and of
+        the negated negative part, and the estimated errors of the extremes and of each integral.
+        """
+        result = (c_double * 7)()
+        self._library.metrics_parts(byref(self._signal), result)
+        return tuple(result)
+
+    def last_time_above(self, level: float) -> float | None:
+        """Return the last time at which the norm is at least ``level`` (zero or positive); None if it never is."""
+        segment, theta = c_size_t(), c_double()
+        if not self._library.metrics_last_above(byref(self._signal), level, byref(segment), byref(theta)):
+            return None
+        return float(self._start[segment.value] + theta.value * self._duration[segment.value])
+
+
+def _address(array: NDArray[Any]) -> int:
+    """Address of an array's first element."""
+    return int(array.__array_interface__["data"][0])
+
+
+@cache
+def _matrices(m: int) -> tuple[RealArray, RealArray]:
+    """Matrices from the terms to the control points (2 m, 2 m), and to the highest derivative at the start (2 m,)."""
+    terms = ends_matrix(m)
+    return np.ascontiguousarray(control_matrix(m) @ terms), np.ascontiguousarray((highest_matrix(m) @ terms)[0])
+
+
+@cache
+def _quadrature(m: int, order: int) -> tuple[RealArray, ...]:
+    """Weights, values, shape and last of ``metrics_quadrature``."""
+    points, weights = gauss_legendre(2 * m + 1)
+    theta = tuple(points.tolist())
+    values = value_matrix(m, theta, order) @ ends_matrix(m)
+    last = (value_matrix(m, tuple(SAMPLES.tolist()), order) @ ends_matrix(m))[:, [m - 1, 2 * m - 1]]
+    return weights, np.ascontiguousarray(values.T), node_polynomial(m, theta, order), np.ascontiguousarray(last)

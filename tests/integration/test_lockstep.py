@@ -24,9 +24,8 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
 from flexfmu.cosim.many.variants import VariantError, run_variants
-from flexfmu.cosim.metrics.chosen import PeakMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
-from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.metrics.metrics import PeakMetrics, measuring, metrics_of
 from flexfmu.fmu_build.batch_build import in_lanes, lanes_of_processor
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.file import load_scene

@@ -20,7 +20,6 @@ from scipy.integrate import trapezoid
 
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.metrics.solution import Solution
 from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
@@ -91,8 +90,8 @@ class SampledSignal:
 
 
 @dataclass(frozen=True, eq=False)
-class EstimatedSolution(Solution):
-    """Estimated motion with a set of effects; methods as in `Solution`.
+class EstimatedSolution:
+    """Estimated motion with a set of effects; methods as in `flexfmu.cosim.metrics.recorded_solution.RecordedSolution`.
 
     Attributes:
         grid: the instants.

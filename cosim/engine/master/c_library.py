@@ -9,6 +9,7 @@ from typing import Any
 
 from flexfmu.cosim.engine.master.instructions import CProgram, CProgress
 from flexfmu.cosim.engine.shared_library import shared_library
+from flexfmu.fmu_build.errors import BuildError
 
 RunProgram = Callable[[CProgram, int, CProgress], int]
 """Runs a program until so many steps are completed; returns 0, or 1 if an instruction failed."""
@@ -44,4 +45,7 @@ def load_interpolation() -> Callable[..., None] | None:
 
 
 def _library() -> CDLL | None:
-    return shared_library("flexfmu.cosim.engine.master", "c-master")
+    try:
+        return shared_library("flexfmu.cosim.engine.master", "c-master")
+    except BuildError:
+        return None

@@ -1,5 +1,5 @@
-/* Extrema, means and crossings of a signal that is interpolated between communication points: what
- * flexfmu.cosim.metrics.segments computes with numpy, one segment after the other.
+/* Extrema, means and crossings of a signal that is interpolated between communication points, one segment after the other:
+ * the analysis of flexfmu.cosim.metrics.segments.
  *
  * A segment has the derivatives of order 0 to m - 1 at both ends, of each channel. Over theta = 0 .. 1 its polynomial has
  * the two-point form, see flexfmu.cosim.metrics.bernstein:

@@ -11,8 +11,8 @@ from typing import Any
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.many.executor import DaskWorkers, Executor, Processes, finished, processors
-from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
+from flexfmu.cosim.metrics.metrics import ChosenMetrics, measuring
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
 from flexfmu.cosim.studies.sweep.result import SweepResult
 from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, make_manifest, read_results

@@ -25,7 +25,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.journal import locked
 from flexfmu.cosim.many.lockstep import PeakMeasure
 from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, duration_bands
-from flexfmu.cosim.metrics.chosen import ChosenMetrics
+from flexfmu.cosim.metrics.metrics import ChosenMetrics
 from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
 from flexfmu.fmu_build.cache import cache_folder, content_hash

@@ -15,8 +15,7 @@ from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
-from flexfmu.cosim.metrics.chosen import measuring
-from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
+from flexfmu.cosim.metrics.metrics import measure_run, measuring, metrics_of
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.errors import SceneError

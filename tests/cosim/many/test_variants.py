@@ -13,8 +13,7 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.variants import VariantError, run_variants
-from flexfmu.cosim.metrics.chosen import measuring
-from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.errors import TrajectoryError
 

@@ -1,4 +1,4 @@
-"""The analysis of segments in C against that with numpy, under the sanitizers too, and what happens without a compiler."""
+"""The analysis of segments in C against densely sampled interpolants, under the sanitizers too."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.metrics import analysis as compiled
-from flexfmu.cosim.metrics.analysis import CompiledAnalysis, NumpyAnalysis, analyse
-from flexfmu.cosim.metrics.segments import HermiteSegments
+from flexfmu.cosim.metrics import segments as compiled
+from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
+from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.fmu_build.toolchain import find_compiler, native_platform
 
 SHAPES = [(3, 1), (5, 1), (3, 2), (5, 2), (2, 1)]
@@ -38,53 +38,43 @@ def drawn(orders: int, channels: int, seed: int, count: int = 60) -> HermiteSegm
     return HermiteSegments(time[:-1], time[1:], left, right)
 
 
-@pytest.fixture(autouse=True)
-def _there_is_a_compiler() -> None:
-    assert compiled.library() is not None
-
-
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-@pytest.mark.parametrize("seed", range(8))
-def test_c_finds_what_numpy_finds(shape: tuple[int, int], seed: int) -> None:
-    """Orders left out, peak and its error, means of products, and last crossings of levels, to rounding."""
+@pytest.mark.parametrize("seed", range(4))
+def test_peak_means_and_crossings(shape: tuple[int, int], seed: int) -> None:
+    """They are those of the densely sampled interpolant without the orders that diverge."""
     signal = drawn(*shape, seed)
-    ours, theirs = analyse(signal), NumpyAnalysis(signal)
-    assert isinstance(ours, CompiledAnalysis)
-    np.testing.assert_array_equal(ours.kept, signal._kept_orders())
-    peak = ours.peak()
-    np.testing.assert_allclose([*peak, *ours.errors], [*theirs.peak(), *theirs.errors], rtol=1e-9, atol=1e-14 * peak[0])
+    analysis, kept = Analysis(signal), signal.consistent
+    assert analysis.diverging == np.count_nonzero(np.any(kept.left != signal.left, axis=(0, 2))) > 0 or shape[0] == 2
+    theta = np.linspace(0.0, 1.0, 2001)
+    sizes = np.linalg.norm(kept.evaluate(theta), axis=2)
+    peak, exceeded = analysis.peak()
+    assert sizes.max() <= peak <= sizes.max() * (1.0 + 1e-5)
+    assert exceeded >= analysis.errors[sizes.max(axis=0).argmax()] * (1.0 - 1e-9)
+    points, weights = np.polynomial.legendre.leggauss(2 * shape[0] + 1)
     for order in range(3):
-        products = ours.mean_products(order)
-        value, error = np.sqrt(products[0]), np.sqrt(products[2])
-        differences = np.subtract(products, theirs.mean_products(order)) / [value**2, value * error, error**2]
-        assert np.abs(differences).max() < 1e-9
+        squares = np.sum(kept.evaluate(0.5 * (points + 1.0), order) ** 2, axis=2)
+        mean = 0.5 * weights @ squares @ kept.duration / kept.duration.sum()
+        assert analysis.mean_products(order)[0] == pytest.approx(mean, rel=1e-9)
     for share in (0.0, 0.2, 0.9, 0.999):
-        expected = theirs.last_time_above(share * peak[0])
-        assert expected is not None
-        assert ours.last_time_above(share * peak[0]) == pytest.approx(expected, rel=1e-12)
-    assert ours.last_time_above(1.001 * peak[0]) is theirs.last_time_above(1.001 * peak[0]) is None
+        row, segment = np.argwhere(share * peak <= sizes.T)[-1][::-1]
+        last, spacing = kept.start[segment] + theta[row] * kept.duration[segment], kept.duration[segment] / 2000
+        assert -1e-12 <= analysis.last_time_above(share * peak) - last <= spacing * (1.0 + 1e-9)
+    assert analysis.last_time_above(1.001 * peak) is None
 
 
 @pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] == 1], ids=str)
-@pytest.mark.parametrize("seed", range(8))
-def test_parts_in_c_are_those_of_numpy(shape: tuple[int, int], seed: int) -> None:
-    """Extremes with their sign, integrals of both parts, and their errors; the parts sum up to the mean."""
+@pytest.mark.parametrize("seed", range(4))
+def test_parts(shape: tuple[int, int], seed: int) -> None:
+    """Extremes with their sign and integrals of both parts are those of the densely sampled interpolant; errors cover one part."""
     signal = drawn(*shape, seed)
-    ours, theirs = analyse(signal).parts(), NumpyAnalysis(signal).parts()
-    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
-    assert max(ours[:2]) == pytest.approx(analyse(signal).peak()[0], rel=1e-10)
-    points, weights = signal.quadrature
-    integral = weights @ signal.consistent.evaluate(points)[..., 0] @ signal.duration
-    assert ours[2] - ours[3] == pytest.approx(integral, rel=1e-9, abs=1e-9 * ours[2])
-
-
-def test_signals_diverge_where_they_should() -> None:
-    """The drawn signals reach the truncated orders, unknown nodes and continuous nodes; otherwise the comparison is empty."""
-    signal = drawn(5, 2, 0)
-    assert signal.consistent is not signal
-    known = ~np.isnan(signal._highest_derivatives[:, :, 0])
-    assert known.any()
-    assert (~known).all(axis=0).any()
+    analysis, kept = Analysis(signal), signal.consistent
+    parts, values = analysis.parts(), kept.evaluate((np.arange(4000) + 0.5) / 4000)[..., 0]
+    assert parts[:2] == pytest.approx([values.max(), -values.min()], rel=1e-4)
+    integrals = [np.maximum(sign * values, 0.0).mean(axis=0) @ kept.duration for sign in (1.0, -1.0)]
+    assert parts[2:4] == pytest.approx(integrals, rel=1e-5)
+    assert max(parts[:2]) == pytest.approx(analysis.peak()[0], rel=1e-10)
+    assert min(parts[5:]) > 0.0
+    assert max(parts[5:]) <= analysis.errors @ signal.duration <= sum(parts[5:]) * (1.0 + 1e-9)
 
 
 def test_nan_does_not_hide() -> None:
@@ -93,28 +83,26 @@ def test_nan_does_not_hide() -> None:
     for order in range(3):
         broken = signal.right.copy()
         broken[order, 7, 1] = np.nan
-        assert np.isnan(analyse(HermiteSegments(signal.start, signal.end, signal.left, broken)).peak()[0])
+        assert np.isnan(Analysis(HermiteSegments(signal.start, signal.end, signal.left, broken)).peak()[0])
     signal = drawn(3, 1, 1)
     signal.right[0, 7, 0] = np.nan
-    for analysis in (analyse(signal), NumpyAnalysis(signal)):
-        assert np.isnan(analysis.parts()[:4]).all()
+    assert np.isnan(Analysis(signal).parts()[:4]).all()
 
 
 def test_no_segments_have_no_peak() -> None:
     """A run that ends before the dwell."""
-    nothing = drawn(5, 2, 0).within(1e3, 2e3)
-    for analysis in (analyse(nothing), NumpyAnalysis(nothing)):
-        assert analysis.peak() == (0.0, 0.0)
-        assert analysis.last_time_above(0.0) is None
-    for analysis in (analyse(drawn(3, 1, 0).within(1e3, 2e3)), NumpyAnalysis(drawn(3, 1, 0).within(1e3, 2e3))):
-        assert analysis.parts() == (0.0,) * 7
+    nothing = Analysis(drawn(5, 2, 0).within(1e3, 2e3))
+    assert nothing.peak() == (0.0, 0.0)
+    assert nothing.last_time_above(0.0) is None
+    assert Analysis(drawn(3, 1, 0).within(1e3, 2e3)).parts() == (0.0,) * 7
 
 
 def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Metrics are then calculated with numpy."""
+    """An error says what is missing."""
     monkeypatch.setenv("CC", "there-is-no-such-compiler")
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
-    assert compiled.library.__wrapped__() is None
+    with pytest.raises(MissingCompilerError, match="there-is-no-such-compiler"):
+        compiled.library.__wrapped__()
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +134,7 @@ def test_under_the_sanitizers(shape: tuple[int, int], count: int, sanitized: Pat
     signal = drawn(*shape, seed=3)
     signal = signal.select(np.arange(60) < count)
     (m, channels), order = shape, min(2, shape[0] - 1)
-    ours = CompiledAnalysis(signal.start, signal.duration, signal.left, signal.right)
+    ours = Analysis(signal)
     level = 0.7 * ours.peak()[0]
     matrices, quadrature = compiled._matrices(m), compiled._quadrature(m, order)
     arrays = [np.array(level), signal.duration, signal.left, signal.right, *matrices, *quadrature]

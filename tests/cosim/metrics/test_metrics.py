@@ -13,9 +13,8 @@ import pytest
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.chosen import measuring
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, METRICS
-from flexfmu.cosim.metrics.metrics import measure, measure_run
+from flexfmu.cosim.metrics.metrics import measure, measure_run, measuring
 from flexfmu.cosim.metrics.recorded_solution import Settings
 
 T, DWELL, STEP = 0.4, 0.3, 2e-3

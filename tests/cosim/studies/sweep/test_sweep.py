@@ -15,8 +15,7 @@ import pytest
 import flexfmu
 from flexfmu.cosim.cli.sweep import _print
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.metrics.chosen import measuring
-from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.cosim.studies.sweep import work
 from flexfmu.cosim.studies.sweep.cases import Grid
 from flexfmu.cosim.studies.sweep.result import SweepResult
