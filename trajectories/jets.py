@@ -11,7 +11,6 @@ tables 13.1 (arithmetic, roots and powers) and 13.2 (sine and cosine).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -203,16 +202,6 @@ def sincos(u: Jet) -> tuple[Jet, Jet]:
     return Jet(s), Jet(c)
 
 
-def sin(u: Jet) -> Jet:
-    """Return the sine of a jet in radians."""
-    return sincos(u)[0]
-
-
-def cos(u: Jet) -> Jet:
-    """Return the cosine of a jet in radians."""
-    return sincos(u)[1]
-
-
 def arctan2(y: Jet, x: Jet) -> Jet:
     """Return the angle of the point (x, y) [rad], in [-π, π]; TrajectoryError at the origin for orders above 0.
 
@@ -272,11 +261,6 @@ def stack(jets: tuple[Jet, ...]) -> Jet:
     """Stack jets of the same shape (...) to one jet of shape (len(jets), ...), truncated to their lowest order."""
     order = min(jet.order for jet in jets)
     return Jet(np.stack([jet.coefficients[: order + 1] for jet in jets], axis=1))
-
-
-def joined(jets: Sequence[Jet]) -> Jet:
-    """Concatenate jets of the same order and shapes (N₁,), (N₂,), ... to one jet of shape (N,)."""
-    return Jet(np.concatenate([jet.coefficients for jet in jets], axis=1))
 
 
 def unstack(pair: Jet) -> tuple[Jet, Jet]:

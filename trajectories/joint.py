@@ -15,10 +15,10 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.trajectories.curves import Side, checked_side
+from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
-from flexfmu.trajectories.trajectory import Trajectory, limits, sampled_positions
+from flexfmu.trajectories.trajectory import HasLimits, Trajectory, limits, sampled_positions
 
 LARGEST_TURN = 1.0
 """Largest rotation of a joint between two samples [rad], far below π, where unwrapping becomes ambiguous. Samples are added where a
@@ -63,7 +63,7 @@ class InverseKinematics(Protocol):
 
 
 @dataclass(frozen=True)
-class JointTrajectory:
+class JointTrajectory(HasLimits):
     """Joint angles q11 and q21 [rad] of a motion of the end effector, continuous in time (without jumps of 2π).
 
     The constructor checks the margins along the whole path.
@@ -100,11 +100,6 @@ class JointTrajectory:
     def breakpoints(self) -> tuple[float, ...]:
         """Times [s] at which a derivative may jump: the breakpoints of ``task``."""
         return self.task.breakpoints
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Return q11 and q21 [rad] and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
-        time = times(time)
-        return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`."""
@@ -146,6 +141,44 @@ class JointTrajectory:
             time = np.insert(time, wide + 1, 0.5 * (time[wide] + time[wide + 1]))
             positions = np.asarray(self.task.evaluate(time, 0)[0])
         return time, angles
+
+
+class ForwardKinematics(Protocol):
+    """Forward kinematics of a mechanism."""
+
+    def end_effector(self, q11: Jet, q21: Jet) -> tuple[Jet, Jet]:
+        """Return jets of the end effector's x and y [m] from jets of the joint angles [rad]."""
+        ...
+
+
+@dataclass(frozen=True)
+class EndEffectorTrajectory:
+    """Motion of the rigid end effector, x and y [m], from the motion of the joints by forward kinematics.
+
+    Attributes:
+        joints: motion of the joints, q11 and q21 [rad].
+        kinematics: the mechanism's forward kinematics.
+    """
+
+    joints: Trajectory
+    kinematics: ForwardKinematics
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return self.joints.duration
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times [s] at which a derivative may jump: the breakpoints of ``joints``."""
+        return self.joints.breakpoints
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """Return x and y [m] and their time derivatives, (order + 1, N, 2); see `flexfmu.trajectories.Trajectory.evaluate`."""
+        # forward kinematics of the series in time
+        motion = Jet.from_derivatives(self.joints.evaluate(time, checked_order(order), side))
+        q11, q21 = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
+        return np.stack([jet.derivatives() for jet in self.kinematics.end_effector(q11, q21)], axis=-1)
 
 
 def check_margins(

@@ -76,8 +76,8 @@ class PickAndPlacePath:
         return abs(y), -x * math.copysign(1.0, y)
 
     @cached_property
-    def curve(self) -> PiecewiseCurve:
-        """The path by arc length; straight parts of length zero are left out."""
+    def pieces(self) -> tuple[PlacedPiece, ...]:
+        """The pieces of the path; straight parts of length zero are left out."""
         lift, across = self.lift_direction, self.crossing_direction
         back = -across[0], -across[1]
         rise, run = self.height - self.blend.height, self.width - 2.0 * self.blend.width
@@ -92,7 +92,12 @@ class PickAndPlacePath:
         # down: the mirror image of the way up, traversed backwards
         pieces += [PlacedPiece(piece, self._point(self.width, rise), back, lift, True) for piece in reversed(corner)]
         pieces += [PlacedPiece(piece, self.end, back, lift, True) for piece in upright]
-        return PiecewiseCurve(tuple(pieces))
+        return tuple(pieces)
+
+    @cached_property
+    def curve(self) -> PiecewiseCurve:
+        """The path by arc length."""
+        return PiecewiseCurve(self.pieces)
 
     @property
     def length(self) -> float:

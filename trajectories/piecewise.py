@@ -19,10 +19,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, positive, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
-from flexfmu.trajectories.trajectory import SAME_TIME
+from flexfmu.trajectories.trajectory import SAME_TIME, HasLimits
 
 Coordinates: TypeAlias = Literal["end-effector", "joints"]
 
@@ -34,7 +33,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class PiecewisePolynomial:
+class PiecewisePolynomial(HasLimits):
     """A motion of two coordinates that is a polynomial in time between knots; standstill before the first and after the last.
 
     Attributes:
@@ -94,11 +93,6 @@ class PiecewisePolynomial:
         knots = self.knots / time_scale
         knots[-1] = duration
         return replace(self, knots=knots, coefficients=Jet(self.coefficients).rescale(time_scale).coefficients)
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Return the coordinates and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
-        time = times(time)
-        return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`."""

@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side
 from flexfmu.trajectories.errors import positive, times
-from flexfmu.trajectories.jets import Indices, Jet, RealArray, checked_order, compose, joined, stack
+from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, stack
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.profile_pieces import SmoothPiece
-from flexfmu.trajectories.profiles import Profile, time_at
+from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
 
 SAME_TIME = 1e-12
 """Fraction of the duration within which two times count as equal: such breakpoints are merged, and a time so close to a breakpoint
@@ -89,6 +88,11 @@ class HasLimits(Protocol):
         """
         ...
 
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """Return the coordinates and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
+        instants = times(time)
+        return self.limits(instants, np.full(instants.shape, checked_side(side) == "left"), order)
+
 
 def limits(trajectory: Trajectory, time: RealArray, left: NDArray[np.bool_], order: int) -> RealArray:
     """Return one-sided limits of any trajectory, (order + 1, N, 2); see `HasLimits`."""
@@ -117,7 +121,7 @@ class MotionInterval(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TaskTrajectory:
+class TaskTrajectory(HasLimits):
     """Motion of the end effector along a path with a motion profile: x and y [m] in time.
 
     Attributes:
@@ -151,11 +155,6 @@ class TaskTrajectory:
         """Times [s] of the profile's jumps and of the path's knots, ascending from 0 to the duration."""
         return tuple(self.duration * eta for eta in self._shape.breakpoints)
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Return x and y [m] and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
-        time = times(time)
-        return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
-
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `HasLimits`."""
         time, order = times(time), checked_order(order)
@@ -168,30 +167,25 @@ class TaskTrajectory:
         result[0, index < 0] = self.path.start
         result[0, index == len(intervals)] = self.path.end
         for group in self._shape.congruent:
-            here = [(intervals[i], np.flatnonzero(index == i)) for i in group]
-            self._move([(interval, where) for interval, where in here if where.size], time, order, result)
+            here = [(intervals[i], np.flatnonzero(index == i)) for i in group if (index == i).any()]
+            if not here:
+                continue
+            # series of the arc length in time, in the direction of the unplaced piece
+            arcs = []
+            for interval, where in here:
+                fraction = interval.profile.jet(time[where] / self.duration, order).rescale(1.0 / self.duration)
+                arc = interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start)
+                arcs.append(arc.coefficients)
+            s = Jet(np.concatenate(arcs, axis=1))
+            # evaluate the curve at all arc lengths, then place each part
+            piece = here[0][0].piece.piece
+            points = compose(stack(piece.jets(np.clip(s.value, 0.0, piece.length), order)), s).coefficients
+            begin = 0
+            for interval, where in here:
+                part = interval.piece.placed(points[:, :, begin : begin + where.size])
+                result[:, where] = Jet(part).derivatives()
+                begin += where.size
         return result
-
-    def _move(
-        self, parts: Sequence[tuple[MotionInterval, Indices]], time: RealArray, order: int, result: RealArray
-    ) -> None:
-        """Write the derivatives within intervals on congruent curves to ``result``, with one evaluation of the curve for all."""
-        if not parts:
-            return
-        # series of the arc length in time, in the direction of the unplaced piece
-        arcs = []
-        for interval, where in parts:
-            fraction = interval.profile.jet(time[where] / self.duration, order).rescale(1.0 / self.duration)
-            arcs.append(interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start))
-        s = joined(arcs)
-        # evaluate the curve at all arc lengths, then place each part
-        piece = parts[0][0].piece.piece
-        points = compose(stack(piece.jets(np.clip(s.value, 0.0, piece.length), order)), s)
-        begin = 0
-        for interval, where in parts:
-            part = Jet(interval.piece.placed(points.coefficients[:, :, begin : begin + where.size]))
-            result[:, where] = part.derivatives()
-            begin += where.size
 
     @cached_property
     def _shape(self) -> MotionShape:
@@ -228,10 +222,7 @@ def shape_of(path: PickAndPlacePath, profile: Profile) -> MotionShape:
         middle = np.array([0.5 * (start + end)])
         part = next(piece for piece in profile.pieces if middle[0] <= piece.end)
         index = int(np.searchsorted(curve.knots, part.jet(middle, 0).value[0] * curve.length))
-        piece = curve.pieces[index]
-        if not isinstance(piece, PlacedPiece):
-            piece = PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
-        intervals.append(MotionInterval(start, part, piece, float(curve.edges[index])))
+        intervals.append(MotionInterval(start, part, path.pieces[index], float(curve.edges[index])))
     # groups of congruent pieces
     groups: dict[int, list[int]] = {}
     for i, interval in enumerate(intervals):

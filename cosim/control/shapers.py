@@ -18,9 +18,8 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
 from flexfmu.model.scene.shapers import AppliedShaperSection, ImpulseShaperSection, SpecifiedInsensitivitySection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
-from flexfmu.trajectories.shapers.catalogue import design
+from flexfmu.trajectories.shapers.designs import design, specified_insensitivity
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
-from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 
 
 @dataclass(frozen=True)

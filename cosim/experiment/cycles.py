@@ -12,15 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, Repetition
-from flexfmu.trajectories.curves import Side, checked_side
-from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory, limits
+from flexfmu.trajectories.trajectory import SAME_TIME, HasLimits, Trajectory, limits
 
 ROUNDING = 4.0
 """Bound of rounding errors of times, in units in the last place of the longest time."""
 
 
 @dataclass(frozen=True)
-class ThereAndBack:
+class ThereAndBack(HasLimits):
     """Cycles of a motion, a dwell, the motion reversed in time, and a dwell.
 
     Attributes:
@@ -61,11 +60,6 @@ class ThereAndBack:
         points = np.concatenate([*legs[:-1], legs[-1][:-1], [self.duration]])
         distinct = np.diff(points, prepend=-np.inf) > SAME_TIME * self.duration
         return tuple(float(point) for point in points[distinct])
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
-        instants = np.atleast_1d(np.asarray(time, dtype=float))
-        return self.limits(instants, np.full(instants.shape, checked_side(side) == "left"), order)
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`; instants at the same place of all cycles are evaluated once."""

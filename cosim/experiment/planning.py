@@ -23,13 +23,13 @@ from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.table import TableSection
-from flexfmu.trajectories.curves import Point, Side, checked_side
+from flexfmu.trajectories.curves import Point, Side
 from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.joint import JointTrajectory, check_margins
+from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory, check_margins
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES
-from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits, merged
+from flexfmu.trajectories.trajectory import HasLimits, TaskTrajectory, Trajectory, limits, merged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Standstill:
+class Standstill(HasLimits):
     """A motion that begins after a standstill, and ends with one.
 
     Attributes:
@@ -60,11 +60,6 @@ class Standstill:
     def breakpoints(self) -> tuple[float, ...]:
         """Start and end [s], and the delayed breakpoints of the motion."""
         return merged([0.0, self.duration], [self.time + point for point in self.motion.breakpoints])
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Return the coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
-        instants = times(time)
-        return self.limits(instants, np.full(instants.shape, checked_side(side) == "left"), order)
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`."""
@@ -235,7 +230,7 @@ class MotionPlan(Rows):
     @property
     def deviation(self) -> float:
         """Largest distance [m] of the rigid end effector from the scene's path, which shaped joint references leave."""
-        from flexfmu.trajectories.shapers.shaped_joints import path_deviation
+        from flexfmu.trajectories.shapers.sequence import path_deviation
 
         reference = self.along_path
         return path_deviation(self.task, reference.path if isinstance(reference, TaskTrajectory) else reference)
@@ -341,7 +336,6 @@ def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
         SceneError: the scene's modes don't fit the start of the motion.
     """
     from flexfmu.trajectories.own import as_trajectory, coordinates_of  # which few scenes need
-    from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory
 
     # motion of the end effector, given or by forward kinematics
     given, kinematics = as_trajectory(own), RigidKinematics(scene.mechanism)
@@ -395,7 +389,7 @@ def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
             "shaped joint references would no longer be those of the flexible robot: shape the motion along the path "
             '(`apply = "path"`), or leave out `trajectory.references`'
         )
-    from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory
+    from flexfmu.trajectories.shapers.sequence import ShapedTrajectory
 
     joints = ShapedTrajectory(motion.joints, sequence)
     task = EndEffectorTrajectory(joints, RigidForwardKinematics(motion.scene.mechanism))
@@ -411,7 +405,7 @@ def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     """
     if motion.rigid is not None:
         return with_references(shape_path(motion.rigid, sequence))
-    from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
+    from flexfmu.trajectories.shapers.sequence import shape_along_path
 
     if not isinstance(motion.task, TaskTrajectory):
         if motion.task is motion.along_path:

@@ -13,7 +13,7 @@ from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet, RealArray
-from flexfmu.trajectories.joint import JointTrajectory, check_margins
+from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory, check_margins
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.table import MotionTable
 from flexfmu.trajectories.trajectory import Trajectory
@@ -78,8 +78,6 @@ def _in_turn(joints: PiecewisePolynomial, mechanism: Mechanism) -> PiecewisePoly
 
 def _from_joints(joints: PiecewisePolynomial, mechanism: Mechanism) -> tuple[Trajectory, Trajectory]:
     """The motion of the end effector by forward kinematics, and that of the joints."""
-    from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory
-
     return EndEffectorTrajectory(joints, RigidForwardKinematics(mechanism)), joints
 
 

@@ -28,22 +28,19 @@ __all__ = [
     "zvddd",
 ]
 
+_DESIGNS = (
+    "extra_insensitive",
+    "modified_zero_vibration",
+    "specified_insensitivity",
+    "unity_magnitude",
+    "zero_vibration",
+)
 __getattr__ = seldom(
     __name__,
     {
-        **dict.fromkeys(("Shaper",), "flexfmu.cosim.control.shapers"),
-        **dict.fromkeys(
-            (
-                "ImpulseSequence",
-                "Oscillator",
-                "extra_insensitive",
-                "modified_zero_vibration",
-                "specified_insensitivity",
-                "unity_magnitude",
-                "zero_vibration",
-            ),
-            "flexfmu.trajectories.shapers",
-        ),
+        "Shaper": "flexfmu.cosim.control.shapers",
+        **dict.fromkeys(("ImpulseSequence", "Oscillator"), "flexfmu.trajectories.shapers.sequence"),
+        **dict.fromkeys(_DESIGNS, "flexfmu.trajectories.shapers.designs"),
     },
 )
 

@@ -23,7 +23,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
-from flexfmu.trajectories import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError
 
 ALUMINIUM = {"density": 2710.0, "youngs_modulus": 70e9}
 STEEL = {"density": 7850.0, "youngs_modulus": 210e9}

@@ -8,7 +8,9 @@ import pytest
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.assembly import WORKING_MODES, assembly_side, elbows
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories import Jet, JointTrajectory, TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet
+from flexfmu.trajectories.joint import JointTrajectory
 
 
 def kinematics(working_mode: str = "elbows-out") -> RigidKinematics:

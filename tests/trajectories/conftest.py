@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from flexfmu.trajectories import Jet, Margin
-from flexfmu.trajectories.jets import RealArray, arctan2, sqrt
+from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sqrt
+from flexfmu.trajectories.joint import Margin
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ellipe
 
-from flexfmu.trajectories import TrajectoryError
 from flexfmu.trajectories.curves import tabulate
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
 

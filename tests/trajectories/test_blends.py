@@ -12,9 +12,16 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.special import fresnel
 
-from flexfmu.trajectories import Blend, ClothoidPair, Jet, LameBlend, PolarPolynomial
-from flexfmu.trajectories.blends import HIGHEST_RATIO, LOWEST_RATIO, aspect_ratio
-from flexfmu.trajectories.jets import RealArray, arctan2, sqrt
+from flexfmu.trajectories.blends import (
+    HIGHEST_RATIO,
+    LOWEST_RATIO,
+    Blend,
+    ClothoidPair,
+    LameBlend,
+    PolarPolynomial,
+    aspect_ratio,
+)
+from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sqrt
 
 KINDS: tuple[Callable[[float, float], Blend], ...] = (LameBlend, ClothoidPair, PolarPolynomial)
 ROUNDING = 1e-15

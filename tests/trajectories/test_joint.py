@@ -10,18 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.trajectories import (
-    BangBang,
-    Jet,
-    JointTrajectory,
-    LameBlend,
-    Margin,
-    PickAndPlacePath,
-    SeventhDegreePolynomial,
-    TaskTrajectory,
-    TrajectoryError,
-)
-from flexfmu.trajectories.jets import RealArray, arctan2
+from flexfmu.trajectories.blends import LameBlend
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet, RealArray, arctan2
+from flexfmu.trajectories.joint import JointTrajectory, Margin
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import bang_bang, seventh_degree_polynomial
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 
 def task(
@@ -29,7 +24,7 @@ def task(
 ) -> TaskTrajectory:
     """The paper's path with a Lamé blend, elsewhere on request."""
     path = PickAndPlacePath(start, (0.0, -1.0), height, width, LameBlend(0.025, 0.025))
-    return TaskTrajectory(path, profile or SeventhDegreePolynomial(), 0.43)
+    return TaskTrajectory(path, profile or seventh_degree_polynomial(), 0.43)
 
 
 def test_forward_kinematics_gives_the_path_back(five_bar: Any) -> None:
@@ -44,7 +39,7 @@ def test_forward_kinematics_gives_the_path_back(five_bar: Any) -> None:
 
 def test_each_derivative_is_the_integral_of_the_next(five_bar: Any) -> None:
     """Protects every joint derivative to order 8 and both one-sided limits, by quadrature between breakpoints."""
-    trajectory = JointTrajectory(task(profile=BangBang(), height=0.03), five_bar)
+    trajectory = JointTrajectory(task(profile=bang_bang(), height=0.03), five_bar)
     nodes, weights = np.polynomial.legendre.leggauss(40)
     for start, end in zip(trajectory.breakpoints[:-1], trajectory.breakpoints[1:], strict=True):
         edges = np.linspace(start, end, 17)
@@ -58,7 +53,7 @@ def test_each_derivative_is_the_integral_of_the_next(five_bar: Any) -> None:
 
 def test_joints_stand_still_with_the_end_effector(five_bar: Any) -> None:
     """Protects both ends of the motion and the shared list of breakpoints."""
-    trajectory = JointTrajectory(task(profile=BangBang()), five_bar)
+    trajectory = JointTrajectory(task(profile=bang_bang()), five_bar)
     assert trajectory.duration == 0.43
     assert trajectory.breakpoints == trajectory.task.breakpoints
     np.testing.assert_array_equal(trajectory.evaluate([-1.0, 1.0], 6)[1:], 0.0)
@@ -86,7 +81,7 @@ class Pointer:
 def test_angles_are_continuous_however_fast_they_turn(below: float) -> None:
     """Protects continuity across ±π, next to a base as well, where half a turn takes less than a sample's time."""
     motion = TaskTrajectory(
-        PickAndPlacePath((-0.2, 0.0), (0.0, -1.0), 0.05, 0.4, LameBlend(0.05, 0.05)), SeventhDegreePolynomial(), 1.0
+        PickAndPlacePath((-0.2, 0.0), (0.0, -1.0), 0.05, 0.4, LameBlend(0.05, 0.05)), seventh_degree_polynomial(), 1.0
     )
     trajectory = JointTrajectory(motion, Pointer((0.0, -0.05 + below)))
     start, end = trajectory.evaluate([0.0, 1.0], 0)[0]

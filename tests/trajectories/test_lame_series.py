@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from flexfmu.trajectories import LameBlend
+from flexfmu.trajectories.blends import LameBlend
 
 Series = list[Fraction]
 

@@ -14,7 +14,7 @@ from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.piecewise import spline
-from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.table import smoothed, write_table
 from flexfmu.trajectories.table_file import read_table
 from flexfmu.trajectories.trajectory import TaskTrajectory
@@ -143,7 +143,7 @@ def test_written_as_it_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.trajectory().evaluate(instants, 4), exact.evaluate(instants, 4), atol=1e-10)
     # a motion that is no polynomial, with jumps of the acceleration
     path = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
-    motion = TaskTrajectory(path, BangBang(), 0.43)
+    motion = TaskTrajectory(path, bang_bang(), 0.43)
     write_table(tmp_path / "b.csv", motion)
     found = read_table(tmp_path / "b.csv").trajectory()
     instants = np.linspace(0.0, 0.43, 500)

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.trajectories import TaskTrajectory, Trajectory, TrajectoryError, as_trajectory
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.own import as_trajectory
+from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 DURATION = 0.4
 

@@ -10,25 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.trajectories import (
-    BangBang,
-    Blend,
-    ClothoidPair,
-    JointTrajectory,
-    LameBlend,
-    PickAndPlacePath,
-    PolarPolynomial,
-    SeventhDegreePolynomial,
-    TaskTrajectory,
-    Trapezoidal,
-)
+from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.joint import JointTrajectory
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import bang_bang, seventh_degree_polynomial, trapezoidal
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 PROFILES = {
-    "poly7": SeventhDegreePolynomial(),
-    "bang-bang": BangBang(),
-    "1/4 trapezoidal": Trapezoidal(1 / 4),
-    "1/8 trapezoidal": Trapezoidal(1 / 8),
+    "poly7": seventh_degree_polynomial(),
+    "bang-bang": bang_bang(),
+    "1/4 trapezoidal": trapezoidal(1 / 4),
+    "1/8 trapezoidal": trapezoidal(1 / 8),
 }
 BLENDS = {
     "lame": LameBlend(0.025, 0.025),

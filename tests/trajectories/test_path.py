@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.trajectories import Blend, ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
+from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
+from flexfmu.trajectories.path import PickAndPlacePath
 
 seeded = settings(max_examples=60)
 

@@ -10,38 +10,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.trajectories import (
-    BangBang,
-    Cycloidal,
-    DoubleS,
-    FifthDegreePolynomial,
-    Harmonic,
-    ModifiedSine,
-    ModifiedTrapezoid,
-    PolynomialProfile,
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.profiles import PROFILES as KINDS
+from flexfmu.trajectories.profiles import (
+    Parameter,
     Profile,
-    SeventhDegreePolynomial,
-    TrajectoryError,
-    Trapezoidal,
+    bang_bang,
+    cycloidal,
+    double_s,
     evaluate_profile,
-    profiles,
+    fifth_degree_polynomial,
+    harmonic,
+    modified_sine,
+    modified_trapezoid,
+    polynomial,
+    seventh_degree_polynomial,
+    time_at,
+    trapezoidal,
 )
-from flexfmu.trajectories.profiles import time_at
 
 PROFILES = (
-    SeventhDegreePolynomial(),
-    FifthDegreePolynomial(),
-    BangBang(),
-    Trapezoidal(0.25),
-    Trapezoidal(0.125),
-    Trapezoidal(0.5),
-    DoubleS(0.25, 0.0625),
-    DoubleS(0.5, 0.25),
-    Harmonic(),
-    Cycloidal(),
-    ModifiedSine(),
-    ModifiedTrapezoid(),
-    PolynomialProfile((0.0, 0.0, 3.0, -2.0)),
+    seventh_degree_polynomial(),
+    fifth_degree_polynomial(),
+    bang_bang(),
+    trapezoidal(0.25),
+    trapezoidal(0.125),
+    trapezoidal(0.5),
+    double_s(0.25, 0.0625),
+    double_s(0.5, 0.25),
+    harmonic(),
+    cycloidal(),
+    modified_sine(),
+    modified_trapezoid(),
+    polynomial((0.0, 0.0, 3.0, -2.0)),
 )
 seeded = settings(max_examples=40)
 
@@ -62,7 +63,7 @@ def test_every_profile_is_a_symmetric_motion_from_rest_to_rest(profile: Profile)
 def test_seventh_degree_polynomial_is_exact_to_its_last_derivative() -> None:
     """Protects all derivatives, relative to their own size, also next to the ends: velocity is 140 η³ (1 - η)³."""
     eta = np.concatenate([np.geomspace(1e-12, 0.5, 100), 1.0 - np.geomspace(2.0**-40, 0.5, 100)])
-    motion = evaluate_profile(SeventhDegreePolynomial(), eta, 8).derivatives()
+    motion = evaluate_profile(seventh_degree_polynomial(), eta, 8).derivatives()
     rest = 1.0 - eta
     np.testing.assert_allclose(motion[0], 35 * eta**4 - 84 * eta**5 + 70 * eta**6 - 20 * eta**7, rtol=2e-14)
     np.testing.assert_allclose(motion[1], 140 * eta**3 * rest**3, rtol=1e-14)
@@ -75,17 +76,17 @@ def test_seventh_degree_polynomial_is_exact_to_its_last_derivative() -> None:
 @pytest.mark.parametrize(
     ("profile", "peak_velocity", "peak_acceleration"),
     [
-        (SeventhDegreePolynomial(), 35.0 / 16.0, 84.0 * math.sqrt(5.0) / 25.0),
-        (BangBang(), 2.0, 4.0),
-        (Trapezoidal(0.25), 4.0 / 3.0, 16.0 / 3.0),
-        (Trapezoidal(0.125), 8.0 / 7.0, 64.0 / 7.0),
-        (FifthDegreePolynomial(), 15.0 / 8.0, 10.0 / math.sqrt(3.0)),
-        (DoubleS(0.3, 0.1), 1.0 / 0.7, 1.0 / 0.7 / 0.2),
-        (DoubleS(0.5, 0.25), 2.0, 8.0),
-        (Harmonic(), math.pi / 2.0, math.pi**2 / 2.0),
-        (Cycloidal(), 2.0, 2.0 * math.pi),
-        (ModifiedSine(), 4.0 * math.pi / (4.0 + math.pi), 4.0 * math.pi**2 / (4.0 + math.pi)),
-        (ModifiedTrapezoid(), 2.0, 8.0 * math.pi / (2.0 + math.pi)),
+        (seventh_degree_polynomial(), 35.0 / 16.0, 84.0 * math.sqrt(5.0) / 25.0),
+        (bang_bang(), 2.0, 4.0),
+        (trapezoidal(0.25), 4.0 / 3.0, 16.0 / 3.0),
+        (trapezoidal(0.125), 8.0 / 7.0, 64.0 / 7.0),
+        (fifth_degree_polynomial(), 15.0 / 8.0, 10.0 / math.sqrt(3.0)),
+        (double_s(0.3, 0.1), 1.0 / 0.7, 1.0 / 0.7 / 0.2),
+        (double_s(0.5, 0.25), 2.0, 8.0),
+        (harmonic(), math.pi / 2.0, math.pi**2 / 2.0),
+        (cycloidal(), 2.0, 2.0 * math.pi),
+        (modified_sine(), 4.0 * math.pi / (4.0 + math.pi), 4.0 * math.pi**2 / (4.0 + math.pi)),
+        (modified_trapezoid(), 2.0, 8.0 * math.pi / (2.0 + math.pi)),
     ],
 )
 def test_peaks_have_their_closed_forms(profile: Profile, peak_velocity: float, peak_acceleration: float) -> None:
@@ -101,7 +102,7 @@ def test_peaks_have_their_closed_forms(profile: Profile, peak_velocity: float, p
 @given(st.floats(1e-3, 0.5))
 def test_trapezoid_of_any_ramp_covers_the_path(ramp: float) -> None:
     """Protects the area under the velocity trapezoid, its jumps and the constant velocity 1/(1 - ramp)."""
-    profile = Trapezoidal(ramp)
+    profile = trapezoidal(ramp)
     jumps = np.array(profile.jumps)
     left, right = (evaluate_profile(profile, jumps, 2, side).derivatives() for side in ("left", "right"))
     np.testing.assert_allclose(left[:2], right[:2], rtol=1e-12, atol=1e-15)
@@ -113,10 +114,10 @@ def test_trapezoid_of_any_ramp_covers_the_path(ramp: float) -> None:
 def test_full_ramps_are_bang_bang() -> None:
     """Protects the trapezoid's limit, in which its middle part vanishes."""
     eta = np.linspace(0.0, 1.0, 101)
-    assert Trapezoidal(0.5).jumps == BangBang().jumps
+    assert trapezoidal(0.5).jumps == bang_bang().jumps
     np.testing.assert_allclose(
-        evaluate_profile(Trapezoidal(0.5), eta, 3).coefficients,
-        evaluate_profile(BangBang(), eta, 3).coefficients,
+        evaluate_profile(trapezoidal(0.5), eta, 3).coefficients,
+        evaluate_profile(bang_bang(), eta, 3).coefficients,
         rtol=0,
         atol=1e-15,
     )
@@ -131,9 +132,9 @@ def test_times_of_passage_are_exact(profile: Profile, fraction: float) -> None:
 
 
 def test_table_names_the_parameters_of_each_profile() -> None:
-    """Protects scene files: their keys are the fields of the profile's class, and a key has one range for all profiles."""
-    ranges: dict[str, profiles.Parameter] = {}
-    for kind in profiles.PROFILES.values():
+    """Protects scene files: their keys are the parameters of the profile's function, and a key has one range for all profiles."""
+    ranges: dict[str, Parameter] = {}
+    for kind in KINDS.values():
         assert set(inspect.signature(kind.make).parameters) == set(kind.parameters)
         for name, parameter in kind.parameters.items():
             assert ranges.setdefault(name, parameter) == parameter
@@ -143,7 +144,7 @@ def test_table_names_the_parameters_of_each_profile() -> None:
 def test_fractions_outside_the_motion_are_refused(eta: float) -> None:
     """Protects against extrapolated polynomials."""
     with pytest.raises(TrajectoryError, match="fraction of the duration must be between 0 and 1"):
-        evaluate_profile(BangBang(), eta)
+        evaluate_profile(bang_bang(), eta)
 
 
 POLY7 = (0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0)
@@ -152,7 +153,7 @@ NEAR_ENDS = np.concatenate([np.geomspace(1e-12, 0.5, 100), 1.0 - np.geomspace(2.
 
 def test_harmonic_profile_is_its_formula() -> None:
     """σ is exact relative to its own size next to the start, and all derivatives are those of a cosine."""
-    motion = evaluate_profile(Harmonic(), NEAR_ENDS, 6).derivatives()
+    motion = evaluate_profile(harmonic(), NEAR_ENDS, 6).derivatives()
     np.testing.assert_allclose(motion[0], np.sin(0.5 * math.pi * NEAR_ENDS) ** 2, rtol=1e-15)
     for order in range(1, 7):
         derivative = -0.5 * math.pi**order * np.cos(math.pi * NEAR_ENDS + 0.5 * math.pi * order)
@@ -161,7 +162,7 @@ def test_harmonic_profile_is_its_formula() -> None:
 
 def test_cycloidal_profile_is_its_formula() -> None:
     """σ keeps its digits next to the start, where η - sin(2πη)/2π has none, and the acceleration is 2π sin 2πη."""
-    motion = evaluate_profile(Cycloidal(), NEAR_ENDS, 6).derivatives()
+    motion = evaluate_profile(cycloidal(), NEAR_ENDS, 6).derivatives()
     u = 2.0 * math.pi * NEAR_ENDS
     np.testing.assert_allclose(motion[0], NEAR_ENDS - np.sin(u) / (2.0 * math.pi), rtol=0, atol=2e-16)
     small = NEAR_ENDS < 1e-3
@@ -177,9 +178,9 @@ def test_cycloidal_profile_is_its_formula() -> None:
 @pytest.mark.parametrize(
     ("profile", "acceleration"),
     [
-        (ModifiedSine(), [(0.125, 4.0 * math.pi, 0.0), (0.875, 4.0 * math.pi / 3.0, math.pi / 3.0), (1.0, 4.0 * math.pi, -2.0 * math.pi)]),
+        (modified_sine(), [(0.125, 4.0 * math.pi, 0.0), (0.875, 4.0 * math.pi / 3.0, math.pi / 3.0), (1.0, 4.0 * math.pi, -2.0 * math.pi)]),
         (
-            ModifiedTrapezoid(),
+            modified_trapezoid(),
             [(0.125, 4.0 * math.pi, 0.0), (0.375, 0.0, math.pi / 2.0), (0.625, 4.0 * math.pi, -math.pi), (0.875, 0.0, -math.pi / 2.0),
              (1.0, 4.0 * math.pi, -2.0 * math.pi)],
         ),
@@ -199,7 +200,7 @@ def test_modified_profiles_have_their_accelerations(
 
 @pytest.mark.parametrize(
     ("profile", "continuous"),
-    [(DoubleS(0.3, 0.1), 2), (DoubleS(0.5, 0.25), 2), (ModifiedSine(), 3), (ModifiedTrapezoid(), 3)],
+    [(double_s(0.3, 0.1), 2), (double_s(0.5, 0.25), 2), (modified_sine(), 3), (modified_trapezoid(), 3)],
 )
 def test_joins_are_continuous_up_to_the_stated_derivative(profile: Profile, continuous: int) -> None:
     """The jerk of a double S jumps at its joins, the fourth derivative of the modified profiles at theirs."""
@@ -211,7 +212,7 @@ def test_joins_are_continuous_up_to_the_stated_derivative(profile: Profile, cont
 
 
 @pytest.mark.parametrize(
-    "profile", [FifthDegreePolynomial(), Cycloidal(), ModifiedSine(), ModifiedTrapezoid(), DoubleS(0.4, 0.2)]
+    "profile", [fifth_degree_polynomial(), cycloidal(), modified_sine(), modified_trapezoid(), double_s(0.4, 0.2)]
 )
 def test_smooth_profiles_begin_and_end_without_acceleration(profile: Profile) -> None:
     """Those whose acceleration does not jump at the ends."""
@@ -223,7 +224,7 @@ def test_smooth_profiles_begin_and_end_without_acceleration(profile: Profile) ->
 def test_double_s_of_any_phases_has_its_limits(ramp: float, share: float) -> None:
     """Velocity, acceleration and jerk have the limits that follow from the two phases, and the motion covers the path."""
     phase = share * 0.5 * ramp
-    profile = DoubleS(ramp, phase)
+    profile = double_s(ramp, phase)
     eta = np.unique([*np.linspace(0.0, 1.0, 201), *profile.jumps])
     motion = evaluate_profile(profile, eta, 3).derivatives()
     velocity = 1.0 / (1.0 - ramp)
@@ -241,7 +242,7 @@ def test_double_s_of_short_phases_is_a_trapezoid() -> None:
     """The limit of a jerk without bound."""
     eta = np.linspace(0.0, 1.0, 101)
     found, wanted = (
-        evaluate_profile(profile, eta, 1).coefficients for profile in (DoubleS(0.25, 1e-9), Trapezoidal(0.25))
+        evaluate_profile(profile, eta, 1).coefficients for profile in (double_s(0.25, 1e-9), trapezoidal(0.25))
     )
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-8)
 
@@ -250,20 +251,20 @@ def test_coefficients_of_known_polynomials_are_these_profiles() -> None:
     """A given polynomial of degree 7 is poly7, to the last bit."""
     eta = np.linspace(0.0, 1.0, 101)
     found, wanted = (
-        evaluate_profile(each, eta, 8).coefficients for each in (PolynomialProfile(POLY7), SeventhDegreePolynomial())
+        evaluate_profile(each, eta, 8).coefficients for each in (polynomial(POLY7), seventh_degree_polynomial())
     )
     np.testing.assert_array_equal(found, wanted)
 
 
 def test_polynomials_need_no_symmetry() -> None:
     """σ = 6 η² - 8 η³ + 3 η⁴, faster at first: velocity 12 η (1 - η)²."""
-    motion = evaluate_profile(PolynomialProfile((0, 0, 6, -8, 3)), NEAR_ENDS, 1).derivatives()
+    motion = evaluate_profile(polynomial((0, 0, 6, -8, 3)), NEAR_ENDS, 1).derivatives()
     np.testing.assert_allclose(motion[1], 12.0 * NEAR_ENDS * (1.0 - NEAR_ENDS) ** 2, rtol=1e-13)
 
 
 def test_digits_that_are_missing_at_the_end_are_made_up() -> None:
     """Rounded coefficients end at 1 and at rest all the same, and are continuous in the middle."""
-    profile = PolynomialProfile((0.0, 0.0, 3.0 + 2e-10, -2.0 - 1e-10))
+    profile = polynomial((0.0, 0.0, 3.0 + 2e-10, -2.0 - 1e-10))
     np.testing.assert_array_equal(evaluate_profile(profile, 1.0, 1).coefficients[:, 0], [1.0, 0.0])
     left, right = (evaluate_profile(profile, 0.5, 3, side).coefficients for side in ("left", "right"))  # type: ignore[arg-type]
     np.testing.assert_allclose(left, right, rtol=0, atol=1e-14)

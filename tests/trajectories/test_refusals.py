@@ -11,31 +11,15 @@ import pytest
 import ruckig
 from scipy.interpolate import CubicSpline
 
-from flexfmu.trajectories import (
-    ClothoidPair,
-    DoubleS,
-    LameBlend,
-    PickAndPlacePath,
-    PolarPolynomial,
-    PolynomialProfile,
-    SeventhDegreePolynomial,
-    TaskTrajectory,
-    TrajectoryError,
-    Trapezoidal,
-    from_ruckig,
-    from_scipy,
-    from_toppra,
-    spline,
-)
-from flexfmu.trajectories.shapers import (
-    UNSHAPED,
-    ImpulseSequence,
-    Oscillator,
-    design,
-    extra_insensitive,
-    specified_insensitivity,
-    zero_vibration,
-)
+from flexfmu.trajectories.blends import ClothoidPair, LameBlend, PolarPolynomial
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.piecewise import spline
+from flexfmu.trajectories.profiles import double_s, polynomial, seventh_degree_polynomial, trapezoidal
+from flexfmu.trajectories.shapers.designs import design, extra_insensitive, specified_insensitivity, zero_vibration
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
+from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 NONE = (0.0, -0.025, math.nan, math.inf)
 """Numbers that are no lengths, durations or frequencies."""
@@ -51,7 +35,7 @@ def path(**changed: Any) -> PickAndPlacePath:
 
 def motion(duration: float = 0.43) -> TaskTrajectory:
     """A motion along it."""
-    return TaskTrajectory(path(), SeventhDegreePolynomial(), duration)
+    return TaskTrajectory(path(), seventh_degree_polynomial(), duration)
 
 
 REFUSED: list[tuple[Callable[[], Any], str]] = [
@@ -78,18 +62,18 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: path(start=(math.inf, 0.0)), r"path start must be two finite numbers \[m\], got \(inf, 0.0\)"),
     (lambda: path(start=(1.0, 2.0, 3.0)), "path start must be two finite numbers"),
     # profiles
-    *((lambda x=ramp: Trapezoidal(x), f"ramp must be above 0 and at most 0.5 of the duration, got {ramp:g}") for ramp in (0.0, -0.1, 0.5000001, math.nan, math.inf)),
-    (lambda: DoubleS(0.6, 0.1), "ramp must be above 0 and at most 0.5"),
-    (lambda: DoubleS(0.3, 0.0), "jerk_phase must be above 0 and at most 0.25"),
-    (lambda: DoubleS(0.2, 0.11), "jerk_phase must be at most half of ramp = 0.2, which is 0.1 of the duration, got 0.11"),
-    (lambda: PolynomialProfile((0, 0)), "must begin at rest: its first two coefficients must be 0"),
-    (lambda: PolynomialProfile((0, 1, 0)), "must begin at rest: its first two coefficients must be 0"),
-    (lambda: PolynomialProfile((0, 0, 3, -2.1)), r"must end at 1: its coefficients must have the sum 1, got 0\.9"),
-    (lambda: PolynomialProfile((0, 0, 1)), r"must end at rest: the sum of k c_k must be 0, got 2"),
-    (lambda: PolynomialProfile((0, 0, math.nan)), "must have finite coefficients"),
-    (lambda: PolynomialProfile((0, 0, 27, -86, 96, -36)), r"stops or goes backwards at 0\.5 of the duration"),
-    (lambda: PolynomialProfile((0, 0, -3, 10, -6)), r"stops or goes backwards at 0 of the duration"),
-    (lambda: PolynomialProfile((0, 0, 12, -20, 9)), r"stops or goes backwards at 1 of the duration"),
+    *((lambda x=ramp: trapezoidal(x), f"ramp must be above 0 and at most 0.5 of the duration, got {ramp:g}") for ramp in (0.0, -0.1, 0.5000001, math.nan, math.inf)),
+    (lambda: double_s(0.6, 0.1), "ramp must be above 0 and at most 0.5"),
+    (lambda: double_s(0.3, 0.0), "jerk_phase must be above 0 and at most 0.25"),
+    (lambda: double_s(0.2, 0.11), "jerk_phase must be at most half of ramp = 0.2, which is 0.1 of the duration, got 0.11"),
+    (lambda: polynomial((0, 0)), "must begin at rest: its first two coefficients must be 0"),
+    (lambda: polynomial((0, 1, 0)), "must begin at rest: its first two coefficients must be 0"),
+    (lambda: polynomial((0, 0, 3, -2.1)), r"must end at 1: its coefficients must have the sum 1, got 0\.9"),
+    (lambda: polynomial((0, 0, 1)), r"must end at rest: the sum of k c_k must be 0, got 2"),
+    (lambda: polynomial((0, 0, math.nan)), "must have finite coefficients"),
+    (lambda: polynomial((0, 0, 27, -86, 96, -36)), r"stops or goes backwards at 0\.5 of the duration"),
+    (lambda: polynomial((0, 0, -3, 10, -6)), r"stops or goes backwards at 0 of the duration"),
+    (lambda: polynomial((0, 0, 12, -20, 9)), r"stops or goes backwards at 1 of the duration"),
     # motions
     *((lambda x=bad: motion(x), f"trajectory duration must be above zero and finite, got {bad:g} s") for bad in NONE),
     (lambda: motion().evaluate([0.0, math.nan]), "times must be finite, got nan s at index 1"),

@@ -9,18 +9,16 @@ from hypothesis import strategies as st
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.shapers import (
+from flexfmu.trajectories.shapers.designs import (
     SHAPERS,
-    UNSHAPED,
-    ImpulseSequence,
-    Oscillator,
+    chebyshev_amplitudes,
     design,
     extra_insensitive,
     specified_insensitivity,
     unity_magnitude,
     zero_vibration,
 )
-from flexfmu.trajectories.shapers.extra_insensitive import chebyshev_amplitudes
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
 
 FREQUENCY = 58.0
 ratios = st.floats(0.0, 0.2)

@@ -8,19 +8,18 @@ import pytest
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
 from flexfmu.model.kinematics import RigidForwardKinematics
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories import BangBang, Cycloidal, JointTrajectory, TaskTrajectory, Trapezoidal
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.profiles import evaluate_profile
-from flexfmu.trajectories.shapers import (
-    SHAPERS,
-    EndEffectorTrajectory,
+from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory
+from flexfmu.trajectories.profiles import bang_bang, cycloidal, evaluate_profile, trapezoidal
+from flexfmu.trajectories.shapers.designs import SHAPERS, design
+from flexfmu.trajectories.shapers.sequence import (
     ImpulseSequence,
     Oscillator,
     ShapedTrajectory,
-    design,
     path_deviation,
     shape_along_path,
 )
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 MODE = Oscillator(57.3, 0.08)
 PROFILES = [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.25}]
@@ -170,8 +169,8 @@ def test_shapers_longer_than_the_motion() -> None:
     )  # half of the path
 
 
-@pytest.mark.parametrize("profile", [BangBang(), Trapezoidal(0.125)])
-def test_shaped_tasks_make_joint_trajectories(profile: BangBang | Trapezoidal) -> None:
+@pytest.mark.parametrize("profile", [bang_bang(), trapezoidal(0.125)])
+def test_shaped_tasks_make_joint_trajectories(profile: bang_bang | trapezoidal) -> None:
     """The shaped motion along the path is a motion like any other: the inverse kinematics takes it, angles stay continuous."""
     nominal = plan(load_scene("barnard2012-6kg"))
     task = TaskTrajectory(nominal.profiled.path, profile, nominal.duration)
@@ -184,7 +183,7 @@ def test_shaped_tasks_make_joint_trajectories(profile: BangBang | Trapezoidal) -
 def test_any_smooth_profile_is_shaped_along_the_path(name: str) -> None:
     """A profile that is no polynomial is shaped like the others: s(t) = Σ A_i s(t - T_i), by the formula of the cycloid."""
     nominal = plan(load_scene("barnard2012-6kg"))
-    task = TaskTrajectory(nominal.profiled.path, Cycloidal(), nominal.duration)
+    task = TaskTrajectory(nominal.profiled.path, cycloidal(), nominal.duration)
     sequence = design(name, [MODE])
     shaped = shape_along_path(task, sequence)
     time = np.linspace(0.0, shaped.duration, 333)

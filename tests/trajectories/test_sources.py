@@ -15,8 +15,10 @@ from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
-from flexfmu.trajectories import from_ruckig, from_scipy, from_toppra, read_table, write_table
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
+from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
+from flexfmu.trajectories.table import write_table
+from flexfmu.trajectories.table_file import read_table
 
 toppra.setup_logging("WARNING")
 

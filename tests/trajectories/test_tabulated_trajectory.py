@@ -12,7 +12,7 @@ from flexfmu.cosim.engine.trajectory_slave import TabulatedTrajectory, Trajector
 from flexfmu.cosim.experiment.cycles import ThereAndBack
 from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 PATH = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
@@ -21,7 +21,7 @@ PATH = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.02
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     """A motion whose acceleration jumps."""
-    return TaskTrajectory(PATH, BangBang(), 0.43)
+    return TaskTrajectory(PATH, bang_bang(), 0.43)
 
 
 @pytest.fixture(scope="module")

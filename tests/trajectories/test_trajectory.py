@@ -10,20 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.trajectories import (
-    BangBang,
-    Blend,
-    ClothoidPair,
-    LameBlend,
-    PickAndPlacePath,
-    PolarPolynomial,
-    Profile,
-    SeventhDegreePolynomial,
-    TaskTrajectory,
-    Trapezoidal,
-)
+from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import Profile, bang_bang, seventh_degree_polynomial, trapezoidal
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
-PROFILES = (SeventhDegreePolynomial(), BangBang(), Trapezoidal(0.25), Trapezoidal(0.125))
+PROFILES = (seventh_degree_polynomial(), bang_bang(), trapezoidal(0.25), trapezoidal(0.125))
 BLENDS = (LameBlend(0.025, 0.025), ClothoidPair(0.025, 0.025), PolarPolynomial(0.025, 0.025), LameBlend(0.02, 0.175))
 seeded = settings(max_examples=30)
 
@@ -55,14 +48,15 @@ def test_each_derivative_is_the_integral_of_the_next(blend: Blend, profile: Prof
         assert np.all(np.abs(last[:-1] - first[:-1] - integrals[1:]) <= 1e-11 * scale[1:] + 1e-15)
 
 
-@pytest.mark.parametrize("profile", PROFILES)
-def test_motion_on_a_straight_part_is_the_profile_itself(profile: Profile) -> None:
+ETA = np.array([0.4, 0.45, 0.55])
+SPEEDS = (140 * ETA**3 * (1 - ETA) ** 3, 4 * np.minimum(ETA, 1 - ETA), np.full(3, 4 / 3), np.full(3, 8 / 7))
+
+
+@pytest.mark.parametrize(("profile", "expected"), list(zip(PROFILES, SPEEDS, strict=True)))
+def test_motion_on_a_straight_part_is_the_profile_itself(profile: Profile, expected: RealArray) -> None:
     """Protects composition and time scaling against a closed form: acceleration in the middle of the crossing."""
     trajectory = planned(profile=profile, duration=0.5)
-    eta = np.array([0.4, 0.45, 0.55])
-    motion = trajectory.evaluate(0.5 * eta, 3)
-    velocity = {"SeventhDegreePolynomial": 140 * eta**3 * (1 - eta) ** 3, "BangBang": 4 * np.minimum(eta, 1 - eta)}
-    expected = velocity.get(type(profile).__name__, np.full(3, 1.0 / (1.0 - getattr(profile, "ramp", 0.0))))
+    motion = trajectory.evaluate(0.5 * ETA, 3)
     np.testing.assert_allclose(motion[1, :, 0], expected * trajectory.path.length / 0.5, rtol=1e-14)
     np.testing.assert_array_equal(motion[1:, :, 1], 0.0)
 
@@ -89,7 +83,7 @@ def test_standstill_before_and_after(blend: Blend, profile: Profile) -> None:
     np.testing.assert_allclose(rest[0, 2:], [[0.175, 0.320]] * 2, rtol=0, atol=1e-16)
     np.testing.assert_array_equal(trajectory.evaluate(0.0, 6, "left")[1:], 0.0)
     np.testing.assert_array_equal(trajectory.evaluate(0.43, 6, "right")[1:], 0.0)
-    order = 4 if isinstance(profile, SeventhDegreePolynomial) else 2
+    order = 4 if profile == seventh_degree_polynomial() else 2
     first, last = trajectory.evaluate(0.0, 6, "right")[order, 0], trajectory.evaluate(0.43, 6, "left")[order, 0]
     assert first[1] < -1.0  # off towards -y with the first derivative that isn't zero
     assert last[1] == pytest.approx(first[1], rel=1e-12)  # y(t) is symmetric about the middle
@@ -114,7 +108,7 @@ def test_only_breakpoints_have_two_sides(blend: Blend, profile: Profile) -> None
 
 def test_smooth_middle_of_the_polynomial_is_no_breakpoint() -> None:
     """Protects continuity where the polynomial's expansion changes from one end to the other."""
-    trajectory = planned(profile=SeventhDegreePolynomial(), duration=1.0)
+    trajectory = planned(profile=seventh_degree_polynomial(), duration=1.0)
     assert 0.5 not in trajectory.breakpoints
     left, right = (trajectory.evaluate(0.5, 7, side)[:, 0, 0] for side in ("left", "right"))
     np.testing.assert_allclose(left, right, rtol=1e-13, atol=1e-11)
@@ -138,13 +132,13 @@ def test_breakpoints_are_sorted_and_symmetric(profile: Profile) -> None:
 
 def test_coinciding_breakpoints_are_merged() -> None:
     """Protects the middle, where the bang-bang's jump and the knot between two blends without a straight part meet."""
-    assert planned(LameBlend(0.025, 0.175), BangBang()).breakpoints == (0.0, 0.215, 0.43)
-    assert len(planned(LameBlend(0.025, 0.175), Trapezoidal(0.5 - 1e-14)).breakpoints) == 3
+    assert planned(LameBlend(0.025, 0.175), bang_bang()).breakpoints == (0.0, 0.215, 0.43)
+    assert len(planned(LameBlend(0.025, 0.175), trapezoidal(0.5 - 1e-14)).breakpoints) == 3
 
 
 def test_a_time_next_to_a_breakpoint_is_at_it() -> None:
     """Protects integer ticks, whose products round: n · step can miss the breakpoint by an ulp on either side."""
-    trajectory = planned(profile=BangBang(), duration=0.43)
+    trajectory = planned(profile=bang_bang(), duration=0.43)
     for time in (np.nextafter(0.215, 0.0), 0.215, np.nextafter(0.215, 1.0)):
         left, right = (trajectory.evaluate(time, 2, side)[2, 0, 0] for side in ("left", "right"))
         assert left > 0.0 > right
@@ -156,7 +150,7 @@ def test_a_time_next_to_a_breakpoint_is_at_it() -> None:
 @seeded
 @given(
     st.sampled_from(BLENDS),
-    st.one_of(st.sampled_from(PROFILES), st.floats(0.01, 0.5).map(Trapezoidal)),
+    st.one_of(st.sampled_from(PROFILES), st.floats(0.01, 0.5).map(trapezoidal)),
     st.floats(0.01, 50.0),
 )
 def test_derivatives_scale_with_the_duration(blend: Blend, profile: Profile, duration: float) -> None:

@@ -24,9 +24,9 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
-from flexfmu.trajectories.shapers.catalogue import design as design_shaper
+from flexfmu.trajectories.shapers.designs import design as design_shaper
+from flexfmu.trajectories.shapers.designs import specified_insensitivity
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
-from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 
 NODES = 400
 """Nodes of a tabulated path; quintics between them are exact to 1e-9 rad."""
@@ -40,7 +40,7 @@ class ShaperChoice:
     """A shaper.
 
     Attributes:
-        kind: key of `flexfmu.trajectories.shapers.catalogue.SHAPERS`, or ``si``.
+        kind: key of `flexfmu.trajectories.shapers.designs.SHAPERS`, or ``si``.
         frequencies: of the mode [Hz]; of ``si`` the lowest and the highest of its band.
         ratio: damping ratio.
         apply: ``joints`` or ``path``.

@@ -15,9 +15,8 @@ from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.model.modes import DampedModes, damped_modes
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.shapers.catalogue import SHAPERS, design
+from flexfmu.trajectories.shapers.designs import SHAPERS, design, specified_insensitivity
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
-from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 
 POSES = 11
 """Number of poses at which the modes are calculated: at equal intervals of time along the path, both ends included."""

@@ -39,8 +39,8 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.modes import DampedModes
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, design
-from flexfmu.trajectories.shapers.shaped_joints import ShapedTrajectory
+from flexfmu.trajectories.shapers.designs import design
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory
 
 
 @pytest.fixture(scope="module")

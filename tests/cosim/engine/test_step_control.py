@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 Factory = Callable[..., Any]
@@ -208,7 +208,7 @@ def test_a_trajectory_is_announced_for_every_chosen_step() -> None:
     """A slave that predicts its outputs follows the master's steps, back and forth: at every point it is on its trajectory,
     on both sides of its jumps."""
     path = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
-    trajectory = TaskTrajectory(path, BangBang(), 0.43)
+    trajectory = TaskTrajectory(path, bang_bang(), 0.43)
     source = TrajectorySlave(trajectory, ("x", "y"), "m")
     target = Impatient(())
     target.limit = 0.013

@@ -19,8 +19,8 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.shapers.designs import zero_vibration
 from flexfmu.trajectories.shapers.sequence import Oscillator
-from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
 
 MODE = {"frequency": 58.0, "ratio": 0.02}
 COMPUTED_TORQUE = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}

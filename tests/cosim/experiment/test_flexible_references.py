@@ -18,7 +18,7 @@ from flexfmu.model.reference_design.inverse_dynamics import LEAD
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError
 
 FLEXIBLE: dict[str, Any] = {"trajectory.references": "flexible"}
 

@@ -20,8 +20,8 @@ from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories import TrajectoryError
-from flexfmu.trajectories.shapers import ImpulseSequence
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.table import write_table
 
 

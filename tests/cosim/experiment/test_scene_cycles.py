@@ -21,7 +21,7 @@ from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.shapers import ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 TWICE = {"trajectory.way_back": "same-path", "trajectory.cycles": 2, "trajectory.pause": 0.05}
 RIGID_LINKS = dict.fromkeys(

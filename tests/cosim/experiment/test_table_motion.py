@@ -16,8 +16,8 @@ from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.shapers.designs import zero_vibration
 from flexfmu.trajectories.shapers.sequence import Oscillator
-from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
 from flexfmu.trajectories.table import write_table
 
 SHORT = {"trajectory.dwell": 0.05}

@@ -13,7 +13,7 @@ from flexfmu.model.reference_design.joint_spline import (
     fitted,
     rest_matrix,
 )
-from flexfmu.trajectories import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 
 FINE = np.linspace(0.0, 1.0, 2001)

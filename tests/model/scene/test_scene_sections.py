@@ -14,7 +14,7 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.shapers import ShaperKind
-from flexfmu.trajectories.shapers.catalogue import SHAPERS
+from flexfmu.trajectories.shapers.designs import SHAPERS
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
 FMU = {"kind": "fmu", "path": "mine.fmu"}

@@ -11,7 +11,8 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory, design
+from flexfmu.trajectories.shapers.designs import design
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory
 
 MODE = Oscillator(58.0, 0.02)
 

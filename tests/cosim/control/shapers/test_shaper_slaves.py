@@ -16,7 +16,8 @@ from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories.shapers import Oscillator, ShapedTrajectory, design
+from flexfmu.trajectories.shapers.designs import design
+from flexfmu.trajectories.shapers.sequence import Oscillator, ShapedTrajectory
 
 SAMPLE_TIME = 1e-3
 

@@ -28,7 +28,7 @@ from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicBlock, Variable
-from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.profiles import bang_bang
 
 Export = Callable[..., Any]
 
@@ -57,7 +57,7 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.slow
 def test_trajectory_is_valid(tmp_path: Path) -> None:
     """The same for trajectories."""
-    built = build_fmu(Motion(lame(BangBang())), tmp_path / "trajectory.fmu")
+    built = build_fmu(Motion(lame(bang_bang())), tmp_path / "trajectory.fmu")
     assert validate_by_fmpy(str(built.path)) == []
     assert validate_fmu(built.path) == []
 
@@ -136,7 +136,7 @@ def test_equal_exports_are_equal_files(tmp_path: Path) -> None:
         replace(fir(), states=(0.0, 0.0, 0.0, 1.0)),
     ]
     assert len({generate_sources(each, DefaultExperiment()).guid for each in [fir(), *changed]}) == 4
-    one, two = (build_fmu(Motion(lame(BangBang())), tmp_path / f"{name}.fmu", cache=name == "c") for name in "cd")
+    one, two = (build_fmu(Motion(lame(bang_bang())), tmp_path / f"{name}.fmu", cache=name == "c") for name in "cd")
     assert one.path.read_bytes() == two.path.read_bytes()
 
 

@@ -25,7 +25,7 @@ from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.trajectory_build import Motion
-from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.profiles import bang_bang
 
 
 class Mass(PythonSlave):
@@ -138,7 +138,7 @@ def test_agrees_with_python_control() -> None:
 
 def test_trajectory_streams_as_its_twin() -> None:
     """References, derivatives and breakpoints that a plant is fed with, from the FMU and from Python."""
-    trajectory = lame(BangBang())
+    trajectory = lame(bang_bang())
     exported = FmuTrajectory(build_fmu(Motion(trajectory)).path)
     assert exported.breakpoints == trajectory.breakpoints
     recordings = [
@@ -159,7 +159,7 @@ def test_trajectory_streams_as_its_twin() -> None:
 
 def test_higher_derivatives_come_along() -> None:
     """A master streams polynomials with derivatives up to the sixth of the motion; the higher, the less exact."""
-    trajectory = lame(BangBang())
+    trajectory = lame(bang_bang())
     exported = FmuTrajectory(build_fmu(Motion(trajectory)).path)
     times = np.random.default_rng(5).uniform(0.0, trajectory.duration, 200)
     exact, found = (each.evaluate(times, 6) for each in (trajectory, exported))
@@ -169,7 +169,7 @@ def test_higher_derivatives_come_along() -> None:
 
 def test_other_fmus_are_refused() -> None:
     """A trajectory has no sample time, a controller no breakpoints."""
-    controller, trajectory = build_fmu(pd_controller()).path, build_fmu(Motion(lame(BangBang()))).path
+    controller, trajectory = build_fmu(pd_controller()).path, build_fmu(Motion(lame(bang_bang()))).path
     assert isinstance(fmu_slave(controller), SampledFmu)
     assert isinstance(fmu_slave(trajectory), FmuSlave)
     with pytest.raises(FmuFileError, match="doesn't tell its sample time"):

@@ -19,9 +19,8 @@ from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
 from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
 from flexfmu.trajectories.own import as_trajectory
-from flexfmu.trajectories.profiles import BangBang, DoubleS, SeventhDegreePolynomial, Trapezoidal
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
-from flexfmu.trajectories.shapers.shaped_joints import ShapedTrajectory
+from flexfmu.trajectories.profiles import bang_bang, double_s, seventh_degree_polynomial, trapezoidal
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence, ShapedTrajectory
 
 PROMISE = 1e-12
 """Difference to the Python trajectory, relative to the largest value of the same kind."""
@@ -41,13 +40,13 @@ class Arch:
 
 
 ROBOT = {
-    "lame-poly7": lambda: lame(SeventhDegreePolynomial()),
-    "lame-bang-bang": lambda: lame(BangBang()),
-    "clothoid-trapezoidal": lambda: robot(ClothoidPair, Trapezoidal(0.2)),
-    "polar-bang-bang": lambda: robot(PolarPolynomial, BangBang()),
-    "lame-double-s": lambda: lame(DoubleS(0.3, 0.1)),
+    "lame-poly7": lambda: lame(seventh_degree_polynomial()),
+    "lame-bang-bang": lambda: lame(bang_bang()),
+    "clothoid-trapezoidal": lambda: robot(ClothoidPair, trapezoidal(0.2)),
+    "polar-bang-bang": lambda: robot(PolarPolynomial, bang_bang()),
+    "lame-double-s": lambda: lame(double_s(0.3, 0.1)),
     "own": lambda: as_trajectory(Arch()),
-    "shaped": lambda: ShapedTrajectory(lame(BangBang()), ImpulseSequence((0.0, 0.0123, 0.03), (0.5, 0.3, 0.2))),
+    "shaped": lambda: ShapedTrajectory(lame(bang_bang()), ImpulseSequence((0.0, 0.0123, 0.03), (0.5, 0.3, 0.2))),
 }
 
 
@@ -207,7 +206,7 @@ def test_axes_must_suit(export: Callable[..., Any]) -> None:
     with pytest.raises(ModelError, match="unit 'furlong"):
         export(Swing(), axes=["axis"], unit="furlong")
     with pytest.raises(ModelError, match="more than once"):
-        export(lame(BangBang()), axes=["a", "a"])
+        export(lame(bang_bang()), axes=["a", "a"])
 
 
 def test_tables_stay_small() -> None:
