@@ -17,7 +17,7 @@ from paper_scene import SCENES
 from speed_figure import SpeedFigure
 
 from flexfmu.cosim.many.variants import Variant, VariantTask
-from flexfmu.cosim.studies.sweep.cases import Grid
+from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.cosim.studies.sweep.sweep import sweep_scene
 from flexfmu.cosim.studies.sweep.work import MOST_PEAKS
 
@@ -63,7 +63,7 @@ def overhead(count: int, *, alone: bool = False) -> float:
 
     # other dwells are other motions, each simulated alone
     key, low, high = ("trajectory.dwell", 0.1, 0.3) if alone else ("payload.mass", 0.1, 8.0)
-    cases = Grid((key,), (tuple(low + (high - low) * i / count for i in range(count)),))
+    cases = Cases((key,), [(low + (high - low) * i / count,) for i in range(count)])
     with tempfile.TemporaryDirectory() as folder, patch.object(VariantTask, "outcomes", outcomes):
         before = os.times()
         found = sweep_scene(SCENE, cases, metrics=PEAKS, processes=2, folder=Path(folder) / "out")

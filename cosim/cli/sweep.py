@@ -13,6 +13,7 @@ from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.reports.text import to_json
+from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
     from flexfmu.cosim.studies.sweep.cases import Cases
@@ -62,12 +63,12 @@ def sweep(
     from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import sweep_scene
 
-    wanted = _cases(vary or [], sample, seed, cases)
+    robot = load_resolved(scene, settings)
+    wanted = _cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:
         raise InputError("--record-step goes with --record SIGNAL")
     selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
     names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
-    robot = load_resolved(scene, settings)
     folder = out or usual_folder(robot.name, settings, "-sweep")
     done = [0, 0]
     try:
@@ -93,7 +94,7 @@ def sweep(
     return FAILURE if len(result.messages) == len(result) else 0
 
 
-def _cases(vary: list[str], sample: str | None, seed: int, path: Path | None) -> Cases:
+def _cases(robot: Scene, vary: list[str], sample: str | None, seed: int, path: Path | None) -> Cases:
     """The cases by the options; notes on standard error tell what is left out.
 
     Raises:
@@ -104,14 +105,13 @@ def _cases(vary: list[str], sample: str | None, seed: int, path: Path | None) ->
     if path is not None:
         if vary or sample is not None:
             raise InputError("--cases has all cases: leave out --vary and --sample")
-        found: Cases
         found, notes = read_cases(path)
     else:
         varied = [parse_vary(option) for option in vary]
         twice = [key for i, (key, _) in enumerate(varied) if key in dict(varied[:i])]
         if twice:
             raise InputError(f"--vary {twice[0]} is there twice: give all of its values at once, {twice[0]}=1,2,3")
-        found, notes = make_cases(dict(varied), sample, seed)
+        found, notes = make_cases(dict(varied), sample, seed, robot)
     for note in notes:
         show_note(note)
     return found

@@ -477,9 +477,10 @@ def sweep(
     from flexfmu.cosim.studies.sweep.sweep import sweep_scene
 
     folder = None if out is None else Path(out)
+    robot = resolved(with_parts(as_scene(scene), parts))
     result = sweep_scene(
-        resolved(with_parts(as_scene(scene), parts)),
-        as_cases(cases, sample, seed),
+        robot,
+        as_cases(cases, sample, seed, robot),
         metrics=None if metrics is None else listed(metrics, "metrics"),
         record=None if record is None else Selection(listed(record, "record"), step=record_step),
         processes=processes,

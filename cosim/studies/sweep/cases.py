@@ -1,159 +1,73 @@
-"""The cases of a sweep: grids, samples and tables of values of scene keys, from ``--vary`` options, CSV files and Python.
-
-A case is calculated from its number, so that 100,000 of them take no memory.
-"""
+"""The cases of a sweep: grids, samples and tables of values of scene keys, from ``--vary`` options, CSV files and Python."""
 
 from __future__ import annotations
 
 import csv
+import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.keys import parse_value, split_values
+from flexfmu.model.scene.keys import parse_value, split_values, value_at
+from flexfmu.model.scene.schema import Scene
+
+MOST_CASES = 1_000_000
+"""More cases than this are taken for a mistake."""
+
+NAMED = 20
+"""Values of a key that ``sweep.json`` lists; of more it has the ends."""
+
+_INTEGER = re.compile(r"[+-]?\d+")
+_RANGE = re.compile(r"(?P<low>[^:]+):(?P<high>[^:]+?)(?::(?P<count>[^:]+))?")
 
 
-@dataclass(frozen=True)
-class Span:
-    """An interval of values for samples; whole numbers where both ends are ``int``."""
+class Span(NamedTuple):
+    """An interval of values for samples."""
 
     low: float
     high: float
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether its values are whole numbers."""
-        return isinstance(self.low, int) and isinstance(self.high, int)
-
-    def at(self, share: float) -> float:
-        """The value at a share of the interval, 0 to 1."""
-        if self.is_whole:
-            return min(int(self.low + share * (self.high - self.low + 1)), self.high)
-        return float(self.low + share * (self.high - self.low))
 
 
 Values = Sequence[Any] | Span
 """What a key may be: a list of values, or an interval that is sampled."""
 
 
-class Cases(Protocol):
+@dataclass(frozen=True)
+class Cases:
     """The cases of a sweep.
 
     Attributes:
         keys: keys of the scene that are varied.
-    """
-
-    @property
-    def keys(self) -> tuple[str, ...]: ...
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, number: int) -> tuple[Any, ...]:
-        """The values of the keys in the case of this number, from 0."""
-        ...
-
-
-@dataclass(frozen=True)
-class Grid:
-    """All combinations of values, the last key varying fastest."""
-
-    keys: tuple[str, ...]
-    levels: tuple[tuple[Any, ...], ...]
-
-    def __len__(self) -> int:
-        return math.prod(len(each) for each in self.levels)
-
-    def __getitem__(self, number: int) -> tuple[Any, ...]:
-        if not 0 <= number < len(self):
-            raise IndexError(number)
-        values = []
-        for level in reversed(self.levels):
-            number, place = divmod(number, len(level))
-            values.append(level[place])
-        return tuple(reversed(values))
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Values that are spread over intervals and lists by a design of experiments.
-
-    Attributes:
-        keys: the varied keys.
-        values: the interval or the list of each.
-        method: ``lhs`` (Latin hypercube) or ``sobol`` (scrambled Sobol sequence), both by `scipy.stats.qmc`.
-        count: number of cases; for Sobol a power of two.
-        seed: of the random numbers.
+        rows: values of the keys in each case; None leaves a key as it is in the scene.
+        about: how a grid or a sample was made.
     """
 
     keys: tuple[str, ...]
-    values: tuple[Values, ...]
-    method: str
-    count: int
-    seed: int = 0
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, number: int) -> tuple[Any, ...]:
-        if not 0 <= number < self.count:
-            raise IndexError(number)
-        shares = self._points[number].tolist()
-        return tuple(
-            each.at(share) if isinstance(each, Span) else each[min(int(share * len(each)), len(each) - 1)]
-            for each, share in zip(self.values, shares, strict=True)
-        )
-
-    @cached_property
-    def _points(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Points (N, d) of the unit cube."""
-        from scipy.stats import qmc
-
-        if self.method == "sobol":
-            return np.asarray(qmc.Sobol(len(self.keys), seed=self.seed).random_base2(self.count.bit_length() - 1))
-        return np.asarray(qmc.LatinHypercube(len(self.keys), seed=self.seed).random(self.count))
-
-
-@dataclass(frozen=True)
-class CaseTable:
-    """Cases one by one; None leaves a key as it is in the scene."""
-
-    keys: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
+    rows: Sequence[tuple[Any, ...]]
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __getitem__(self, number: int) -> tuple[Any, ...]:
-        return self.rows[number]
+    def changes(self, number: int) -> dict[str, Any]:
+        """What the case of this number, from 0, changes in the scene: key → value."""
+        return {key: value for key, value in zip(self.keys, self.rows[number], strict=True) if value is not None}
 
-
-def changes_of(cases: Cases, number: int) -> dict[str, Any]:
-    """What a case changes in the scene: key → value."""
-    return {key: value for key, value in zip(cases.keys, cases[number], strict=True) if value is not None}
-
-
-def digest(cases: Cases) -> str:
-    """A hash of all cases."""
-    found = sha256(repr(cases.keys).encode())
-    for number in range(len(cases)):
-        found.update(repr(cases[number]).encode())
-    return found.hexdigest()[:16]
-
-
-MOST_CASES = 10_000_000
-"""More cases than this are taken for a mistake."""
-
-_INTEGER = re.compile(r"[+-]?\d+")
-_RANGE = re.compile(r"(?P<low>[^:]+):(?P<high>[^:]+?)(?::(?P<count>[^:]+))?")
+    def described(self) -> dict[str, Any]:
+        """The cases for ``sweep.json``, with a hash of all of them."""
+        found = sha256(repr(self.keys).encode())
+        for row in self.rows:
+            found.update(repr(row).encode())
+        return {"count": len(self), "keys": list(self.keys), **self.about, "hash": found.hexdigest()[:16]}
 
 
 def parse_vary(option: str) -> tuple[str, Values]:
@@ -176,22 +90,19 @@ def parse_vary(option: str) -> tuple[str, Values]:
 def parse_values(text: str, key: str) -> Values:
     """The values of a key from a text; form and errors as for `parse_vary`."""
     span = _RANGE.fullmatch(text)
-    ends = [_number(span[each]) for each in ("low", "high")] if span else []
-    if span is None or None in ends:
-        return [_value(each, key) for each in _parts(text, key)]
-    low, high = (each for each in ends if each is not None)
+    low, high = (_number(span[each]) for each in ("low", "high")) if span else (None, None)
+    if span is None or low is None or high is None:
+        try:
+            return [parse_value(each, key) for each in split_values(text, key)]
+        except SceneError as error:
+            raise InputError(str(error)) from error
     if not (math.isfinite(low) and math.isfinite(high)):
         raise InputError(f"`{key}` can't go from {low} to {high}: give finite numbers")
     if span["count"] is None:
         return Span(low, high)
-    # equally spaced values with both ends
-    if not _INTEGER.fullmatch(span["count"].strip()) or not 2 <= int(span["count"]) <= MOST_CASES:
+    # equally spaced values with both ends; whole numbers if these and all between them are
+    if not _INTEGER.fullmatch(span["count"].strip()) or not 2 <= (count := int(span["count"])) <= MOST_CASES:
         raise InputError(f"`{key}` needs a whole number of values from 2 on, got {span['count']!r} in {text!r}")
-    return _spaced(low, high, int(span["count"]))
-
-
-def _spaced(low: float, high: float, count: int) -> list[float]:
-    """Equally spaced values; whole numbers if the ends and all between them are."""
     if isinstance(low, int) and isinstance(high, int) and (high - low) % (count - 1) == 0:
         return [low + i * ((high - low) // (count - 1)) for i in range(count)]
     return [float(each) for each in np.linspace(low, high, count)]
@@ -205,93 +116,92 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _parts(text: str, key: str) -> list[str]:
-    """The parts between commas; errors as for `_value`."""
-    try:
-        return split_values(text, key)
-    except SceneError as error:
-        raise InputError(str(error)) from error
-
-
-def _value(text: str, key: str) -> Any:
-    """A value as `flexfmu.model.scene.keys.parse_value` reads it.
-
-    Raises:
-        InputError: it is no value.
-    """
-    try:
-        return parse_value(text, key)
-    except SceneError as error:
-        raise InputError(str(error)) from error
-
-
-def make_cases(varied: Mapping[str, Values], sample: str | None = None, seed: int = 0) -> tuple[Cases, list[str]]:
-    """The grid of lists of values, or a sample of lists and intervals; and notes on values that are left out.
+def make_cases(
+    varied: Mapping[str, Values], sample: str | None = None, seed: int = 0, scene: Scene | None = None
+) -> tuple[Cases, list[str]]:
+    """All combinations of lists of values, the last key varying fastest, or a sample; and notes on values that are left out.
 
     Args:
         varied: key → values.
-        sample: ``lhs:N`` or ``sobol:N``; None for the grid.
+        sample: ``lhs:N`` (Latin hypercube) or ``sobol:N`` (scrambled Sobol sequence), both by `scipy.stats.qmc`, which spread N
+            cases over intervals and lists; None for all combinations.
         seed: of the sample.
+        scene: intervals between whole numbers have these alone for keys that are whole in this scene, and all numbers for others;
+            None for whole ones.
 
     Raises:
         InputError: nothing is varied, an interval has no sample, or the sample is of another form.
+        SceneError: the scene has no such key.
     """
     if not varied:
         raise InputError("a sweep needs something to vary: --vary payload.mass=0:8:50, or --cases FILE.csv")
     notes: list[str] = []
-    values = {key: _distinct(key, each, notes) for key, each in varied.items()}
-    if sample is not None:
-        method, count = _parse_sample(sample)
-        return Sample(tuple(values), tuple(values.values()), method, count, seed), notes
-    for key, each in values.items():
-        if isinstance(each, Span):
+    values: dict[str, Values] = {}
+    for key, each in varied.items():
+        distinct = each if isinstance(each, Span) else list({repr(value): value for value in each}.values())
+        if not distinct:
+            raise InputError(f"`{key}` has no values: give at least one")
+        if len(distinct) < len(each):
+            notes.append(
+                f"`{key}`: {len(each) - len(distinct)} of {len(each)} values repeat others, each is simulated once"
+            )
+        if sample is None and isinstance(each, Span):
             raise InputError(
                 f"`{key}` = {each.low:g}:{each.high:g} is an interval: say how many values, {each.low:g}:{each.high:g}:10, or "
                 f"sample it with --sample lhs:100"
             )
-    grid = Grid(tuple(values), tuple(tuple(each) for each in values.values() if not isinstance(each, Span)))
-    if len(grid) > MOST_CASES:
-        raise InputError(
-            f"these are {len(grid)} cases, more than {MOST_CASES}: give fewer values, or --sample lhs:1000"
-        )
-    return grid, notes
+        values[key] = distinct
+    keys = tuple(values)
+    about: dict[str, Any] = {"values": {key: _listed(each) for key, each in values.items()}}
+    if sample is not None:
+        method, points = _points(sample, len(keys), seed)
+        data = None if scene is None else scene.model_dump()
+        draws = [_draw(each, key, data) for key, each in values.items()]
+        rows = [tuple(draw(share) for draw, share in zip(draws, shares, strict=True)) for shares in points.tolist()]
+        return Cases(keys, rows, {"sample": method, "seed": seed, **about}), notes
+    if (count := math.prod(len(each) for each in values.values())) > MOST_CASES:
+        raise InputError(f"these are {count} cases, more than {MOST_CASES}: give fewer values, or --sample lhs:1000")
+    return Cases(keys, [*product(*values.values())], about), notes
 
 
-def _distinct(key: str, values: Values, notes: list[str]) -> Values:
-    """The values without repetitions.
-
-    Raises:
-        InputError: there is none.
-    """
+def _listed(values: Values) -> Any:
+    """A list of values, or the ends of a long one or of an interval."""
     if isinstance(values, Span):
-        return values
-    found = list({repr(each): each for each in values}.values())
-    if not found:
-        raise InputError(f"`{key}` has no values: give at least one")
-    if len(found) < len(values):
-        notes.append(
-            f"`{key}`: {len(values) - len(found)} of {len(values)} values repeat others, each is simulated once"
-        )
-    return found
+        return f"{values.low!r}:{values.high!r}"
+    return list(values) if len(values) <= NAMED else f"{len(values)} values from {values[0]!r} to {values[-1]!r}"
 
 
-def _parse_sample(text: str) -> tuple[str, int]:
-    """Method and number of cases of a sample.
+def _draw(values: Values, key: str, data: Mapping[str, Any] | None) -> Callable[[float], Any]:
+    """A function from a share, 0 to 1, to a value of a list or an interval; ``data`` is that of the scene."""
+    if not isinstance(values, Span):
+        return lambda share: values[min(int(share * len(values)), len(values) - 1)]
+    low, high = values
+    is_whole = isinstance(low, int) and isinstance(high, int)
+    if is_whole and (data is None or type(value_at(data, key, "the scene")) is int):
+        return lambda share: min(int(low + share * (high - low + 1)), high)
+    return lambda share: float(low + share * (float(high) - float(low)))
+
+
+def _points(sample: str, dimension: int, seed: int) -> tuple[str, np.ndarray[Any, np.dtype[np.float64]]]:
+    """Method of a sample, and its points (N, dimension) of the unit cube.
 
     Raises:
         InputError: the text isn't ``lhs:N`` or ``sobol:N``, or N doesn't suit the method.
     """
-    method, _, count = text.partition(":")
-    if method not in ("lhs", "sobol") or not _INTEGER.fullmatch(count) or not 1 <= int(count) <= MOST_CASES:
-        raise InputError(f"a sample is lhs:N or sobol:N with a number of cases from 1 on, got {text!r}")
-    number = int(count)
-    if method == "sobol" and number & (number - 1):
-        near = 1 << round(math.log2(number))
-        raise InputError(f"Sobol points are balanced for powers of two alone, got {number}: give sobol:{near}")
-    return method, number
+    method, _, text = sample.partition(":")
+    if method not in ("lhs", "sobol") or not _INTEGER.fullmatch(text) or not 1 <= (count := int(text)) <= MOST_CASES:
+        raise InputError(f"a sample is lhs:N or sobol:N with a number of cases from 1 on, got {sample!r}")
+    from scipy.stats import qmc
+
+    if method == "lhs":
+        return method, qmc.LatinHypercube(dimension, seed=seed).random(count)
+    if count & (count - 1):
+        near = 1 << round(math.log2(count))
+        raise InputError(f"Sobol points are balanced for powers of two alone, got {count}: give sobol:{near}")
+    return method, qmc.Sobol(dimension, seed=seed).random_base2(count.bit_length() - 1)
 
 
-def read_cases(path: str | Path) -> tuple[CaseTable, list[str]]:
+def read_cases(path: str | Path) -> tuple[Cases, list[str]]:
     """Cases from a CSV file: keys in the first line, perhaps with units in brackets; an empty cell leaves the scene's value.
 
     Raises:
@@ -311,13 +221,16 @@ def read_cases(path: str | Path) -> tuple[CaseTable, list[str]]:
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != len(keys):
             raise InputError(f"line {number} of {path} has {len(line)} cells, its first line {len(keys)}")
-        rows.append([_value(cell, key) if cell.strip() else None for key, cell in zip(keys, line, strict=True)])
+        try:
+            rows.append(
+                [parse_value(cell, key) if cell.strip() else None for key, cell in zip(keys, line, strict=True)]
+            )
+        except SceneError as error:
+            raise InputError(str(error)) from error
     return make_table(keys, rows, str(path))
 
 
-def make_table(
-    keys: Sequence[str], rows: Iterable[Sequence[Any]], source: str = "cases"
-) -> tuple[CaseTable, list[str]]:
+def make_table(keys: Sequence[str], rows: Sequence[Sequence[Any]], source: str = "cases") -> tuple[Cases, list[str]]:
     """Cases from rows of values; and a note on rows that are left out.
 
     Raises:
@@ -326,30 +239,33 @@ def make_table(
     for key in keys:
         if not key or list(keys).count(key) > 1:
             raise InputError(f"{source}: the key {key!r} is {'there twice' if key else 'empty'}")
-    known: dict[str, tuple[Any, ...]] = {}
-    total = 0
-    for row in rows:
-        total += 1
-        known.setdefault(repr(list(row)), tuple(row))
+    known = list({repr(row): tuple(row) for row in map(list, rows)}.values())
     if not known or not keys:
         raise InputError(f"{source}: there are no cases, or no keys")
-    notes = (
-        [f"{source}: {total - len(known)} of {total} cases repeat others, each is simulated once"]
-        if len(known) < total
-        else []
-    )
-    return CaseTable(tuple(keys), tuple(known.values())), notes
+    left = len(rows) - len(known)
+    notes = [f"{source}: {left} of {len(rows)} cases repeat others, each is simulated once"] if left else []
+    return Cases(tuple(keys), known), notes
 
 
-def as_cases(cases: Any, sample: str | None = None, seed: int = 0) -> Cases:
+def as_cases(cases: Any, sample: str | None = None, seed: int = 0, scene: Scene | None = None) -> Cases:
     """Cases from Python: a mapping from keys to values, a sequence of changes, or the path of a CSV file.
+
+    In a sample a pair of numbers is an interval; ``scene`` as for `make_cases`.
 
     Raises:
         InputError: they are of another form, or a path or a sequence is to be sampled.
     """
+
+    def values(key: str, given: Any) -> Values:
+        # a list, an array, a text as ``--vary`` has it, or a single value
+        if isinstance(given, str):
+            return parse_values(given, key)
+        if sample is not None and isinstance(given, tuple) and len(given) == 2:
+            return Span(*map(_plain, given))
+        return [_plain(each) for each in given] if isinstance(given, Iterable) else [_plain(given)]
+
     if isinstance(cases, Mapping):
-        varied = {key: _as_values(key, each, sampled=sample is not None) for key, each in cases.items()}
-        return make_cases(varied, sample, seed)[0]
+        return make_cases({key: values(key, each) for key, each in cases.items()}, sample, seed, scene)[0]
     if sample is not None:
         raise InputError("a sample needs the keys with their values, {'payload.mass': (0.0, 8.0)}")
     if isinstance(cases, str | Path):
@@ -363,20 +279,13 @@ def as_cases(cases: Any, sample: str | None = None, seed: int = 0) -> Cases:
     return make_table(keys, [[_plain(row.get(key)) for key in keys] for row in rows])[0]
 
 
-def _as_values(key: str, values: Any, *, sampled: bool) -> Values:
-    """The values of a key from a list, an array, a text as ``--vary`` has it, or a single value.
-
-    In a sample a pair of numbers is an interval.
-    """
-    if isinstance(values, str):
-        return parse_values(values, key)
-    if isinstance(values, Span):
-        return values
-    if sampled and isinstance(values, tuple) and len(values) == 2:
-        return Span(*(_plain(each) for each in values))
-    return [_plain(each) for each in values] if isinstance(values, Iterable) else [_plain(values)]
-
-
 def _plain(value: Any) -> Any:
     """A value of NumPy as one of Python."""
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+
+
+def text_of(value: Any) -> str:
+    """A value of a scene key as a cell: numbers so that they read back exactly, texts as they are, the rest as JSON."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    return json.dumps(value, ensure_ascii=False)

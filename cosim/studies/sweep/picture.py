@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import ceil
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,12 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.reports.figure_style import draw, style
-from flexfmu.cosim.studies.sweep.cases import Cases, Grid
-from flexfmu.cosim.studies.sweep.store import text_of
+from flexfmu.cosim.studies.sweep.cases import text_of
 
 MOST_LINES = 2000
 """Cases that parallel coordinates show; of more, equally many are left out between them."""
@@ -29,6 +26,9 @@ PANELS = 12
 AXES = 4
 """Metrics that have an axis in parallel coordinates; the first gives the colours."""
 
+MARKED = 60
+"""Cases whose points are marked on a line; of more, the line alone is drawn."""
+
 _PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.5}
 """Behind texts that lines cross."""
 
@@ -36,152 +36,108 @@ COLOURS = "viridis"
 """From small to large values, also for those who don't see all colours, and in print."""
 
 
-class Swept(Protocol):
-    """What is drawn of a sweep: the attributes of `flexfmu.cosim.studies.sweep.result.SweepResult`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def cases(self) -> Cases: ...
-    @property
-    def metrics(self) -> Sequence[str]: ...
-    @property
-    def values(self) -> RealArray: ...
-    @property
-    def messages(self) -> Mapping[int, str]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-
-    def columns(self) -> list[list[Any]]: ...
-
-
-def draw_sweep(result: Swept) -> Figure:
+def draw_cases(title: str, keys: Mapping[str, Sequence[Any]], metrics: Sequence[str], values: RealArray) -> Figure:
     """The metrics over the varied keys.
 
     One key: a panel with a line for each metric. Two: a heat map of each, or points where the cases are no grid. More: parallel
     coordinates with an axis for each key and the first metrics; colours are those of the first. Failed cases are left out.
+
+    Args:
+        title: of the figure.
+        keys: label of a key → its value in each of the N cases.
+        metrics: labels of M metrics.
+        values: (N, M), NaN where a case has no value.
     """
+    varied = [_Axis(label, each) for label, each in keys.items() if len({*map(repr, each)}) > 1]
+    shown = [(label, each) for label, each in zip(metrics, values.T, strict=True) if not np.isnan(each).all()][:PANELS]
     with style():
-        keys = [_Axis(key, result.units.get(key, ""), column) for key, column in _varied(result)]
-        shown = [i for i in range(len(result.metrics)) if not np.isnan(result.values[:, i]).all()][:PANELS]
-        if not shown or not keys:
+        if not shown or not varied:
             figure = draw(6.0, 2.0)
-            figure.text(0.5, 0.5, "no case has a value to show" if not shown else "one case", ha="center", va="center")
-        elif len(keys) > 2:
-            figure = draw(max(7.0, 1.6 * (len(keys) + min(AXES, len(shown)))), 4.5)
-            _parallel(figure, result, keys, shown[:AXES])
+            figure.text(0.5, 0.5, "one case" if shown else "no case has a value to show", ha="center", va="center")
+        elif len(varied) > 2:
+            figure = draw(max(7.0, 1.6 * (len(varied) + min(AXES, len(shown)))), 4.5)
+            _parallel(figure, varied, shown[:AXES])
         else:
             columns = min(3, len(shown))
             rows = ceil(len(shown) / columns)
             figure = draw(0.5 + 3.6 * columns, 0.3 + 2.7 * rows)
-            for place, i in enumerate(shown, start=1):
+            for place, (label, each) in enumerate(shown, start=1):
                 axes = figure.add_subplot(rows, columns, place)
-                (_lines if len(keys) == 1 else _map)(axes, result, keys, i)
-        figure.suptitle(f"{result.name}: {len(result.cases)} cases" + _failures(result))
+                (_lines if len(varied) == 1 else _map)(axes, varied, each)
+                axes.set_title(label, fontsize=8.5)
+                axes.set_xlabel(varied[0].label)
+                varied[0].mark(axes.xaxis)
+        figure.suptitle(title)
     return figure
-
-
-def _varied(result: Swept) -> list[tuple[str, list[Any]]]:
-    """The keys that have more than one value, with the value of each case."""
-    columns = zip(result.cases.keys, result.columns(), strict=True)
-    return [(key, column) for key, column in columns if len({repr(each) for each in column}) > 1]
-
-
-def _failures(result: Swept) -> str:
-    return f", {len(result.messages)} failed" if result.messages else ""
 
 
 class _Axis:
     """The values of a key as numbers: themselves, or places in the list of its texts.
 
-    Args:
-        key: of the scene.
-        unit: of its values.
-        column: value of each case.
-
     Attributes:
         label: key and unit.
         values: (N,) positions.
-        names: texts of the positions 0, 1, ...; None for numbers.
+        names: texts of the positions 0, 1, ...; empty for numbers.
     """
 
-    def __init__(self, key: str, unit: str, column: Sequence[Any]) -> None:
-        self.label = f"{key} [{shown_unit(unit)}]" if unit else key
-        self.names: list[str] | None = None
+    def __init__(self, label: str, column: Sequence[Any]) -> None:
+        self.label, self.names = label, list[str]()
         if all(isinstance(each, Real) and not isinstance(each, bool) for each in column):
             self.values: RealArray = np.array(column, dtype=float)
             return
         texts = [text_of(each) or "as in the scene" for each in column]
         # a table by its kind, where that tells it from the others
-        kinds = {
-            text: each["kind"]
-            for text, each in zip(texts, column, strict=True)
-            if isinstance(each, Mapping) and "kind" in each
-        }
-        if len({kinds.get(text, text) for text in texts}) == len(set(texts)):
-            texts = [kinds.get(text, text) for text in texts]
+        kinds = [
+            str(each.get("kind", text)) if isinstance(each, Mapping) else text
+            for each, text in zip(column, texts, strict=True)
+        ]
+        texts = kinds if len({*kinds}) == len({*texts}) else texts
         self.names = [*dict.fromkeys(texts)]
-        places = {name: i for i, name in enumerate(self.names)}
-        self.values = np.array([places[each] for each in texts], dtype=float)
+        self.values = np.array([*map(self.names.index, texts)], dtype=float)
 
     def mark(self, axis: Any) -> None:
         """Write texts at an axis of Matplotlib."""
-        if self.names is not None:
-            axis.set_ticks(
-                range(len(self.names)), [name if len(name) < 19 else f"{name[:16]}..." for name in self.names]
-            )
+        if self.names:
+            names = [name if len(name) < 19 else f"{name[:16]}..." for name in self.names]
+            axis.set_ticks(range(len(names)), names)
 
 
-def _title(result: Swept, i: int) -> str:
-    """Label of a metric with its unit."""
-    name = result.metrics[i]
-    label = ALL_METRICS[name].label if name in ALL_METRICS else name
-    unit = shown_unit(result.units.get(name, ""))
-    return f"{label} [{unit}]" if unit else label
-
-
-def _lines(axes: Axes, result: Swept, keys: Sequence[_Axis], i: int) -> None:
+def _lines(axes: Axes, keys: Sequence[_Axis], values: RealArray) -> None:
     """A metric over one key."""
     order = np.argsort(keys[0].values, kind="stable")
-    axes.plot(
-        keys[0].values[order], result.values[order, i], marker="o" if len(result.cases) <= 60 else "", markersize=3
-    )
-    axes.set_title(_title(result, i), fontsize=8.5)
-    axes.set_xlabel(keys[0].label)
-    keys[0].mark(axes.xaxis)
+    marker = "o" if len(values) <= MARKED else ""
+    axes.plot(keys[0].values[order], values[order], marker=marker, markersize=3)
 
 
-def _map(axes: Axes, result: Swept, keys: Sequence[_Axis], i: int) -> None:
+def _map(axes: Axes, keys: Sequence[_Axis], values: RealArray) -> None:
     """A metric over two keys, as colours."""
     x, y = keys
-    shape = [np.unique(each.values) for each in keys]
-    if isinstance(result.cases, Grid) and len(shape[0]) * len(shape[1]) == len(result.cases):
-        table = np.full((len(shape[1]), len(shape[0])), np.nan)
-        table[np.searchsorted(shape[1], y.values), np.searchsorted(shape[0], x.values)] = result.values[:, i]
-        picture: Any = axes.pcolormesh(shape[0], shape[1], table, cmap=COLOURS, shading="nearest", rasterized=True)
+    across, up = (np.unique(each.values) for each in keys)
+    picture: Any
+    if len(across) * len(up) == len(values):
+        table = np.full((len(up), len(across)), np.nan)
+        table[np.searchsorted(up, y.values), np.searchsorted(across, x.values)] = values
+        picture = axes.pcolormesh(across, up, table, cmap=COLOURS, shading="nearest", rasterized=True)
     else:
-        some = _some(result, i)
-        picture = axes.scatter(x.values[some], y.values[some], c=result.values[some, i], cmap=COLOURS, s=9)
+        some = _some(values)
+        picture = axes.scatter(x.values[some], y.values[some], c=values[some], cmap=COLOURS, s=9)
     axes.grid(False)
     axes.figure.colorbar(picture, ax=axes)
-    axes.set_title(_title(result, i), fontsize=8.5)
-    axes.set_xlabel(x.label)
     axes.set_ylabel(y.label)
-    x.mark(axes.xaxis)
     y.mark(axes.yaxis)
 
 
-def _some(result: Swept, i: int) -> Any:
+def _some(values: RealArray) -> Any:
     """Cases that have a metric, at most `MOST_LINES` of them."""
-    there = np.flatnonzero(~np.isnan(result.values[:, i]))
+    there = np.flatnonzero(~np.isnan(values))
     return there[:: ceil(len(there) / MOST_LINES)]
 
 
-def _parallel(figure: Figure, result: Swept, keys: Sequence[_Axis], metrics: Sequence[int]) -> None:
+def _parallel(figure: Figure, keys: Sequence[_Axis], metrics: Sequence[tuple[str, RealArray]]) -> None:
     """A line for each case through the axes of all keys and some metrics."""
-    some = _some(result, metrics[0])
+    some = _some(metrics[0][1])
     found = [(axis.label, axis.values[some], axis.names) for axis in keys]
-    found += [(_title(result, i), result.values[some, i], None) for i in metrics]
+    found += [(label, values[some], []) for label, values in metrics]
     axes = figure.add_subplot()
     axes.set_axis_off()
     axes.set_xlim(-0.3, len(found) - 0.5)
@@ -193,16 +149,12 @@ def _parallel(figure: Figure, result: Swept, keys: Sequence[_Axis], metrics: Seq
         scaled.append((values - low) / (high - low) if high > low else np.full(len(values), 0.5))
         axes.plot([place, place], [0.0, 1.0], color="0.4", linewidth=1.0)
         axes.text(place, 1.06, label.replace(" [", "\n["), ha="center", fontsize=7)
-        marks = (
-            [(each, name) for each, name in enumerate(names)]
-            if names
-            else [(v, f"{v:.4g}") for v in np.linspace(low, high, 5)]
-        )
+        marks: Any = enumerate(names) if names else ((value, f"{value:.4g}") for value in np.linspace(low, high, 5))
         for value, text in marks:
             height = (value - low) / (high - low) if high > low else 0.5
             axes.text(place + 0.03, height, text[:18], fontsize=6.5, va="center", bbox=_PAPER)
     lines = np.stack([np.column_stack([np.arange(len(found)), each]) for each in np.array(scaled).T])
     colours = colormaps[COLOURS](scaled[len(keys)])
     axes.add_collection(LineCollection([*lines], colors=colours, linewidths=0.8, alpha=0.6))
-    if len(some) < len(result.cases) - len(result.messages):
+    if len(some) < np.count_nonzero(~np.isnan(metrics[0][1])):
         axes.text(0.0, -0.1, f"{len(some)} of the cases are drawn", fontsize=7)

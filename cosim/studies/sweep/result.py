@@ -1,27 +1,40 @@
-"""The result of a sweep: its cases with their metrics, as a table, a data frame, a picture, or a Parquet file."""
+"""The results of a sweep: kept case by case while it runs, and at its end a table, a data frame, a picture, or a Parquet file.
+
+In a folder, each finished case is a line of ``journal.csv`` while the sweep runs. At the end the lines, in the order of the cases,
+become ``sweep.csv``: the same bytes whatever was interrupted, and by however many processes. A sweep with other scene, cases or
+metrics doesn't continue one in a folder.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import json
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.files import replacing, write_pieces
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.metric_table import metric
-from flexfmu.cosim.studies.sweep.cases import Cases, changes_of
-from flexfmu.cosim.studies.sweep.store import TABLE, signal_file, text_of
+from flexfmu.cosim.many.journal import Journal, locked
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
+from flexfmu.cosim.studies.sweep.cases import Cases, text_of
+from flexfmu.cosim.studies.sweep.work import Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+MANIFEST, JOURNAL, TABLE, SIGNALS = "sweep.json", "journal.csv", "sweep.csv", "signals"
+"""What is swept, finished cases while the sweep runs, all of them at its end, and the folder of recorded signals."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,7 +80,7 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         found = [None if value != value else value for value in self.values[number].tolist()]
         return {
             "case": number,
-            **dict(zip(self.cases.keys, self.cases[number], strict=True)),
+            **dict(zip(self.cases.keys, self.cases.rows[number], strict=True)),
             **dict(zip(self.metrics, found, strict=True)),
             "message": self.messages.get(number, ""),
         }
@@ -114,13 +127,20 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
 
     def columns(self) -> list[list[Any]]:
         """The values of each key, one for each case."""
-        return [list(each) for each in zip(*(self.cases[number] for number in range(len(self))), strict=True)]
+        return [list(each) for each in zip(*self.cases.rows, strict=True)]
 
     def plot(self) -> Figure:
         """The metrics over the varied keys: lines for one key, heat maps for two, parallel coordinates for more."""
-        from flexfmu.cosim.studies.sweep.picture import draw_sweep
+        from flexfmu.cosim.studies.sweep.picture import draw_cases
 
-        return draw_sweep(self)
+        def labelled(name: str, label: str) -> str:
+            return f"{label} [{shown_unit(unit)}]" if (unit := self.units.get(name)) else label
+
+        keys = {labelled(key, key): column for key, column in zip(self.cases.keys, self.columns(), strict=True)}
+        labels = [ALL_METRICS[name].label if name in ALL_METRICS else name for name in self.metrics]
+        titles = [labelled(name, label) for name, label in zip(self.metrics, labels, strict=True)]
+        failed = f", {len(self.messages)} failed" if self.messages else ""
+        return draw_cases(f"{self.name}: {len(self)} cases{failed}", keys, titles, self.values)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Smallest, median and largest value of each metric, the cases of the extremes with their values, and the number of values."""
@@ -135,18 +155,25 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
                 "unit": self.units.get(name, ""),
                 "min": float(column[low]),
                 "min_case": low,
-                "min_values": changes_of(self.cases, low),
+                "min_values": self.cases.changes(low),
                 "median": float(np.median(column[there])),
                 "max": float(column[high]),
                 "max_case": high,
-                "max_values": changes_of(self.cases, high),
+                "max_values": self.cases.changes(high),
                 "count": int(there.size),
             }
         return found
 
     def case_text(self, number: int) -> str:
         """The values of a case, ``payload.mass=3.2, trajectory.duration=0.4``."""
-        return ", ".join(f"{key}={_value_text(value)}" for key, value in changes_of(self.cases, number).items())
+
+        def text(value: Any) -> str:
+            # four digits; of a table its kind or name
+            if isinstance(value, Mapping) and ("kind" in value or "name" in value):
+                return str(value.get("kind", value.get("name")))
+            return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+        return ", ".join(f"{key}={text(value)}" for key, value in self.cases.changes(number).items())
 
     def __repr__(self) -> str:
         shown = ", ".join(self.metrics[:3]) + (f" and {len(self.metrics) - 3} more" if len(self.metrics) > 3 else "")
@@ -160,15 +187,170 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         )
 
 
-def _value_text(value: Any) -> str:
-    """A value of a key in four digits; of a table its kind or name."""
-    if isinstance(value, Mapping) and ("kind" in value or "name" in value):
-        return str(value.get("kind", value.get("name")))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+class Results:
+    """The results of a sweep while it runs: in memory, and in the journal of a folder, which has those of an earlier call.
+
+    A context; no other process is in it for the same folder.
+
+    Args:
+        cases: of the sweep.
+        metrics: their names.
+        units: key or metric → unit.
+        folder: created if it doesn't exist; None for memory alone.
+        manifest: what is swept.
+        restart: whether the results of another sweep in the folder are discarded; otherwise they are an error.
+
+    Attributes:
+        values: (N, M) metrics; NaN for none.
+        messages: number of a failed case → message.
+        recordings: number of a case → its signals, without a folder.
+        finished: (N,) whether each case is finished.
+
+    Raises:
+        InputError: the folder has results of another sweep.
+        ResultsError: the folder can't be read or written, or another process works in it.
+    """
+
+    def __init__(
+        self,
+        cases: Cases,
+        metrics: Sequence[str],
+        units: Mapping[str, str],
+        folder: Path | None = None,
+        manifest: Mapping[str, Any] | None = None,
+        *,
+        restart: bool = False,
+    ) -> None:
+        self.values: RealArray = np.full((len(cases), len(metrics)), np.nan)
+        self.messages: dict[int, str] = {}
+        self.recordings: dict[int, Recording] = {}
+        self.finished = np.zeros(len(cases), bool)
+        self._cases, self._folder, self._lock = cases, folder, contextlib.ExitStack()
+        titles = (f"{name} [{units[name]}]" if units.get(name) else name for name in (*cases.keys, *metrics))
+        self._head = _line(["case", *titles, "message"])
+        if folder is None:
+            return
+        self._journal = Journal(folder / JOURNAL)
+        try:
+            self._lock.enter_context(locked(folder / ".lock"))
+        except (BlockingIOError, PermissionError):
+            raise ResultsError(f"another sweep works in {folder}: wait for its end, or choose another --out") from None
+        with contextlib.ExitStack() as after_error:
+            after_error.callback(self._lock.close)
+            self._begin(folder, json.loads(json.dumps(manifest or {})), restart)
+            after_error.pop_all()
+
+    def _begin(self, folder: Path, manifest: dict[str, Any], restart: bool) -> None:
+        """Compare the sweep with the one in the folder, and read what is finished."""
+        path, table = folder / MANIFEST, folder / TABLE
+        before: dict[str, Any] | None = None
+        if not restart and path.exists():
+            try:
+                before = json.loads(path.read_text(encoding="utf-8"))
+            except (OSError, ValueError) as error:
+                raise ResultsError(f"can't read {path}: {error}; use --restart, or another --out") from error
+            if before != manifest:
+                raise InputError(
+                    f"{folder} has the results of another sweep: {_difference(before or {}, manifest)}; choose another --out, "
+                    f"or discard them with --restart"
+                )
+        if before is None:
+            if not restart and (self._journal.path.exists() or table.exists()):
+                raise InputError(f"{folder} has a {TABLE} without {MANIFEST}: choose another --out, or --restart")
+            for name in (MANIFEST, JOURNAL, TABLE, "sweep.parquet", "sweep.png", "sweep.svg"):
+                (folder / name).unlink(missing_ok=True)
+            for signals in (folder / SIGNALS).glob("*.csv"):
+                signals.unlink()
+            write_pieces(path, [json.dumps(manifest, ensure_ascii=False, indent=1), "\n"])
+        # the finished cases are in the journal, or in the table at the end
+        if table.exists():
+            self._journal.path.unlink(missing_ok=True)  # it may have ended between the table and this
+        source = Journal(table) if table.exists() else self._journal
+        for cells in csv.reader(line.decode() for place, line in source.read() if place):
+            try:
+                number = int(cells[0])
+                self.values[number] = [
+                    float(cell) if cell else np.nan for cell in cells[1 + len(self._cases.keys) : -1]
+                ]
+            except (ValueError, IndexError):
+                raise ResultsError(
+                    f"{source.path} has a line that is no case: {','.join(cells)[:40]!r}; begin anew with --restart"
+                ) from None
+            self.finished[number] = True
+            if cells[-1]:
+                self.messages[number] = cells[-1]
+        if not source.size:
+            self._journal.append(self._head)
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Keep finished cases, in the journal at once, each as a line."""
+        lines = []
+        for row in rows:
+            if self.finished[row.number]:
+                continue
+            self.values[row.number] = [np.nan if each is None else each for each in row.values]
+            if row.message:
+                self.messages[row.number] = row.message
+            if row.recording is not None and self._folder is None:
+                self.recordings[row.number] = row.recording
+            elif row.recording is not None and self._folder is not None:
+                row.recording.write_csv(signal_file(self._folder, row.number))
+            self.finished[row.number] = True
+            lines.append(self._case(row.number))
+        if self._folder is not None:
+            self._journal.append("".join(lines))
+
+    def _case(self, number: int) -> str:
+        """The line of a case."""
+        keys = map(text_of, self._cases.rows[number])
+        values = ("" if value != value else repr(value) for value in self.values[number].tolist())
+        return _line([str(number), *keys, *values, self.messages.get(number, "")])
+
+    def finish(self) -> None:
+        """Write the table of a folder in the order of the cases, and remove the journal."""
+        if self._folder is not None and not (self._folder / TABLE).exists():
+            write_pieces(self._folder / TABLE, chain([self._head], map(self._case, range(len(self._cases)))))
+            self._journal.path.unlink()
+
+    def __enter__(self) -> Results:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.close()
 
 
-GROUP = 10_000
-"""Rows of a Parquet file that are in memory at the same time."""
+def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """What differs between two sweeps, the first few differences."""
+
+    def flat(data: Any, key: str) -> dict[str, Any]:
+        # dotted keys of nested tables
+        if not isinstance(data, Mapping):
+            return {key: data}
+        return {name: value for part, each in data.items() for name, value in flat(each, f"{key}.{part}").items()}
+
+    def short(value: Any) -> str:
+        text = "not there" if value is None else json.dumps(value, ensure_ascii=False)
+        return text if len(text) <= 60 else f"{text[:57]}..."
+
+    one, two = flat(before, ""), flat(after, "")
+    found = [
+        f"{key[1:]} was {short(one.get(key))}, now {short(two.get(key))}"
+        for key in {**one, **two}
+        if one.get(key) != two.get(key)
+    ]
+    return ", ".join(found[:3]) + (f" and {len(found) - 3} more" if len(found) > 3 else "")
+
+
+def signal_file(folder: Path, number: int) -> Path:
+    """File of the recorded signals of a case."""
+    return folder / SIGNALS / f"{number:06d}.csv"
+
+
+def _line(cells: Iterable[str]) -> str:
+    """Cells as a line of CSV without line breaks inside."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow([" ".join(each.splitlines()) for each in cells])
+    return text.getvalue()
 
 
 def write_files(result: SweepResult, folder: Path, *, plot: bool) -> list[Path]:
@@ -201,39 +383,18 @@ def write_parquet(result: SweepResult, path: Path) -> Path:
     import pyarrow
     from pyarrow import parquet
 
-    keys = result.cases.keys
-    columns = [_typed(column) for column in result.columns()]
-    kinds = {int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_(), str: pyarrow.string()}
-    types = [kinds[kind] for kind, _ in columns]
-    fields = [pyarrow.field("case", pyarrow.int64())]
-    for name, kind in [*zip(keys, types, strict=True), *((name, pyarrow.float64()) for name in result.metrics)]:
-        unit = result.units.get(name, "")
-        fields.append(pyarrow.field(name, kind, metadata={"unit": unit} if unit else None))
-    schema = pyarrow.schema([*fields, pyarrow.field("message", pyarrow.string())])
-    schema = schema.with_metadata({"flexfmu": json.dumps({"scene": result.name, "units": dict(result.units)})})
-    # some thousand rows after the other
-    temporary = path.parent / f".{path.name}.{os.getpid()}"
-    try:
-        with parquet.ParquetWriter(temporary, schema) as writer:
-            for first in range(0, len(result), GROUP):
-                part = slice(first, min(first + GROUP, len(result)))
-                numbers = range(part.start, part.stop)
-                arrays: list[Any] = [pyarrow.array(numbers, pyarrow.int64())]
-                arrays += [pyarrow.array(values[part], kind) for (_, values), kind in zip(columns, types, strict=True)]
-                arrays += [pyarrow.array(result.values[part, i], from_pandas=True) for i in range(len(result.metrics))]
-                arrays.append(pyarrow.array([result.messages.get(number, "") for number in numbers]))
-                writer.write_table(pyarrow.table(arrays, schema=schema))
-        return temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _typed(values: list[Any]) -> tuple[type, list[Any]]:
-    """The type of a column, and its values: numbers and truth values as they are, the rest as text; None for none."""
-    there = {type(each) for each in values if each is not None}
-    for kind in (bool, int):
-        if there == {kind}:
-            return kind, values
-    if there <= {int, float}:
-        return float, [None if each is None else float(each) for each in values]
-    return str, [None if each is None else text_of(each) for each in values]
+    columns: dict[str, Any] = {}
+    for name, values in result.row_columns().items():
+        kinds = {type(each) for each in values if each is not None} if name in result.cases.keys else set()
+        if kinds - {bool} and kinds - {int, float}:
+            values = [None if each is None else text_of(each) for each in values]  # other kinds, or mixed ones
+        kind = pyarrow.float64() if kinds == {int, float} or (not kinds and name in result.cases.keys) else None
+        columns[name] = pyarrow.array(values, kind, from_pandas=True)
+    fields = [
+        pyarrow.field(name, values.type, metadata={"unit": unit} if (unit := result.units.get(name)) else None)
+        for name, values in columns.items()
+    ]
+    about = {"flexfmu": json.dumps({"scene": result.name, "units": dict(result.units)})}
+    with replacing(path) as temporary:
+        parquet.write_table(pyarrow.table([*columns.values()], pyarrow.schema(fields, about)), temporary)
+    return path

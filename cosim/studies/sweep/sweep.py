@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import closing
-from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,13 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.many.executor import DaskWorkers, Executor, Processes, finished, processors
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
-from flexfmu.cosim.metrics.metrics import ChosenMetrics, measuring
-from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
-from flexfmu.cosim.studies.sweep.result import SweepResult
-from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, make_manifest, read_results
+from flexfmu.cosim.metrics.metrics import measuring
+from flexfmu.cosim.studies.sweep.cases import Cases
+from flexfmu.cosim.studies.sweep.result import Results, SweepResult
 from flexfmu.cosim.studies.sweep.work import Job, Row, Share, groups_of, shares_of
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.keys import full_key, location, value_at
+from flexfmu.model.scene.file import file_digests
+from flexfmu.model.scene.keys import full_key, location
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.schema import Scene
 
@@ -65,70 +65,44 @@ def sweep_scene(
     count = processors() if processes is None else processes
     if not isinstance(count, int) or count < 1:
         raise InputError(f"a sweep needs a whole number of processes from 1 on, got {processes}")
-    cases = _continuous(scene, cases)
     check_values(scene, cases)
     measure = measuring(default_metrics(scene) if metrics is None else list(dict.fromkeys(metrics)))
     _check_metrics(scene, cases, measure.names)
-    units = _units(scene, cases, measure)
+    data = (_changed(scene, cases, 0) or scene).model_dump()
+    units = {key: unit_of(location(data, key), Scene) for key in cases.keys}
+    units |= {name: ALL_METRICS[name].unit for name in measure.names}
     job = Job(scene, cases, groups_of(scene, cases), measure, record)
-
-    def begin() -> Executor[Share, list[Row]]:
-        return Processes(job.rows, count, job.forget) if dask is None else DaskWorkers(job.rows, dask)
-
-    # in memory
-    if folder is None:
-        memory = MemoryStore(len(cases), len(measure.names))
-        _fill(memory, job, begin, show)
-        return _result(job, memory, units, None)
-    # in a folder
-    head = ["case", *(_titled(name, units) for name in (*cases.keys, *measure.names)), "message"]
-    with FolderStore(folder, cases, head, make_manifest(job, units), restart=restart) as store:
-        _fill(store, job, begin, show)
-        store.finish()
-        return _result(job, read_results(folder, len(cases), len(measure.names)), units, folder)
-
-
-def _fill(
-    store: MemoryStore | FolderStore, job: Job, begin: Callable[[], Executor[Share, list[Row]]], show: ShowDone
-) -> None:
-    """Simulate what isn't finished."""
-    total, done = len(job.cases), store.done
-    show(done, total)
-    if done == total:
-        return
+    # what is swept: another sweep doesn't continue this one
+    manifest = {
+        "flexfmu": version("flexfmu"),
+        "scene": scene.model_dump(mode="json", exclude_none=True),
+        **({"files": files} if (files := file_digests(scene)) else {}),
+        "cases": cases.described(),
+        "metrics": list(measure.names),
+        "record": None if record is None else {"signals": list(record.names or ()), "step": record.step},
+        "units": units,
+    }
 
     def missing() -> Iterator[Share]:
-        for share in shares_of(job.groups, job.cases, job.metrics, together=job.record is None):
-            if not store.has(share.numbers):
+        for share in shares_of(job.groups, cases, measure, together=record is None):
+            if not found.finished[[*share.numbers]].all():
                 yield share
 
     def failed(share: Share, cause: str) -> list[Row]:
         return [job.failed(share.numbers[0], cause)]
 
-    with closing(finished(begin(), missing(), Share.parts, failed)) as results:
-        for rows in results:
-            store.add(rows)
-            show(store.done, total)
-
-
-def _result(job: Job, found: MemoryStore, units: Mapping[str, str], folder: Path | None) -> SweepResult:
-    return SweepResult(
-        job.scene.name, job.cases, job.metrics.names, found.values, found.messages, units, found.recordings, folder
-    )
-
-
-def _continuous(scene: Scene, cases: Cases) -> Cases:
-    """The cases, with whole numbers from intervals for those keys alone that have one in the scene: 0:8 kg are all masses up to 8 kg."""
-    if not isinstance(cases, Sample):
-        return cases
-    data = scene.model_dump()
-    values = [
-        Span(float(each.low), float(each.high))
-        if isinstance(each, Span) and type(value_at(data, key, f"scene {scene.name}")) is not int
-        else each
-        for key, each in zip(cases.keys, cases.values, strict=True)
-    ]
-    return replace(cases, values=tuple(values))
+    with Results(cases, measure.names, units, folder, manifest, restart=restart) as found:
+        done = int(found.finished.sum())
+        show(done, len(cases))
+        if done < len(cases):
+            executor: Executor[Share, list[Row]]
+            executor = Processes(job.rows, count, job.forget) if dask is None else DaskWorkers(job.rows, dask)
+            with closing(finished(executor, missing(), Share.parts, failed)) as results:
+                for rows in results:
+                    found.add(rows)
+                    show(int(found.finished.sum()), len(cases))
+        found.finish()
+    return SweepResult(scene.name, cases, measure.names, found.values, found.messages, units, found.recordings, folder)
 
 
 def default_metrics(scene: Scene) -> Collection[str]:
@@ -164,52 +138,23 @@ def check_values(scene: Scene, cases: Cases) -> None:
                 f"`{cases.keys[place]}` and `{cases.keys[full.index(key)]}` are the same key: give one of them"
             )
     for place, key in enumerate(cases.keys):
-        for value, numbers in _some_values(cases, place):
+        # some values, and some cases that have each
+        where: dict[str, tuple[Any, list[int]]] = {}
+        for number, row in enumerate(cases.rows):
+            if row[place] is not None:
+                where.setdefault(repr(row[place]), (row[place], []))[1].append(number)
+        found = [*where.values()]
+        for value, numbers in [*found[:: max(1, len(found) // CHECKED)], *found[-1:]]:
             try:
                 scene.replace({key: value})
             except SceneError as error:
-                if not any(_is_valid(scene, cases, number) for number in numbers):
+                if not any(_changed(scene, cases, number) for number in (*numbers[:2], numbers[-1])):
                     raise SceneError(str(error)) from None
 
 
-def _is_valid(scene: Scene, cases: Cases, number: int) -> bool:
+def _changed(scene: Scene, cases: Cases, number: int) -> Scene | None:
+    """The scene of a case; None if it is invalid."""
     try:
-        scene.replace(changes_of(cases, number))
+        return scene.replace(cases.changes(number))
     except SceneError:
-        return False
-    return True
-
-
-def _some_values(cases: Cases, place: int) -> list[tuple[Any, list[int]]]:
-    """Values of a key, and some cases that have each."""
-    if isinstance(cases, Sample) and isinstance(span := cases.values[place], Span):
-        return [(span.low, []), (span.high, [])]
-    if isinstance(cases, Grid):
-        level = cases.levels[place]
-        inner = len(Grid(cases.keys[place + 1 :], cases.levels[place + 1 :]))
-        block = inner * len(level)
-        found = [
-            (each, [i * inner, i * inner + inner - 1, len(cases) - block + i * inner + inner // 2])
-            for i, each in enumerate(level)
-        ]
-    else:
-        where: dict[str, tuple[Any, list[int]]] = {}
-        for number in range(len(cases)):
-            value = cases[number][place]
-            if value is not None:
-                where.setdefault(repr(value), (value, []))[1].append(number)
-        found = [(value, [*numbers[:2], numbers[-1]]) for value, numbers in where.values()]
-    step = max(1, len(found) // CHECKED)
-    return [*found[::step], *found[-1:]]
-
-
-def _units(scene: Scene, cases: Cases, measure: ChosenMetrics) -> dict[str, str]:
-    """Key or metric → unit."""
-    data = scene.replace(changes_of(cases, 0)).model_dump() if _is_valid(scene, cases, 0) else scene.model_dump()
-    found = {key: unit_of(location(data, key), Scene) for key in cases.keys}
-    return found | {name: ALL_METRICS[name].unit for name in measure.names}
-
-
-def _titled(name: str, units: Mapping[str, str]) -> str:
-    """A heading with its unit."""
-    return f"{name} [{units[name]}]" if units[name] else name
+        return None

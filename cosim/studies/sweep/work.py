@@ -5,7 +5,7 @@ what a process does for them: it finds or builds the FMU of a group of cases onc
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import ceil
@@ -26,7 +26,7 @@ from flexfmu.cosim.many.journal import locked
 from flexfmu.cosim.many.lockstep import PeakMeasure
 from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, duration_bands
 from flexfmu.cosim.metrics.metrics import ChosenMetrics
-from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of
+from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
 from flexfmu.fmu_build.cache import cache_folder, content_hash
 from flexfmu.fmu_build.errors import BuildError, MissingCompilerError
@@ -113,14 +113,17 @@ def groups_of(scene: Scene, cases: Cases) -> list[Group]:
     members: dict[str, list[int]] = {}
     if building:
         for number in range(len(cases)):
-            values = cases[number]
+            values = cases.rows[number]
             members.setdefault(repr([values[i] for i in building]), []).append(number)
     # an effect that some case has must be in the FMU of all, also where the scene lacks it
-    lacking = [i for i in settable if whole[i] not in has]
-    present = {cases.keys[i]: value for i in lacking if (value := _some_value(cases, i)) is not None}
+    present: dict[str, Any] = {}
+    for i in (i for i in settable if whole[i] not in has):
+        there = (row[i] for row in cases.rows if np.any(row[i]) and not isinstance(row[i], str))
+        if (value := next(there, None)) is not None:
+            present[cases.keys[i]] = value
     found = []
     for numbers in members.values() if building else [range(len(cases))]:
-        changes = changes_of(cases, numbers[0])
+        changes = cases.changes(numbers[0])
         other = {cases.keys[i]: changes[cases.keys[i]] for i in building if cases.keys[i] in changes}
         found.append(_group(scene, cases, numbers, other, present, [whole[i] for i in settable]))
     return found
@@ -135,7 +138,7 @@ def _group(
     settable: Collection[str],
 ) -> Group:
     """A group of cases that differ in ``settable`` keys and in those without influence on the FMU."""
-    for changes in ({**own, **present}, own, changes_of(cases, numbers[0])):
+    for changes in ({**own, **present}, own, cases.changes(numbers[0])):
         try:
             built = scene.replace(dict(changes))
         except SceneError:
@@ -152,19 +155,6 @@ def _group(
         return Group(numbers, built, names)
     # each case tells what is wrong with it
     return Group(numbers, scene, None)
-
-
-def _some_value(cases: Cases, place: int) -> Any:
-    """A value of a key that switches its effect on, if there is one; None if there isn't."""
-    values: Iterable[Any]
-    if isinstance(cases, Grid):
-        values = cases.levels[place]
-    elif isinstance(cases, Sample):
-        each = cases.values[place]
-        values = (each.at(0.5), each.high) if isinstance(each, Span) else each
-    else:
-        values = (cases[number][place] for number in range(len(cases)))
-    return next((value for value in values if np.any(value) and not isinstance(value, str)), None)
 
 
 def shares_of(groups: Sequence[Group], cases: Cases, measure: Any, *, together: bool) -> Iterator[Share]:
@@ -199,7 +189,7 @@ def _bands(group: Group, cases: Cases, peaks: bool) -> list[Sequence[int]]:
     shapes: dict[str, list[int]] = {}
     duration: dict[int, float] = {}
     for number in group.numbers:
-        values = cases[number]
+        values = cases.rows[number]
         shapes.setdefault(repr([values[i] for i in places if i != lasting]), []).append(number)
         if lasting is not None:
             value = group.scene.trajectory.duration if values[lasting] is None else values[lasting]
@@ -311,7 +301,7 @@ class Job:
         found: dict[int, Row] = {}
         variants: dict[int, Variant] = {}
         for number in share.numbers:
-            changes = changes_of(self.cases, number)
+            changes = self.cases.changes(number)
             try:
                 variants[number] = group.variant(changes, self.scene.replace(changes))
             except SceneError as error:
@@ -358,7 +348,7 @@ class Job:
 
     def _alone(self, number: int) -> Any:
         """The outcome of a case with an FMU of its own."""
-        scene = self.scene.replace(changes_of(self.cases, number))
+        scene = self.scene.replace(self.cases.changes(number))
         task = self._built(scene, scene)
         return task if isinstance(task, Exception) else task.outcomes([Variant({}, {})])[0]
 

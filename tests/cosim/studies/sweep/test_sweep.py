@@ -17,9 +17,8 @@ from flexfmu.cosim.cli.sweep import _print
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.cosim.studies.sweep import work
-from flexfmu.cosim.studies.sweep.cases import Grid
-from flexfmu.cosim.studies.sweep.result import SweepResult
-from flexfmu.cosim.studies.sweep.store import FolderStore
+from flexfmu.cosim.studies.sweep.cases import Cases, make_cases
+from flexfmu.cosim.studies.sweep.result import Results, SweepResult
 from flexfmu.cosim.studies.sweep.work import Job, Row, groups_of, shares_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
@@ -103,9 +102,13 @@ def test_samples_are_whole_where_the_scene_is(monkeypatch: pytest.MonkeyPatch) -
 
 def test_cases_share_fmus_where_they_can() -> None:
     """One FMU for parameters, motions and loops; one for each number of modes. Every case is in one share."""
-    cases = Grid(
-        ("effects.proximal_bending", "payload.mass", "trajectory.duration", "effects.gravity[1]"),
-        ((1, 2), tuple(range(20)), (0.2, 0.19, 0.1), (-9.81, 0.0)),
+    cases, _ = make_cases(
+        {
+            "effects.proximal_bending": [1, 2],
+            "payload.mass": range(20),
+            "trajectory.duration": [0.2, 0.19, 0.1],
+            "effects.gravity[1]": [-9.81, 0.0],
+        }
     )
     groups = groups_of(SCENE, cases)
     assert [len(each.numbers) for each in groups] == [120, 120]
@@ -114,13 +117,13 @@ def test_cases_share_fmus_where_they_can() -> None:
     shares = [*shares_of(groups, cases, metrics, together=True)]
     assert sorted(number for share in shares for number in share.numbers) == list(range(240))
     # similar durations go together
-    assert all(len({cases[number][0] for number in share.numbers}) == 1 for share in shares)
-    durations = [{cases[number][2] for number in share.numbers} for share in shares]
+    assert all(len({cases.rows[number][0] for number in share.numbers}) == 1 for share in shares)
+    durations = [{cases.rows[number][2] for number in share.numbers} for share in shares]
     assert {0.1} in durations
     assert all(each <= {0.2, 0.19} or each == {0.1} for each in durations)
     # controllers depend on everything, and the FMU on none of them
     for key in ("controller[0].derivative", "pd.kd"):
-        (group,) = groups_of(LOOP, Grid(("payload.mass", key), ((1.0, 2.0), (100.0, 200.0))))
+        (group,) = groups_of(LOOP, make_cases({"payload.mass": [1.0, 2.0], key: [100.0, 200.0]})[0])
         assert group.parameters is None
 
 
@@ -258,13 +261,16 @@ def test_restart_discards(tmp_path: Path) -> None:
 
 
 ROWS = [Row(number, (number / 3.0, None), 'a, "b"\nc' if number == 4 else "") for number in range(9)]
-HEAD = ["case", "a", "m1", "m2", "message"]
-CASES = Grid(("a",), (tuple(range(9)),))
+
+
+def results(folder: Path) -> Results:
+    """Nine cases of two metrics."""
+    return Results(Cases(("a",), [(number,) for number in range(9)]), ("m1", "m2"), {}, folder)
 
 
 def written(folder: Path, order: list[int]) -> bytes:
     """The table after adding rows in some order."""
-    with FolderStore(folder, CASES, HEAD, {}) as store:
+    with results(folder) as store:
         for number in order:
             store.add([ROWS[number]])
         store.finish()
@@ -279,7 +285,7 @@ def test_the_table_does_not_depend_on_the_order(tmp_path: Path) -> None:
 def test_torn_lines_are_cut_off(tmp_path: Path) -> None:
     """Wherever the last line is torn, the same table results; a line that is no case is an error."""
     whole = written(tmp_path / "whole", list(range(9)))
-    with FolderStore(tmp_path / "out", CASES, HEAD, {}) as store:
+    with results(tmp_path / "out") as store:
         store.add(ROWS[:5])
     journal = tmp_path / "out" / "journal.csv"
     data = journal.read_bytes()
@@ -287,16 +293,15 @@ def test_torn_lines_are_cut_off(tmp_path: Path) -> None:
     for low, high in pairwise(ends[-2:]):
         for end in range(low, high):
             folder = tmp_path / f"out{end}"
-            with FolderStore(folder, CASES, HEAD, {}):
+            with results(folder):
                 pass
             (folder / "journal.csv").write_bytes(data[:end])
-            with FolderStore(folder, CASES, HEAD, {}) as store:
-                assert store.done == 4
-                assert not store.has([4])
+            with results(folder) as store:
+                assert store.finished.tolist() == [True] * 4 + [False] * 5
             assert written(folder, [4, 5, 6, 7, 8]) == whole
     journal.write_bytes(data.replace(b"\n3,", b"\nx,"))
     with pytest.raises(ResultsError, match="no case"):
-        FolderStore(tmp_path / "out", CASES, HEAD, {})
+        results(tmp_path / "out")
 
 
 def test_a_process_that_dies_is_replaced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -305,7 +310,7 @@ def test_a_process_that_dies_is_replaced(monkeypatch: pytest.MonkeyPatch, tmp_pa
     rows = Job.rows
 
     def deadly(job: Job, share: Any) -> list[Row]:
-        mass = job.cases[share.numbers[0]][0]
+        mass = job.cases.rows[share.numbers[0]][0]
         if mass == 2.0 or (mass == 3.0 and not flag.exists()):
             flag.touch()
             os.kill(os.getpid(), signal.SIGKILL)
@@ -320,16 +325,16 @@ def test_a_process_that_dies_is_replaced(monkeypatch: pytest.MonkeyPatch, tmp_pa
 def test_one_sweep_at_a_time_in_a_folder(tmp_path: Path) -> None:
     """Two processes would write the same journal."""
     pytest.importorskip("fcntl")
-    with FolderStore(tmp_path, CASES, HEAD, {}) as store:
+    with results(tmp_path) as store:
         pid = os.fork()
         if not pid:
             try:
-                FolderStore(tmp_path, CASES, HEAD, {})
+                results(tmp_path)
             except ResultsError as error:
                 os._exit(7 if "another sweep works" in str(error) else 1)
             os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
-        assert store.done == 0
+        assert not store.finished.any()
 
 
 @pytest.mark.slow
@@ -355,8 +360,9 @@ def test_without_a_compiler_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> N
 def test_extremes_are_named_by_their_values(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Whoever reads the table sees with which values a metric is largest, and which case failed first."""
     varied = {"payload.mass": [1.0, 2.0, 3.0], "trajectory.blend": [{"kind": "lame", "height": 0.02, "width": 0.02}]}
-    cases = Grid(tuple(varied), tuple(map(tuple, varied.values())))
-    found = SweepResult("a", cases, ("m",), np.array([[2.0], [5.0], [np.nan]]), {2: "too heavy"}, {}, {})
+    found = SweepResult(
+        "a", make_cases(varied)[0], ("m",), np.array([[2.0], [5.0], [np.nan]]), {2: "too heavy"}, {}, {}
+    )
     assert found.summary()["m"]["max_values"] == {
         "payload.mass": 2.0,
         "trajectory.blend": varied["trajectory.blend"][0],

@@ -12,15 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.studies.sweep.cases import (
-    Span,
-    as_cases,
-    changes_of,
-    make_cases,
-    parse_values,
-    parse_vary,
-    read_cases,
-)
+from flexfmu.cosim.studies.sweep.cases import Span, as_cases, make_cases, parse_values, parse_vary, read_cases
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -76,18 +68,8 @@ def test_kinds_of_values() -> None:
 @pytest.mark.parametrize(
     "option",
     [
-        "payload.mass",
-        "=1",
-        "a=",
-        "a=1,,2",
-        "a=[1",
-        "a='x",
-        "a=0:8:1",
-        "a=0:8:2.5",
-        "a=0:nan:3",
-        "a=0:inf",
-        "a=[1}",
-        "a=0:1:99999999999",
+        *("payload.mass", "=1", "a=", "a=1,,2", "a=[1", "a='x", "a=[1}"),
+        *("a=0:8:1", "a=0:8:2.5", "a=0:nan:3", "a=0:inf", "a=0:1:99999999999"),
     ],
 )
 def test_other_forms_are_errors(option: str) -> None:
@@ -99,7 +81,7 @@ def test_other_forms_are_errors(option: str) -> None:
 def test_grids_have_all_combinations_the_last_key_fastest() -> None:
     """In the order of nested loops; values that are there twice once, with a note."""
     cases, notes = make_cases({"a": [1, 2, 1], "b": ["x", "y"], "c": [0.5]})
-    assert [cases[i] for i in range(len(cases))] == list(product([1, 2], ["x", "y"], [0.5]))
+    assert cases.rows == list(product([1, 2], ["x", "y"], [0.5]))
     assert notes == ["`a`: 1 of 3 values repeat others, each is simulated once"]
     with pytest.raises(InputError, match="is an interval"):
         make_cases({"a": Span(0.0, 1.0)})
@@ -112,8 +94,9 @@ def test_samples_fill_every_interval(sample: str, count: int) -> None:
     """One value in each of N equal parts, whole numbers and lists evenly, and the same again for the same seed."""
     varied = {"a": Span(2.0, 4.0), "n": Span(0, 1), "kind": ["x", "y"]}
     cases, same, other = (make_cases(varied, sample, seed)[0] for seed in (1, 1, 2))
-    rows = [cases[i] for i in range(count)]
-    assert rows == [same[i] for i in range(count)] != [other[i] for i in range(count)]
+    rows = cases.rows
+    assert rows == same.rows != other.rows
+    assert len(rows) == count
     assert sorted(int((row[0] - 2.0) / 2.0 * count) for row in rows) == list(range(count))
     for place, values in ((1, (0, 1)), (2, ("x", "y"))):
         assert [sum(row[place] == value for row in rows) for value in values] == [count // 2, count // 2]
@@ -134,7 +117,7 @@ def test_cases_from_files(tmp_path: Path) -> None:
     )
     cases, notes = read_cases(path)
     assert cases.keys == ("payload.mass", "controller[0].sample_time", "effects.gravity")
-    assert [changes_of(cases, i) for i in range(len(cases))] == [
+    assert [*map(cases.changes, range(len(cases)))] == [
         {"payload.mass": 1, "effects.gravity": [0.0, 0.0]},
         {"payload.mass": 2.5, "controller[0].sample_time": 1e-3},
     ]
@@ -150,9 +133,9 @@ def test_cases_from_files(tmp_path: Path) -> None:
 def test_cases_from_python() -> None:
     """Mappings, arrays and lists of changes."""
     assert len(as_cases({"a": np.linspace(0.0, 1.0, 3), "b": "1,2"})) == 6
-    assert type(as_cases({"a": np.arange(2)})[1][0]) is int
+    assert type(as_cases({"a": np.arange(2)}).rows[1][0]) is int
     cases = as_cases([{"a": 1}, {"b": 2.0}])
-    assert [changes_of(cases, i) for i in range(2)] == [{"a": 1}, {"b": 2.0}]
+    assert [*map(cases.changes, range(2))] == [{"a": 1}, {"b": 2.0}]
     assert len(as_cases({"a": (0.0, 1.0)}, "lhs:7")) == 7
     with pytest.raises(InputError, match="a dict from keys"):
         as_cases(5)
