@@ -248,26 +248,20 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
 
 def _check_dependencies(name: str, files: Mapping[str, bytes], facts: ElfFacts) -> Iterator[Finding]:
     beside = {PurePosixPath(file).name for file in files if PurePosixPath(file).parent == PurePosixPath(name).parent}
+    found = {}
     # libraries that other machines may lack, or have elsewhere
     if others := sorted(library for library in facts.needed if not SYSTEM_LIBRARIES.fullmatch(library)):
         bundled = " (some lie beside it)" if beside & set(others) else ""
-        yield Finding(
-            "dependencies",
-            f"{name} needs {_few(others)} at run time{bundled}",
-            "link statically, or it will not load where they are missing",
-            Severity.WARNING,
-        )
+        needs = f"needs {_few(others)} at run time{bundled}"
+        found[needs] = "link statically, or it will not load where they are missing"
     if outside := [path for path in facts.search_path if not path.startswith("$ORIGIN")]:
-        yield Finding("dependencies", f"{name} looks for libraries in {_few(outside)}", "use $ORIGIN", Severity.WARNING)
+        found[f"looks for libraries in {_few(outside)}"] = "use $ORIGIN"
     # an older glibc can't load the binary
     if facts.glibc > OLD_GLIBC:
         version, old = (".".join(map(str, number)) for number in (facts.glibc, OLD_GLIBC))
-        yield Finding(
-            "dependencies",
-            f"{name} needs glibc {version}",
-            f"build against glibc {old} or older to run on older machines",
-            Severity.WARNING,
-        )
+        found[f"needs glibc {version}"] = f"build against glibc {old} or older to run on older machines"
+    for problem, remedy in found.items():
+        yield Finding("dependencies", f"{name} {problem}", remedy, Severity.WARNING)
 
 
 def _few(names: list[str], most: int = 5) -> str:

@@ -6,7 +6,7 @@ a dependency may be small at all tested points.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,16 +36,8 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
         unknowns += structure.derivatives or ()
     # knowns: in co-simulation also discrete inputs
     inputs, reported, done = fmu.real_inputs, set[str](), 0
+    states = fmu.states if fmu.kind is InterfaceType.EXCHANGE else []
     with fmu.instance("dependencies") as instance:
-
-        def set_input(known: Any, value: RealArray) -> None:
-            instance.set([known], value)
-
-        def set_state(known: Any, value: RealArray) -> None:
-            x = instance.continuous_states()
-            x[fmu.states.index(known)] = value[0]
-            instance.set_continuous_states(x)
-
         instance.initialize()
         # at several instants: a dependency may vanish at one of them
         for instant in (min(fmu.steps, 3), fmu.steps // 2, fmu.steps):
@@ -53,9 +45,8 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
             done = max(done, instant)
             if instance.finished:
                 return
-            yield from _violations(unknowns, inputs, instance, set_input, reported)
-            if fmu.kind is InterfaceType.EXCHANGE:
-                yield from _violations(unknowns, fmu.states, instance, set_state, reported)
+            yield from _violations(unknowns, inputs, instance, reported)
+            yield from _violations(unknowns, states, instance, reported, states)
 
 
 def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -65,27 +56,45 @@ def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     knowns = [variable for variable in fmu.settable("parameter", "input", "output", "local") if variable.type == "Real"]
     with fmu.instance("initial_dependencies") as instance:
         instance.enter_initialization()
-
-        def set_known(known: Any, value: RealArray) -> None:
-            instance.set([known], value)
-
         # the same findings, with messages for this mode
-        for finding in _violations(unknowns, knowns, instance, set_known, set()):
-            yield Finding(
-                finding.check,
-                f"in Initialization Mode {finding.message}",
-                "declare it in InitialUnknowns",
-                Severity.WARNING,
-                finding.subject,
-            )
+        for finding in _violations(unknowns, knowns, instance, set()):
+            message, remedy = f"in Initialization Mode {finding.message}", "declare it in InitialUnknowns"
+            yield Finding(finding.check, message, remedy, Severity.WARNING, finding.subject)
+
+
+def answers(
+    instance: Any, unknowns: Sequence[Any], known: Any, share: float, states: Sequence[Any] = ()
+) -> tuple[RealArray, RealArray, float]:
+    """Unknowns where a known has a larger and a smaller value, and the change of the known; it gets its value back.
+
+    Args:
+        instance: the instance.
+        unknowns: variables that are read.
+        known: input, parameter or state that is changed.
+        share: change relative to the known's size.
+        states: variables of the continuous states, which FMI sets only all together.
+    """
+
+    def set_known(value: RealArray) -> None:
+        if known not in states:
+            instance.set([known], value)
+            return
+        x = instance.continuous_states()
+        x[states.index(known)] = value[0]
+        instance.set_continuous_states(x)
+
+    value = instance.get([known])
+    step = share * max(size_of(known), abs(float(value[0])))
+    ends = []
+    for sign in (1.0, -1.0):
+        set_known(value + sign * step)
+        ends.append(np.asarray(instance.get(unknowns)))
+    set_known(value)
+    return ends[0], ends[1], step
 
 
 def _violations(
-    unknowns: Sequence[Any],
-    knowns: Sequence[Any],
-    instance: Any,
-    set_known: Callable[[Any, RealArray], None],
-    reported: set[str],
+    unknowns: Sequence[Any], knowns: Sequence[Any], instance: Any, reported: set[str], states: Sequence[Any] = ()
 ) -> Iterator[Finding]:
     """Yield findings about unknowns that contradict their declared dependencies, except those in ``reported``."""
     declared = [unknown for unknown in unknowns if unknown.dependencies is not None and unknown.variable.type == "Real"]
@@ -95,16 +104,18 @@ def _violations(
     sizes = np.array([size_of(variable) for variable in variables])
     # change one known after the other
     for known in knowns[:MOST_KNOWNS]:
-        answers = _answers(variables, known, instance, set_known)
-        if answers is None:
+        try:
+            base = instance.get(variables)
+            up, down, _ = answers(instance, variables, known, SHARE, states)
+            again = instance.get(variables)
+        except Exception:  # fmpy raises several types; the FMU rejects the known or its value
             continue
-        base, up, down, steps = answers
+        # at the first value of the known, the unknowns must repeat
+        if not np.allclose(base, again, rtol=1e-9, atol=0.0) or not np.isfinite([base, up, down]).all():
+            continue
         # change and nonlinearity of each unknown, relative to its size
         scale = np.maximum(np.abs(base), sizes)
-        change = np.abs(up - base) / scale
-        bend = (
-            np.abs((up - base) * steps[1] - (down - base) * steps[0]) / np.maximum(np.abs(steps).max(), 1e-300) / scale
-        )
+        change, bend = np.abs(up - base) / scale, np.abs(up + down - 2.0 * base) / scale
         for n, unknown in enumerate(declared):
             name = unknown.variable.name
             if name in reported or unknown.variable is known or unknown.variable.valueReference == known.valueReference:
@@ -130,26 +141,3 @@ def _contradiction(unknown: Any, known: Any, change: float, bend: float) -> Iter
     if kind in _LINEAR and bend > INFLUENCE + 1e-4 * change:
         message = f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says"
         yield Finding("dependencies of variables", message, "declare it as dependent", subject=name)
-
-
-def _answers(
-    variables: Sequence[Any], known: Any, instance: Any, set_known: Callable[[Any, RealArray], None]
-) -> tuple[RealArray, RealArray, RealArray, RealArray] | None:
-    """Unknowns at the known's value, above and below it, and the two steps; None if the FMU rejects or does not reproduce them."""
-    try:
-        value = instance.get([known])
-        step = SHARE * max(size_of(known), abs(float(value[0])))
-        base = instance.get(variables)
-        ends, steps = [], []
-        for sign in (1.0, -1.0):
-            set_known(known, value + sign * step)
-            ends.append(instance.get(variables))
-            steps.append(sign * step)
-        # at the first value of the known, the unknowns must repeat
-        set_known(known, value)
-        again = instance.get(variables)
-    except Exception:  # fmpy raises several types; the FMU rejects the known or its value
-        return None
-    if not np.allclose(base, again, rtol=1e-9, atol=0.0) or not np.isfinite([base, *ends]).all():
-        return None
-    return base, ends[0], ends[1], np.array(steps)

@@ -18,11 +18,12 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
+from flexfmu.fmu_build.validation.dependencies import answers
 from flexfmu.fmu_build.validation.finding import Finding
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
-from flexfmu.fmu_build.validation.steps import PERTURBATION, perturbed_states
-from flexfmu.fmu_build.validation.variables import moved, size_of
+from flexfmu.fmu_build.validation.steps import initialize_perturbed
+from flexfmu.fmu_build.validation.variables import size_of
 
 DIFFERENCES = (1e-5, 1e-4)
 """Steps of the difference quotients, relative to a variable's size; rounding and truncation errors are about equal."""
@@ -72,14 +73,22 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
             instance.initialize()
             instance.advance(0, 1)
         # the FMU's Jacobian, and differences with two steps
-        unknowns, knowns = _unknowns(fmu), [*fmu.inputs, *_states(fmu)]
+        is_exchange = fmu.kind is InterfaceType.EXCHANGE
+        states = fmu.states if is_exchange else []
+        rates = [unknown.variable for unknown in fmu.description.derivatives or () if is_exchange]
+        unknowns, knowns = [*rates, *fmu.smooth_outputs], [*fmu.inputs, *states]
         if not unknowns or not knowns or instance.finished:
             return
         matrix = np.column_stack([instance.directional(unknowns, [known], np.ones(1)) for known in knowns])
         seeded = [(seed, instance.directional(unknowns, knowns, seed)) for seed in _seeds(len(knowns))]
         fine, coarse = (
-            np.column_stack([_difference(fmu, instance, unknowns, known, step) for known in knowns])
-            for step in DIFFERENCES
+            np.column_stack(
+                [
+                    (up - down) / (2.0 * step)
+                    for up, down, step in (answers(instance, unknowns, known, share, states) for known in knowns)
+                ]
+            )
+            for share in DIFFERENCES
         )
     # ignore outputs that are aliases of states: some tools omit these derivatives
     same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
@@ -118,41 +127,6 @@ def _not_linear(
                 "multiply by dvKnown and add up",
             )
             return
-
-
-def _unknowns(fmu: FmuUnderTest) -> list[Any]:
-    """Continuous outputs; for model exchange the state derivatives before them."""
-    if fmu.kind is InterfaceType.COSIMULATION:
-        return fmu.smooth_outputs
-    derivatives = [unknown.variable for unknown in fmu.description.derivatives or ()]
-    return [*derivatives, *fmu.smooth_outputs]
-
-
-def _states(fmu: FmuUnderTest) -> list[Any]:
-    return [] if fmu.kind is InterfaceType.COSIMULATION else fmu.states
-
-
-def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> RealArray:
-    """Central difference quotients of all unknowns with respect to one known, shape (unknowns,)."""
-    states = _states(fmu)
-    value = instance.get([known])
-    step = share * max(size_of(known), abs(float(value[0])))
-    ends = []
-    for sign in (1.0, -1.0):
-        _set(instance, states, known, value + sign * step)
-        ends.append(np.asarray(instance.get(unknowns)))
-    _set(instance, states, known, value)
-    return np.asarray((ends[0] - ends[1]) / (2.0 * step))
-
-
-def _set(instance: Any, states: Sequence[Any], known: Any, value: RealArray) -> None:
-    """Set an input or state; FMI sets states only all together."""
-    if known not in states:
-        instance.set([known], value)
-        return
-    x = instance.continuous_states()
-    x[states.index(known)] = value[0]
-    instance.set_continuous_states(x)
 
 
 def _compare(
@@ -387,8 +361,7 @@ def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Rea
     begin = _begin(fmu)
     # perturbed start, then short steps
     with fmu.instance("derivatives") as instance:
-        instance.initialize(perturbed_states(fmu))
-        instance.set(fmu.inputs, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs]))
+        initialize_perturbed(instance)
         if not all(instance.step(n) for n in range(begin)):
             return np.array(jets)
         for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps - begin, MOST_POINTS)):

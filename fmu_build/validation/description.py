@@ -1,4 +1,8 @@
-"""Checks of modelDescription.xml."""
+"""Checks of modelDescription.xml.
+
+Unit definitions (SI exponents, factors) must match the names of the units; ambiguous names, such as a/b.c, are not checked. Source:
+BIPM, The International System of Units, 9th edition.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,8 @@ from xml.etree.ElementTree import Element
 from fmpy.model_description import read_model_description
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
+from flexfmu.fmu_build.units import COHERENT
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.unit_check import check_units
 
 _NUMBERS = {"Real", "Integer", "Enumeration"}
 _SETTABLE = {"input", "parameter"}
@@ -138,28 +142,19 @@ def _check_experiment(root: Element) -> Iterator[Finding]:
     if experiment is None:
         return
     numbers = {name: _number(experiment.get(name), None) for name in ("startTime", "stopTime", "stepSize", "tolerance")}
-    start, stop = numbers["startTime"] or 0.0, numbers["stopTime"]
+    start, stop, step = numbers["startTime"] or 0.0, numbers["stopTime"], numbers["stepSize"]
     # finite, in order, above zero
-    for name, value in numbers.items():
-        if value is not None and not math.isfinite(value):
-            yield _experiment(f"{name} is {value}")
+    problems = [
+        f"{name} is {value}" for name, value in numbers.items() if value is not None and not math.isfinite(value)
+    ]
     if stop is not None and not stop > start:
-        yield _experiment(f"stopTime {stop:g} s is not after startTime {start:g} s")
-    for name in ("stepSize", "tolerance"):
-        if numbers[name] is not None and not numbers[name] > 0.0:
-            yield _experiment(f"{name} is {numbers[name]:g}, not above 0")
-    if (
-        stop is not None
-        and numbers["stepSize"] is not None
-        and numbers["stepSize"] > (stop - start) * (1.0 + 1e-9) > 0.0
-    ):
-        yield _experiment(
-            f"stepSize {numbers['stepSize']:g} s is longer than the whole experiment of {stop - start:g} s"
-        )
-
-
-def _experiment(message: str) -> Finding:
-    return Finding("experiment", message, "correct DefaultExperiment: tools run it as it is")
+        problems.append(f"stopTime {stop:g} s is not after startTime {start:g} s")
+    above = {name: numbers[name] for name in ("stepSize", "tolerance") if numbers[name] is not None}
+    problems += [f"{name} is {value:g}, not above 0" for name, value in above.items() if not value > 0.0]
+    if stop is not None and step is not None and step > (stop - start) * (1.0 + 1e-9) > 0.0:
+        problems.append(f"stepSize {step:g} s is longer than the whole experiment of {stop - start:g} s")
+    for message in problems:
+        yield Finding("experiment", message, "correct DefaultExperiment: tools run it as it is")
 
 
 def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
@@ -310,3 +305,115 @@ def _broken(problem: str, severity: Severity = Severity.ERROR) -> Finding:
     quoted = re.search(r'"([^"]+)"', problem)
     subject = quoted[1] if quoted else ""
     return Finding("model description", " ".join(problem.split()), "correct modelDescription.xml", severity, subject)
+
+
+Exponents = dict[str, int]
+
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
+"""Base units whose exponents are checked; rad is not, since an angle may also have the unit 1."""
+
+_SYMBOLS: dict[str, tuple[float, Exponents]] = {
+    **{
+        symbol: (1.0, {b: e for b, e in units.items() if b != "rad"})
+        for symbol, units in COHERENT.items()
+        if symbol not in ("kg", "Hz")
+    },
+    "g": (1e-3, {"kg": 1}),
+    "mol": (1.0, {"mol": 1}),
+    "cd": (1.0, {"cd": 1}),
+    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+    "S": (1.0, {"kg": -1, "m": -2, "s": 3, "A": 2}),
+    "F": (1.0, {"kg": -1, "m": -2, "s": 4, "A": 2}),
+    "H": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -2}),
+    "Wb": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -1}),
+    "T": (1.0, {"kg": 1, "s": -2, "A": -1}),
+    "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
+}
+"""Symbols that may have a prefix → factor and exponents."""
+
+_PLAIN: dict[str, tuple[float, Exponents]] = {
+    "Hz": (math.nan, {"s": -1}),  # with or without 2 pi: both are in use
+    "deg": (math.pi / 180.0, {}),
+    "min": (60.0, {"s": 1}),
+    "h": (3600.0, {"s": 1}),
+    "d": (86400.0, {"s": 1}),
+    "degC": (1.0, {"K": 1}),
+}
+"""Symbols without prefixes → factor and exponents."""
+
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
+_FACTOR = re.compile(r"(?P<symbol>1|[A-Za-z]+)\^?(?P<power>-?\d+)?")
+_QUOTIENT = re.compile(r"(?P<above>[^/()]+)(/\((?P<product>[^/()]+)\)|(?P<factors>(/[^/().*]+)*))")
+"""a.b, a/b, a/b/c and a/(b.c), but not a/b.c, which is ambiguous."""
+
+_CLOSE = 1e-3
+
+
+Meaning = tuple[float, Exponents]
+"""Factor to SI units, NaN if ambiguous, and exponents of the base units."""
+
+
+def meaning(name: str) -> Meaning | None:
+    """Factor and exponents that the name of a unit implies; None if the name is unknown or ambiguous."""
+    factor, exponents = 1.0, dict.fromkeys(BASE, 0)
+    form = _QUOTIENT.fullmatch(name.replace(" ", ""))
+    if form is None:
+        return None
+    # factors of the numerator, then of the denominator
+    below = [form["product"]] if form["product"] else form["factors"].split("/")[1:]
+    for sign, product in ((1, form["above"]), *((-1, part) for part in below)):
+        for part in re.split(r"[.*]", product):
+            match = _FACTOR.fullmatch(part)
+            if match is None or (known := _symbol(match["symbol"])) is None:
+                return None
+            power = sign * int(match["power"] or 1)
+            factor *= known[0] ** power
+            for base, exponent in known[1].items():
+                exponents[base] += power * exponent
+    return factor, exponents
+
+
+def _symbol(text: str) -> tuple[float, Exponents] | None:
+    for table in (_PLAIN, _SYMBOLS):
+        if text in table:
+            return table[text]
+    prefix, rest = _PREFIXES.get(text[:1]), _SYMBOLS.get(text[1:])
+    return (prefix * rest[0], rest[1]) if prefix and rest and text[1:] not in ("1", "rad") else None
+
+
+def check_units(root: Element) -> Iterator[Finding]:
+    """Yield findings about exponents, factors and display units.
+
+    Raises:
+        ValueError: an exponent or factor is not a number.
+
+    Args:
+        root: the element fmiModelDescription.
+    """
+    for unit in root.iterfind("UnitDefinitions/Unit"):
+        name, base, known = unit.get("name", ""), unit.find("BaseUnit"), meaning(unit.get("name", ""))
+        if known is not None and base is not None:
+            # exponents of the base units
+            given = {each: int(base.get(each, "0")) for each in BASE}
+            if wrong := [each for each in BASE if given[each] != known[1][each]]:
+                shown, right = (" ".join(f"{each}={of[each]}" for each in wrong) for of in (given, known[1]))
+                yield Finding("units", f"{name} is defined with {shown}", f"a {name} has {right}", subject=name)
+                continue
+            # factor to SI units
+            factor = float(base.get("factor", "1"))
+            if not math.isnan(known[0]) and abs(factor - known[0]) > _CLOSE * known[0]:
+                message = f"{name} is defined with the factor {factor:g}"
+                yield Finding("units", message, f"a {name} has {known[0]:g}", subject=name)
+        # display units
+        for display in unit.iterfind("DisplayUnit"):
+            name, factor = display.get("name", ""), float(display.get("factor", "1"))
+            shown_as = meaning(name)
+            if factor == 0.0:
+                message, remedy = f"the display unit {name} has the factor 0", "give value = factor * unit + offset"
+                yield Finding("units", message, remedy, subject=name)
+            elif shown_as and known and shown_as[1] == known[1] and shown_as[0] > 0.0:
+                ratio = known[0] / shown_as[0]
+                if abs(factor - ratio) > _CLOSE * ratio:
+                    message = f"the display unit {name} of {unit.get('name')} has the factor {factor:g}"
+                    yield Finding("units", message, f"it is {ratio:g}: value = factor * unit + offset", subject=name)

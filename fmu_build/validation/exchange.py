@@ -18,6 +18,7 @@ from fmpy.fmi1 import FMICallException
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
+from flexfmu.fmu_build.validation.steps import change
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 AGREEMENT = 0.01
@@ -38,9 +39,6 @@ LONGEST = 5.0
 
 PERTURBATION = 0.05
 """Change of start values and inputs that sets the model in motion, relative to their size."""
-
-LEAST_MOTION = 1e-4
-"""Smallest motion of an output, relative to its size, that exceeds the errors of the solvers."""
 
 EULER = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 """Possible numbers of Euler steps per communication step."""
@@ -186,11 +184,13 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
     """
     if fmu.kind is not InterfaceType.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return
+    # communication steps whole, and in parts if co-simulation allows it
+    sizes = (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
     for starts, inputs in _perturbations(fmu):
         # the same motion by CVODE, and by communication steps of one or two sizes
         try:
             exchange = _integrated(fmu, starts, inputs)
-            slaves = [_stepped(fmu, starts, inputs, parts) for parts in _parts(fmu)]
+            slaves = [_stepped(fmu, starts, inputs, parts) for parts in sizes]
         except Exception:  # fmpy or CVODE can't run the model with these values
             continue
         rows = min(map(len, (exchange, *slaves)))
@@ -198,12 +198,12 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
             continue
         # differences with whole and with smaller communication steps
         exchange, whole, split = (each[:rows] for each in (exchange, slaves[0], slaves[-1]))
-        apart, finer = _apart(fmu, exchange, whole), _apart(fmu, exchange, split)
+        apart, finer = change(fmu, exchange, whole), change(fmu, exchange, split)
         # a difference that shrinks with the step is due to the solver; accept it up to POOR
         apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart) | (apart > POOR), apart, 0.0)
         if apart.max() > AGREEMENT:  # ignore what a tighter tolerance of CVODE changes
             tighter = _integrated(fmu, starts, inputs, 0.01 * INTEGRATION_TOLERANCE)
-            unsure = _apart(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
+            unsure = change(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
             apart = np.where(apart > 3.0 * unsure, apart, 0.0)
         # report the largest difference unless Euler's method explains it
         worst = int(np.argmax(apart))
@@ -218,11 +218,6 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
             return
 
 
-def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
-    """Numbers of parts into which communication steps are divided; more than one only if co-simulation allows it."""
-    return (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
-
-
 def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
     """Yield start values and inputs: perturbed states, then perturbed inputs, then neither."""
     states = {variable: moved(variable, PERTURBATION) for variable in fmu.perturbable_states}
@@ -232,14 +227,6 @@ def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealAr
     if fmu.inputs:
         yield {}, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs])
     yield {}, still
-
-
-def _apart(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> RealArray:
-    """Median difference of each output relative to its motion, shape (outputs,); 0 where it hardly moves."""
-    motion = np.maximum(np.ptp(first, axis=0), np.ptp(second, axis=0))
-    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
-    enough = motion > LEAST_MOTION * np.maximum(size, np.abs(first).max(axis=0))
-    return np.where(enough, np.median(np.abs(first - second), axis=0) / np.where(enough, motion, 1.0), 0.0)
 
 
 def _integrated(
@@ -300,7 +287,7 @@ def _is_euler(
         if len(rows) < len(slave):
             continue
         # is Euler's method much nearer to co-simulation than the exact solution?
-        euler, truth = (_apart(fmu, np.array(each), slave).max() for each in (rows, exact))
+        euler, truth = (change(fmu, np.array(each), slave).max() for each in (rows, exact))
         if euler < EXPLAINED * truth:
             return True
     return False

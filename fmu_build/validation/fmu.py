@@ -18,12 +18,15 @@ import numpy as np
 from fmpy import fmi2
 from fmpy.logging import addLoggerProxy
 
-from flexfmu.fmu_build.validation.instance import CosimulationInstance, ExchangeInstance, InstanceUnderTest, RealArray
-from flexfmu.fmu_build.validation.library import (
+from flexfmu.fmu_build.validation.instance import (
     GUARD,
+    CosimulationInstance,
+    ExchangeInstance,
     FMU2ModelLibrary,
     FMU2SlaveLibrary,
+    InstanceUnderTest,
     MisbehaviourError,
+    RealArray,
     is_guarded,
 )
 from flexfmu.fmu_build.validation.variables import is_smooth, size_of, start_of, start_value, within

@@ -1,23 +1,103 @@
-"""Instances of an FMU under test: one base class with the same methods for co-simulation and model exchange."""
+"""Instances of an FMU under test: one base class with the same methods for co-simulation and model exchange.
+
+The functions of the library record the current call, so that findings about hangs name it. Guards around memory that the FMU fills
+detect writes beyond its bounds.
+"""
 
 from __future__ import annotations
 
 import struct
+import sys
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from ctypes import POINTER, byref, c_double, c_size_t, cast, create_string_buffer
-from time import sleep
-from typing import Any
+from time import monotonic, sleep
+from typing import Any, ClassVar
 
 import numpy as np
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.validation.library import CANARY, GUARD, MisbehaviourError
-
 RealArray = NDArray[np.float64]
+
+GUARD = bytes(range(0xA0, 0xC0))
+"""Bytes before and behind each block of memory that an FMU gets; a change reveals a write out of bounds."""
+
+CANARY = -4.25e11
+"""Value behind an array of doubles that the FMU fills; a change reveals a write out of bounds."""
+
+_WARNING = 1
+"""fmi2Warning."""
+
+TRY = "flexfmu tries:"
+"""Prefix of announcements on standard error, which name the current action if the FMU crashes."""
+
+
+def announce(what: str) -> None:
+    """Announce the next action on standard error."""
+    with suppress(OSError):  # an FMU may have closed it
+        print(f"{TRY}{what}", file=sys.stderr, flush=True)
+
+
+class MisbehaviourError(RuntimeError):
+    """An FMU violates the standard.
+
+    Attributes:
+        remedy: what to do.
+    """
+
+    def __init__(self, message: str, remedy: str) -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+
+class Watch:
+    """Record of the FMI calls of this process, read by the watchdog thread.
+
+    Attributes:
+        call: name of the current call; empty if there is none.
+        since: its start, by `time.monotonic` [s].
+        calls: function → number of calls.
+        warnings: function → number of calls that returned fmi2Warning.
+    """
+
+    call = ""
+    since = 0.0
+    calls: ClassVar[Counter[str]] = Counter()
+    warnings: ClassVar[Counter[str]] = Counter()
+
+
+class _Watched:
+    """Records each call in `Watch`."""
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        Watch.since = monotonic()
+        Watch.call = name
+        Watch.calls[name] += 1
+        try:
+            status = super()._call(name, *arguments)  # type: ignore[misc]
+            Watch.warnings[name] += status == _WARNING
+            return status
+        finally:
+            Watch.call = ""
+
+
+class FMU2SlaveLibrary(_Watched, fmi2.FMU2Slave):  # type: ignore[misc]
+    """The functions for co-simulation; fmpy evaluates the prefix of the class name."""
+
+
+class FMU2ModelLibrary(_Watched, fmi2.FMU2Model):  # type: ignore[misc]
+    """The functions for model exchange."""
+
+
+def is_guarded(block: Any) -> bool:
+    """Whether the guards of a block are unchanged."""
+    content = bytes(memoryview(block))
+    return content.startswith(GUARD) and content.endswith(GUARD)
+
 
 _MOST_EVENT_ITERATIONS = 100
 _WANDER = 1e-4
@@ -79,10 +159,6 @@ class InstanceUnderTest(ABC):
         self.library.setupExperiment(tolerance=fmu.tolerance, startTime=fmu.start, stopTime=fmu.stop)
         self.library.enterInitializationMode()
 
-    def version(self) -> tuple[str, str]:
-        """FMI version and types platform of the binary."""
-        return self.library.getVersion(), self.library.getTypesPlatform()
-
     def get(self, variables: Sequence[Any]) -> RealArray:
         """Values of numeric and Boolean variables, shape (variables,)."""
         if all(variable.type == "Real" for variable in variables):
@@ -114,10 +190,6 @@ class InstanceUnderTest(ABC):
         """Directional derivatives of the unknowns along ``seed``, shape (unknowns,), from the FMU."""
         references = [[v.valueReference for v in variables] for variables in (unknowns, knowns)]
         return np.array(self.library.getDirectionalDerivative(*references, list(seed)), dtype=np.float64)
-
-    def reset(self) -> None:
-        """Reset the instance to its state after instantiation."""
-        self.library.reset()
 
     def write_together(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
         """Set variables of one type in one call."""

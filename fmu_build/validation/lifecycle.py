@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from ctypes import c_double, c_uint
 from pathlib import Path
@@ -22,8 +22,8 @@ from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
-from flexfmu.fmu_build.validation.library import CANARY, Watch, announce, is_guarded
-from flexfmu.fmu_build.validation.variables import attribute
+from flexfmu.fmu_build.validation.instance import CANARY, Watch, announce, is_guarded
+from flexfmu.fmu_build.validation.variables import attribute, start_of
 
 WHOLE_RUN = 5.0
 """Time limit of the run over the whole default experiment [s]."""
@@ -44,7 +44,7 @@ _OUTSIDE = 1e-6
 def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that the FMU can be instantiated and its binary is for FMI 2.0; all other checks need this."""
     with fmu.instance("version") as instance:
-        version, types = instance.version()
+        version, types = instance.library.getVersion(), instance.library.getTypesPlatform()
     if (version, types) != ("2.0", "default"):
         message = f"the binary says version {version}, types platform {types}"
         yield Finding("instantiation", message, "say 2.0 and default", section="2.1.4")
@@ -142,42 +142,38 @@ def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
         what = names[column - first] if column >= first else f"derivative {column + 1}"
         message = f"{what} is {rows[row, column]} at {fmu.start + (row + 1) * fmu.step:.6g} s"
         yield Finding("simulation", message, "give a number, or return fmi2Error", subject=what)
-    # ranges, with a tolerance for rounding
+    # ranges
     for variable, values in zip(fmu.outputs, rows[:, first:].T, strict=True):
-        low, high = attribute(variable, "min"), attribute(variable, "max")
-        room = _OUTSIDE * float(np.abs(values).max(initial=0.0))
-        for bound, outside in (
-            (low, low is not None and values < low - room),
-            (high, high is not None and values > high + room),
-        ):
-            if np.any(outside):
-                n = int(np.argmax(outside))
-                yield Finding(
-                    "range",
-                    f"{variable.name} is {values[n]:.6g} at {fmu.start + (n + 1) * fmu.step:.6g} s, beyond its bound {bound:g}",
-                    "correct min and max, or the value",
-                    Severity.WARNING,
-                    variable.name,
-                )
+        for n, bound in _outside(variable, values):
+            when = f"at {fmu.start + (n + 1) * fmu.step:.6g} s"
+            yield _beyond(variable, values[n], when, bound)
         if variable.type == "Boolean" and not np.isin(values, (0.0, 1.0)).all():
-            yield Finding(
-                "range", f"{variable.name} is neither fmi2True nor fmi2False", "give 1 or 0", subject=variable.name
-            )
+            message = f"{variable.name} is neither fmi2True nor fmi2False"
+            yield Finding("range", message, "give 1 or 0", subject=variable.name)
+
+
+def _outside(variable: Any, values: Any) -> Iterator[tuple[int, float]]:
+    """Yield the first index at which values are beyond a bound of the variable, with a tolerance for rounding, and the bound."""
+    room = _OUTSIDE * float(np.abs(values).max(initial=0.0))
+    for name, sign in (("min", -1.0), ("max", 1.0)):
+        bound = attribute(variable, name)
+        if bound is not None and (outside := sign * (values - bound) > room).any():
+            yield int(np.argmax(outside)), bound
+
+
+def _beyond(variable: Any, value: float, when: str, bound: float) -> Finding:
+    message = f"{variable.name} is {value:.6g} {when}, beyond its bound {bound:g}"
+    return Finding("range", message, "correct min and max, or the value", Severity.WARNING, variable.name)
 
 
 def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
     """Yield findings about variables other than outputs that are out of range after initialisation."""
     for variable in fmu.description.modelVariables:
-        low, high = attribute(variable, "min"), attribute(variable, "max")
-        if variable.type not in ("Real", "Integer") or variable in fmu.outputs or (low is None and high is None):
-            continue
-        with suppress(FMICallException):
-            value = float(instance.read([variable])[0])
-            room = _OUTSIDE * abs(value)
-            if (low is not None and value < low - room) or (high is not None and value > high + room):
-                bound = low if low is not None and value < low else high
-                message = f"{variable.name} is {value:.6g} after the initialisation, beyond its bound {bound:g}"
-                yield Finding("range", message, "correct min and max, or the value", Severity.WARNING, variable.name)
+        if variable.type in ("Real", "Integer") and variable not in fmu.outputs:
+            with suppress(FMICallException):
+                values = np.array(instance.read([variable]), dtype=float)
+                for _, bound in _outside(variable, values):
+                    yield _beyond(variable, values[0], "after the initialisation", bound)
 
 
 def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -250,25 +246,23 @@ def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
 class _MallocInfo(ctypes.Structure):
     """struct mallinfo2 of glibc."""
 
-    _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in [
-            "arena",
-            "ordblks",
-            "smblks",
-            "hblks",
-            "hblkhd",
-            "usmblks",
-            "fsmblks",
-            "uordblks",
-            "fordblks",
-            "keepcost",
-        ]
-    ]
+    _names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
+    _fields_ = [(name, ctypes.c_size_t) for name in _names.split()]
 
 
 NO_VARIABLE = 0x7FFFFFF1
 """A value reference that no variable has."""
+
+
+FmiCalls = dict[str, tuple[Any, ...]]
+"""Name of a call → method of the library, and its arguments."""
+
+_UNKNOWN: FmiCalls = {
+    "fmi2GetReal": ("getReal", [NO_VARIABLE]),
+    "fmi2SetReal": ("setReal", [NO_VARIABLE], [0.0]),
+    "fmi2GetInteger": ("getInteger", [NO_VARIABLE]),
+    "fmi2GetBoolean": ("getBoolean", [NO_VARIABLE]),
+}
 
 
 def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -278,65 +272,37 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.initialize()
         yield from _empty_call(instance)
         yield from _overrun(fmu, instance)
-    # unknown value references, and calls in the wrong state
+    # unknown value references
     when = f"for the value reference {NO_VARIABLE}, which no variable has"
     yield from _accepted(fmu, _UNKNOWN, True, when, Severity.WARNING)
-    yield from _accepted(fmu, _EARLY[fmu.kind], False, "before the initialisation")
-    late = _LATE[fmu.kind]
+    # calls in the wrong state
+    early: FmiCalls = {"fmi2ExitInitializationMode": ("exitInitializationMode",)}
+    late: FmiCalls = {"fmi2EnterInitializationMode": ("enterInitializationMode",)}
+    if fmu.kind is InterfaceType.COSIMULATION:
+        early["fmi2DoStep"] = ("doStep", fmu.start, fmu.step)
+        late["fmi2DoStep with a negative step"] = ("doStep", fmu.start, -fmu.step)
+    else:
+        early["fmi2NewDiscreteStates"] = ("newDiscreteStates",)
     if fixed := [v for v in fmu.settable("parameter") if v.type == "Real" and v.variability == "fixed"][:1]:
-        late = late | {f"fmi2SetReal of the fixed parameter {fixed[0].name}": lambda i: i.write(fixed, i.read(fixed))}
+        name, arguments = fixed[0].name, ([fixed[0].valueReference], [start_of(fixed[0])])
+        late[f"fmi2SetReal of the fixed parameter {name}"] = ("setReal", *arguments)
+    yield from _accepted(fmu, early, False, "before the initialisation")
     yield from _accepted(fmu, late, True, "after the initialisation")
 
 
-FmiCall = Callable[[Any], Any]
-
-_UNKNOWN: dict[str, FmiCall] = {
-    "fmi2GetReal": lambda instance: instance.library.getReal([NO_VARIABLE]),
-    "fmi2SetReal": lambda instance: instance.library.setReal([NO_VARIABLE], [0.0]),
-    "fmi2GetInteger": lambda instance: instance.library.getInteger([NO_VARIABLE]),
-    "fmi2GetBoolean": lambda instance: instance.library.getBoolean([NO_VARIABLE]),
-}
-
-_EARLY: dict[InterfaceType, dict[str, FmiCall]] = {
-    InterfaceType.COSIMULATION: {
-        "fmi2ExitInitializationMode": lambda instance: instance.library.exitInitializationMode(),
-        "fmi2DoStep": lambda instance: instance.library.doStep(instance.fmu.start, instance.fmu.step),
-    },
-    InterfaceType.EXCHANGE: {
-        "fmi2ExitInitializationMode": lambda instance: instance.library.exitInitializationMode(),
-        "fmi2NewDiscreteStates": lambda instance: instance.library.newDiscreteStates(),
-    },
-}
-
-_LATE: dict[InterfaceType, dict[str, FmiCall]] = {
-    InterfaceType.COSIMULATION: {
-        "fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode(),
-        "fmi2DoStep with a negative step": lambda instance: instance.library.doStep(
-            instance.fmu.start, -instance.fmu.step
-        ),
-    },
-    InterfaceType.EXCHANGE: {
-        "fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode()
-    },
-}
-
-
 def _accepted(
-    fmu: FmuUnderTest, calls: dict[str, FmiCall], initialized: bool, when: str, severity: Severity = Severity.NOTE
+    fmu: FmuUnderTest, calls: FmiCalls, initialized: bool, when: str, severity: Severity = Severity.NOTE
 ) -> Iterator[Finding]:
     """Yield one finding for all accepted calls; each call has a separate instance, since an error may end it."""
     accepted = []
-    for name, call in calls.items():
+    for name, (method, *arguments) in calls.items():
         with fmu.instance("illegal") as instance:
             if initialized:
                 instance.initialize()
             announce(f"{name} {when}")
-            try:
-                call(instance)
+            with suppress(FMICallException):
+                getattr(instance.library, method)(*arguments)
                 accepted.append(name)
-            except FMICallException:
-                continue
-    # one finding for all of them
     if accepted:
         remedy = "return fmi2Error: mistakes of the importing tool stay hidden otherwise"
         yield Finding("calls", f"{', '.join(accepted)} gives fmi2OK {when}", remedy, severity)

@@ -14,8 +14,7 @@ from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest
-from flexfmu.fmu_build.validation.instance import RealArray
-from flexfmu.fmu_build.validation.library import MisbehaviourError
+from flexfmu.fmu_build.validation.instance import MisbehaviourError, RealArray
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 PARTS = (1, 2, 4)
@@ -47,7 +46,8 @@ MOST_INPUTS = 8
 TIMES = 5
 """Number of steps after which the time is read."""
 
-_MOTION = 1e-4
+LEAST_MOTION = 1e-4
+"""Smallest motion of an output, relative to its size, that exceeds the errors of the solvers."""
 
 
 def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -58,33 +58,39 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
     runs = []
     for parts in PARTS:
         with fmu.instance("halved") as instance:
-            instance.initialize(perturbed_states(fmu))
-            instance.set(fmu.inputs, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs]))
+            initialize_perturbed(instance)
             runs.append(instance.read_steps(fmu.smooth_outputs, min(fmu.steps, SPLIT_POINTS), parts))
     length = min(map(len, runs))
     whole, half, quarter = (rows[:length] for rows in runs)
     if length < 3:
         return
     # the second halving must change less than the first one
-    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
-    motion = np.ptp(quarter, axis=0)
-    first, second = (np.median(np.abs(a - b), axis=0) for a, b in ((whole, half), (half, quarter)))
-    moves = motion > _MOTION * np.maximum(size, np.abs(quarter).max(axis=0))
-    failing = moves & (second > SPLIT_TOLERANCE * motion) & (second > CONVERGING * first)
+    first, second = change(fmu, half, whole), change(fmu, quarter, half)
+    failing = (second > SPLIT_TOLERANCE) & (second > CONVERGING * first)
     if failing.any():
-        worst = int(np.argmax(np.where(failing, second / np.maximum(motion, 1e-300), 0.0)))
+        worst = int(np.argmax(np.where(failing, second, 0.0)))
         yield Finding(
             "variable step",
-            f"{fmu.smooth_outputs[worst].name} changes by {first[worst] / motion[worst]:.1%} of its motion where steps are "
-            f"halved, and by {second[worst] / motion[worst]:.1%} where they are halved again",
+            f"{fmu.smooth_outputs[worst].name} changes by {first[worst]:.1%} of its motion where steps are "
+            f"halved, and by {second[worst]:.1%} where they are halved again",
             "advance by all of communicationStepSize, or don't claim canHandleVariableCommunicationStepSize",
             Severity.WARNING,
         )
 
 
-def perturbed_states(fmu: FmuUnderTest) -> dict[Any, float]:
-    """Perturbed start values of the settable states."""
-    return {variable: moved(variable, PERTURBATION) for variable in fmu.perturbable_states}
+def initialize_perturbed(instance: Any) -> None:
+    """Initialise with perturbed start values of the settable states, and set perturbed inputs."""
+    fmu = instance.fmu
+    instance.initialize({variable: moved(variable, PERTURBATION) for variable in fmu.perturbable_states})
+    instance.set(fmu.inputs, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs]))
+
+
+def change(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> RealArray:
+    """Median difference of each smooth output relative to its motion, shape (outputs,); 0 where it hardly moves."""
+    motion = np.maximum(np.ptp(first, axis=0), np.ptp(second, axis=0))
+    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
+    enough = motion > LEAST_MOTION * np.maximum(size, np.abs(first).max(axis=0))
+    return np.where(enough, np.median(np.abs(first - second), axis=0) / np.where(enough, motion, 1.0), 0.0)
 
 
 def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:

@@ -17,7 +17,7 @@ from time import monotonic, sleep
 from typing import Any
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.library import TRY
+from flexfmu.fmu_build.validation.instance import TRY
 
 CALL_SHARE = 0.2
 """Share of the time limit that one FMI call may take."""

@@ -11,7 +11,6 @@ import fmpy
 
 from flexfmu.fmu_build.validation.archive import check_archive, check_entries, read_archive, unpack
 from flexfmu.fmu_build.validation.binaries import check_binaries, library_name
-from flexfmu.fmu_build.validation.catalogue import CHECKS, SEVERAL
 from flexfmu.fmu_build.validation.description import (
     check_description,
     fmi_version,
@@ -22,6 +21,7 @@ from flexfmu.fmu_build.validation.description import (
 from flexfmu.fmu_build.validation.finding import Finding, Severity, ranked
 from flexfmu.fmu_build.validation.fmu import InterfaceType
 from flexfmu.fmu_build.validation.supervisor import run_checks
+from flexfmu.fmu_build.validation.worker import CHECKS
 
 TIME_LIMIT = 120.0
 """Time limit of the dynamic checks [s]; the paper's scene needs a few seconds."""
@@ -39,7 +39,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     """Check any FMU 2.0, for co-simulation, model exchange or both.
 
     Static checks: archive, model description (by fmpy and by further rules), names, exports and dependencies of the
-    binaries. Dynamic checks: those of `flexfmu.fmu_build.validation.catalogue`. They run in worker processes, so that a
+    binaries. Dynamic checks: those of `flexfmu.fmu_build.validation.worker`. They run in worker processes, so that a
     crash is a finding; the workers end with this process. Of an FMU 3.0 only the description is checked.
 
     Args:
@@ -77,11 +77,11 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
 
 
 def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
-    # every check for every interface; a single instance excludes those that need several
+    # every check for every interface; where a process may make one instance, a check that needs several finds nothing
     elements = {InterfaceType.COSIMULATION: description.coSimulation, InterfaceType.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
     single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
-    jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS if not single or check not in SEVERAL]
+    jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS]
     with TemporaryDirectory(prefix="flexfmu-validate-", ignore_cleanup_errors=True) as home:
         folder = Path(home) / "fmu"
         unpack(files, folder)

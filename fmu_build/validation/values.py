@@ -96,7 +96,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
                     remedy = "keep it in double precision"
                     yield Finding("parameters", message, remedy, Severity.WARNING, variable.name)
             # fmi2Reset restores the start values
-            instance.reset()
+            instance.library.reset()
             instance.enter_initialization()
             instance.library.exitInitializationMode()
             for variable, value in zip(kept, _read(instance, list(kept)), strict=True):

@@ -1,4 +1,4 @@
-"""Runs checks of an FMU in a separate process and writes each finding as a line of JSON to a report file.
+"""All dynamic checks: runs those of an FMU in a separate process and writes each finding as a line of JSON to a report file.
 
 python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT STEP_SECONDS KIND:CHECK [KIND:CHECK...]
 
@@ -17,7 +17,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
@@ -26,10 +26,46 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
-from flexfmu.fmu_build.validation.catalogue import CHECKS, Check
+from flexfmu.fmu_build.validation import dependencies, derivatives, exchange, lifecycle, replay, steps, values
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
-from flexfmu.fmu_build.validation.library import Watch, announce
+from flexfmu.fmu_build.validation.instance import Watch, announce
+
+Check = Callable[[FmuUnderTest], Iterator[Finding]]
+"""A dynamic check: runs an FMU and yields findings; a failed FMI call may raise fmpy's exception."""
+
+CHECKS: dict[str, Check] = {
+    "instantiation": lifecycle.instantiates,
+    "guid": lifecycle.refuses_wrong_guid,
+    "simulation": lifecycle.outputs_are_finite,
+    "repeatability": replay.repeats_itself,
+    "resource location": lifecycle.accepts_odd_uris,
+    "memory": lifecycle.gives_memory_back,
+    "start value": values.starts_are_kept,
+    "parameters": values.parameters_are_kept,
+    "several variables": values.one_call_does_what_several_do,
+    "reset": replay.repeats_after_reset,
+    "reading": replay.reads_leave_the_state_alone,
+    "state": replay.replays_saved_states,
+    "inputs in the state": replay.brings_inputs_back,
+    "serialisation": replay.replays_serialized_state,
+    "instances": replay.two_instances_are_independent,
+    "rates": derivatives.states_follow_their_derivatives,
+    "variable step": steps.halving_the_step_changes_little,
+    "time": steps.reports_the_time,
+    "input derivatives": steps.interpolates_inputs,
+    "output derivatives": derivatives.output_derivatives_are_right,
+    "directional derivatives": derivatives.directional_derivatives_are_right,
+    "derivatives": exchange.derivatives_depend_on_state_alone,
+    "states": exchange.states_are_the_variables,
+    "integrator steps": exchange.integrator_steps_change_nothing,
+    "event indicators": exchange.event_indicators_are_given,
+    "dependencies of variables": dependencies.declared_dependencies_hold,
+    "initial dependencies": dependencies.initial_dependencies_hold,
+    "interfaces": exchange.interfaces_agree,
+    "calls": lifecycle.refuses_illegal_calls,
+}
+"""Name of the finding → check. A check that doesn't apply to the FMU yields nothing; if the first fails, the others can't run."""
 
 _ROUNDING = {0: "nearest", 0x400: "downwards", 0x800: "upwards", 0xC00: "towards zero"}
 """Return value of fegetround on x86 → name of the rounding mode."""
@@ -70,42 +106,48 @@ def surroundings(fmu: Path) -> dict[str, Any]:
     return seen
 
 
-def _environment(libc: Any) -> dict[bytes, bytes]:
+def _environment(libc: Any) -> dict[str, str]:
     """The environment variables of the C library."""
     pointer = ctypes.POINTER(ctypes.c_char_p).in_dll(libc, "environ")
-    entries: list[bytes] = []
+    entries: list[str] = []
     while bool(pointer) and (entry := pointer[len(entries)]) is not None:
-        entries.append(entry)
-    return dict(entry.partition(b"=")[::2] for entry in entries)
+        entries.append(entry.decode(errors="replace"))
+    return dict(entry.partition("=")[::2] for entry in entries)
 
 
 def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Finding]:
     """Yield findings about changes of the process state; reported entries are removed from ``before``."""
     for what, old in list(before.items()):
         new = after[what]
-        # report each change once
-        if new != old:
-            del before[what]
-        if what == "open files" and new > old:
-            yield _disturbance("leaves files open", "close them")
-        elif what == "resources" and new != old:
-            names = sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
-            message = f"the FMU writes into its resources: {', '.join(names[:3])}"
-            remedy = "write elsewhere: they may be read-only, and other instances use them"
-            yield Finding("process", message, remedy, Severity.WARNING)
-        elif what == "environment" and new != old:
-            names = sorted(name.decode(errors="replace") for name in {*old, *new} if old.get(name) != new.get(name))
-            yield _disturbance(f"changes the environment: {', '.join(names)}", "leave it alone")
-        elif what != "open files" and new != old:
-            shown = {"mask of new files": f"{new:#05o}" if isinstance(new, int) else ""}
-            if what == "rounding of numbers" and platform.machine() in ("x86_64", "AMD64"):
-                shown[what] = _ROUNDING.get(new, str(new))
-            change = "" if what == "signal handlers" else f" to {shown.get(what, new)}"
-            yield _disturbance(f"changes the {what}{change}", "restore it before each FMI call returns")
+        if new == old:
+            continue
+        del before[what]  # report each change once
+        change, whose, remedy = f"changes the {what}", ", which belongs to the importing tool", _RESTORE
+        match what:
+            case "open files" if new < old:
+                continue
+            case "open files":
+                change, remedy = "leaves files open", "close them"
+            case "resources":
+                change, whose = f"writes into its resources: {', '.join(_changed(old, new)[:3])}", ""
+                remedy = "write elsewhere: they may be read-only, and other instances use them"
+            case "environment":
+                change, remedy = f"changes the environment: {', '.join(_changed(old, new))}", "leave it alone"
+            case "mask of new files":
+                change += f" to {new:#05o}"
+            case "rounding of numbers" if platform.machine() in ("x86_64", "AMD64"):
+                change += f" to {_ROUNDING.get(new, new)}"
+            case _ if what != "signal handlers":
+                change += f" to {new}"
+        yield Finding("process", f"the FMU {change}{whose}", remedy, Severity.WARNING)
 
 
-def _disturbance(what: str, remedy: str) -> Finding:
-    return Finding("process", f"the FMU {what}, which belongs to the importing tool", remedy, Severity.WARNING)
+_RESTORE = "restore it before each FMI call returns"
+
+
+def _changed(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """Names of what is new, missing or different."""
+    return sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
 
 
 def closed_streams(standard: list[int]) -> Iterator[Finding]:
