@@ -1,3 +1,4 @@
+#pragma GCC diagnostic ignored "-Wunused-parameter" // functions of models have CasADi's signature
 #include "models.h"
 
 #include <math.h>
@@ -20,7 +21,6 @@ typedef double **out;
 /* functions that several models share */
 
 static int no_inputs(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
   return 0;
 }
 
@@ -30,58 +30,48 @@ static int origin(double *y, int n) {
 }
 
 static int origin_1(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   return origin(res[0], 1);
 }
 
 static int origin_2(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   return origin(res[0], 2);
 }
 
 static int origin_3(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   return origin(res[0], 3);
 }
 
 static int zero_input(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 0.0;
   return 0;
 }
 
 static int nothing_to_derive(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
   return 0;
 }
 
 static int ample_margin(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 1.0;
   return 0;
 }
 
 static int unit_mass_1(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 1.0;
   return 0;
 }
 
 static int unit_scale_1(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 1.0, res[0][1] = 1.0, res[0][2] = 1e-6;
   return 0;
 }
 
 static int unit_scale_2(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = res[0][1] = res[0][2] = res[0][3] = 1.0, res[0][4] = 1e-6;
   return 0;
 }
 
 // positions, rates, and a floor of everyday size
 static int sliders_scale(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = res[0][1] = res[0][2] = res[0][3] = 1.0, res[0][4] = 0.1;
   return 0;
 }
@@ -91,13 +81,11 @@ static int sliders_scale(in arg, out res, int *iw, double *w, int mem) {
 static const double rotation[3][3] = {{0.6, -0.8, 0.0}, {0.8, 0.6, 0.0}, {0.0, 0.0, 1.0}};
 
 static int oscillators_derive(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[0], 4 * sizeof(double));
   return 0;
 }
 
 static int oscillators_inputs(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = res[0][1] = res[0][2] = 0.0;
   return 0;
 }
@@ -118,26 +106,22 @@ static void oscillators_balance(const double *y, const double *v, const double *
 }
 
 static int oscillators_residual(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   oscillators_balance(arg[0], arg[1], arg[2], arg[3], arg[4], res[0]);
   return 0;
 }
 
 static int oscillators_mass(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   for (int i = 0; i < 9; i++) res[0][i] = i % 4 == 0;
   return 0;
 }
 
 static int oscillators_outputs(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k], 3 * sizeof(double));
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
 static int oscillators_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double held[3] = {0.0, 0.0, 0.0};
   oscillators_balance(arg[5], arg[6], held, arg[7], arg[4], res[0]);
 
@@ -158,7 +142,6 @@ static int oscillators_forward(in arg, out res, int *iw, double *w, int mem) {
 
 // d changes with p, the start position does not
 static int oscillators_start_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[1], 4 * sizeof(double));
   return origin(res[0] + 4, 3);
 }
@@ -167,7 +150,6 @@ static int oscillators_start_forward(in arg, out res, int *iw, double *w, int me
 RATE1(oscillators_rate1, oscillators_forward)
 
 static int oscillators_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double no_snap[3] = {0.0, 0.0, 0.0};
   oscillators_balance(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
   memcpy(res[0] + 3, arg[2], 3 * sizeof(double));
@@ -178,7 +160,6 @@ static int oscillators_rate2(in arg, out res, int *iw, double *w, int mem) {
 
 // energy norm, without the products of different coordinates
 static int oscillators_scale(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *d = arg[0];
   for (int i = 0; i < 3; i++) {
     res[0][i] = 0.0;
@@ -235,20 +216,17 @@ const flex_model oscillators = {.name = "oscillators",
 /* pendulum */
 
 static int pendulum_residual(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[2][0] + sin(arg[0][0]) - arg[3][0];
   return 0;
 }
 
 static int pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = 0.5 * arg[1][0] * arg[1][0] - cos(arg[0][0]);
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
 static int pendulum_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = cos(arg[0][0]) * arg[5][0] - arg[7][0];
   res[0][1] = arg[1][0] * arg[6][0] + sin(arg[0][0]) * arg[5][0];
   return 0;
@@ -258,7 +236,6 @@ static int pendulum_forward(in arg, out res, int *iw, double *w, int mem) {
 RATE1(pendulum_rate1, pendulum_forward)
 
 static int pendulum_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   double y = arg[0][0], v = arg[1][0], a = arg[2][0];
   res[0][0] = -sin(y) * v * v + cos(y) * a - arg[6][0];
   res[0][1] = a * (a + sin(y)) + v * (arg[3][0] + cos(y) * v);
@@ -295,7 +272,6 @@ const flex_model pendulum = {.name = "pendulum",
 /* orbit */
 
 static int orbit_residual(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *y = arg[0], *a = arg[2];
   double square = y[0] * y[0] + y[1] * y[1], cube = square * sqrt(square);
   for (int i = 0; i < 2; i++) res[0][i] = a[i] + y[i] / cube;
@@ -303,13 +279,11 @@ static int orbit_residual(in arg, out res, int *iw, double *w, int mem) {
 }
 
 static int orbit_mass(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = res[0][3] = 1.0, res[0][1] = res[0][2] = 0.0;
   return 0;
 }
 
 static int orbit_invariants(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *y = arg[0], *v = arg[1];
   res[0][0] = 0.5 * (v[0] * v[0] + v[1] * v[1]) - 1.0 / sqrt(y[0] * y[0] + y[1] * y[1]);
   res[0][1] = y[0] * v[1] - y[1] * v[0];
@@ -317,7 +291,6 @@ static int orbit_invariants(in arg, out res, int *iw, double *w, int mem) {
 }
 
 static int unknown_rates(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
   return 1;
 }
 
@@ -347,14 +320,12 @@ const flex_model orbit = {.name = "orbit",
 /* double pendulum with angles y from the vertical */
 
 static int double_pendulum_mass(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   double c = cos(arg[0][0] - arg[0][1]);
   res[0][0] = 2.0, res[0][1] = res[0][2] = c, res[0][3] = 1.0;
   return 0;
 }
 
 static int double_pendulum_residual(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *y = arg[0], *v = arg[1], *a = arg[2];
   double c = cos(y[0] - y[1]), s = sin(y[0] - y[1]);
   res[0][0] = 2.0 * a[0] + c * a[1] + s * v[1] * v[1] + 2.0 * sin(y[0]);
@@ -363,7 +334,6 @@ static int double_pendulum_residual(in arg, out res, int *iw, double *w, int mem
 }
 
 static int double_pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *y = arg[0], *v = arg[1];
   res[0][0] = v[0] * v[0] + 0.5 * v[1] * v[1] + v[0] * v[1] * cos(y[0] - y[1]) - 2.0 * cos(y[0]) - cos(y[1]);
   return 0;
@@ -392,14 +362,12 @@ const flex_model double_pendulum = {.name = "double_pendulum",
 /* rigid: u, u' and u'' of the input are all there is */
 
 static int rigid_outputs(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[3][0] * arg[3][0];
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
 static int rigid_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = 2.0 * arg[3][0] * arg[7][0];
   return 0;
 }
@@ -408,19 +376,16 @@ static int rigid_forward(in arg, out res, int *iw, double *w, int mem) {
 RATE1(rigid_rate1, rigid_forward)
 
 static int rigid_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]);
   return 0;
 }
 
 static int margin_below_one(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = 1.0 - arg[1][0];
   return 0;
 }
 
 static int unit_floor(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 1.0;
   return 0;
 }
@@ -455,7 +420,6 @@ const flex_model rigid = {.name = "rigid",
 /* sliders: d = c, b, viscous, coupling, direction 1, direction 2 */
 
 static int sliders_derive(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[0], 4 * sizeof(double));
   return origin(res[0] + 4, 2);
 }
@@ -468,7 +432,6 @@ static void sliders_forces(const double *y, const double *v, const double *a, co
 }
 
 static int sliders_residual(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *d = arg[4];
   sliders_forces(arg[0], arg[1], arg[2], arg[3], d, res[0]);
   for (int i = 0; i < 2; i++) res[0][i] += d[4 + i] * d[0];
@@ -476,13 +439,11 @@ static int sliders_residual(in arg, out res, int *iw, double *w, int mem) {
 }
 
 static int sliders_mass(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = res[0][3] = 1.0, res[0][1] = res[0][2] = 0.0;
   return 0;
 }
 
 static int sliders_outputs(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[0], 2 * sizeof(double));
   memcpy(res[0] + 2, arg[1], 2 * sizeof(double));
   sliders_forces(arg[0], arg[1], arg[2], arg[3], arg[4], res[0] + 4);
@@ -491,7 +452,6 @@ static int sliders_outputs(in arg, out res, int *iw, double *w, int mem) {
 
 // arg: y, v, a, u, d, dy, dv, du, dd
 static int sliders_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double held[2] = {0.0, 0.0};
   sliders_forces(arg[5], arg[6], held, arg[7], arg[4], res[0]);
   memcpy(res[0] + 2, arg[5], 2 * sizeof(double));
@@ -505,7 +465,6 @@ static int sliders_forward(in arg, out res, int *iw, double *w, int mem) {
 RATE1(sliders_rate1, sliders_forward)
 
 static int sliders_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double no_snap[2] = {0.0, 0.0};
   sliders_forces(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
   memcpy(res[0] + 2, arg[2], 2 * sizeof(double));
@@ -515,7 +474,6 @@ static int sliders_rate2(in arg, out res, int *iw, double *w, int mem) {
 }
 
 static int sliders_start_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[1], 4 * sizeof(double));
   return origin(res[0] + 4, 4);
 }
@@ -564,27 +522,23 @@ const flex_model sliders = {.name = "sliders",
 /* fragile: d = limit, load */
 
 static int fragile_derive(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[0][0], res[0][1] = arg[0][1];
   return 0;
 }
 
 static int fragile_residual(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *d = arg[4];
   res[0][0] = arg[0][0] > d[0] ? NAN : arg[2][0] + arg[0][0] - arg[3][0] - d[1];
   return 0;
 }
 
 static int first_coordinate(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[0][0];
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
 static int fragile_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[5][0] - arg[7][0] - arg[8][1];
   res[0][1] = arg[5][0];
   return 0;
@@ -594,7 +548,6 @@ static int fragile_forward(in arg, out res, int *iw, double *w, int mem) {
 RATE1(fragile_rate1, fragile_forward)
 
 static int fragile_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[2][0] - arg[6][0];
   res[0][1] = arg[2][0];
   return 0;
@@ -602,13 +555,11 @@ static int fragile_rate2(in arg, out res, int *iw, double *w, int mem) {
 
 // d changes with p, the start position does not
 static int fragile_start_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[1], 2 * sizeof(double));
   return origin(res[0] + 2, 1);
 }
 
 static int margin_below_two(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = 2.0 - arg[1][0];
   return 0;
 }

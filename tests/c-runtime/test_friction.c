@@ -1,4 +1,5 @@
 /* Friction that sticks, against the closed forms of stick-slip. */
+#pragma GCC diagnostic ignored "-Wunused-parameter" // functions of models have CasADi's signature
 #include <float.h>
 #include <string.h>
 
@@ -202,14 +203,12 @@ void test_rates_with_friction_are_exact(void) {
 #define CARTS 4
 
 static int carts_derive(const double **arg, double **res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[0], 3 * CARTS * sizeof(double));
   memset(res[0] + 3 * CARTS, 0, CARTS * sizeof(double));
   return 0;
 }
 
 static int carts_zeros(const double **arg, double **res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   memset(res[0], 0, CARTS * sizeof(double));
   return 0;
 }
@@ -223,7 +222,6 @@ static void carts_load(const double *a, const double *u, const double *m, double
 }
 
 static int carts_residual(const double **arg, double **res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   const double *d = arg[4];
   carts_load(arg[2], arg[3], d, res[0]);
   for (int k = 0; k < CARTS; k++) res[0][k] = d[3 * CARTS + k] * d[CARTS + k] - res[0][k];
@@ -231,7 +229,6 @@ static int carts_residual(const double **arg, double **res, int *iw, double *w, 
 }
 
 static int carts_mass(const double **arg, double **res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   for (int i = 0; i < CARTS; i++)
     for (int j = 0; j < CARTS; j++) {
       res[0][i * CARTS + j] = 0.0;
@@ -241,13 +238,11 @@ static int carts_mass(const double **arg, double **res, int *iw, double *w, int 
 }
 
 static int carts_margin(const double **arg, double **res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 1.0;
   return 0;
 }
 
 static int carts_scale(const double **arg, double **res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   for (int k = 0; k < 2 * CARTS; k++) res[0][k] = 1.0;
   res[0][2 * CARTS] = 1.0;
   return 0;

@@ -1,4 +1,5 @@
 /* The plant: start, outputs with their rates, parameters. */
+#pragma GCC diagnostic ignored "-Wunused-parameter" // functions of models have CasADi's signature
 #include <string.h>
 
 #include "check.h"
@@ -115,45 +116,38 @@ typedef const double **in;
 typedef double **out;
 
 static int negative_mass(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = -1.0;
   return 0;
 }
 
 static int no_floor(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = res[0][1] = 1.0, res[0][2] = 0.0;
   return 0;
 }
 
 static int refusal(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
   return 1;
 }
 
 static int nan_result(in arg, out res, int *iw, double *w, int mem) {
-  (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = NAN;
   return 0;
 }
 
 // M = 1 says the mass matrix, but the residual has M = 4: Newton's corrections grow threefold at any step size
 static int false_mass(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = 4.0 * arg[2][0] - 1.0;
   return 0;
 }
 
 // y'' = 6 y^2, solved by 1/(1 - t)^2
 static int blow_up(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[2][0] - 6.0 * arg[0][0] * arg[0][0];
   return 0;
 }
 
 // y'' = force, but only up to 50 N
 static int picky(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
   res[0][0] = arg[3][0] > 50.0 ? NAN : arg[2][0] - arg[3][0];
   return 0;
 }

@@ -11,8 +11,6 @@
   X(tableaus_are_diagonal_in_their_eigenvectors) \
   X(inputs_are_polynomials)                     \
   X(inputs_forget_derivatives_when_set)         \
-  X(order_is_twice_the_stages)                  \
-  X(order_is_twice_the_stages_for_full_masses)  \
   X(tolerance_is_achieved)                      \
   X(tolerance_is_achieved_between_short_steps)  \
   X(stiff_modes_at_rest_cost_nothing)           \
@@ -61,13 +59,9 @@
   X(fmi_life_cycle)                             \
   X(fmi_instantiation_is_checked)               \
   X(fmi_values_are_checked)                     \
-  X(fmi_steps_are_checked)                      \
   X(fmi_rollback_is_exact)                      \
-  X(fmi_states_travel_between_instances)        \
-  X(fmi_instances_are_independent)              \
   X(fmi_singularity_discards_the_step)          \
   X(fmi_nan_discards_the_step)                  \
-  X(fmi_reset_starts_over)                      \
   X(fmi_allocates_once)                         \
   X(fmi_logs_what_is_asked_for)                 \
   X(fmi_inputs_jump_at_communication_points)    \
