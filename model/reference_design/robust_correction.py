@@ -2,9 +2,8 @@
 
 The corrections are quintic splines with wide knots, so small that the elastic motion depends linearly on them. Exact
 sensitivities of all variants (`ElasticResponse`) make a linear programme: least vibration after the motion, with every end
-effector near the path and every torque within its limit; then least distance from the path with little more vibration. It starts from
-least squares, and rows that don't bind are left out until they are violated. It is solved again about the corrected references,
-which takes back what isn't linear.
+effector near the path and every torque within its limit; then least distance from the path with little more vibration. It is solved about
+references that are corrected by least squares, which takes back what isn't linear.
 """
 
 from __future__ import annotations
@@ -40,11 +39,8 @@ VIBRATION_TIME, VIBRATION_STEP = 0.1, 2e-3
 ON_PATH = 6
 """Variants whose distance from the path is bounded: it varies little and evenly between them."""
 
-ROUNDS, BATCH = 40, 300
-"""Largest number of times that violated rows are added to a linear programme, and of rows that are."""
-
-NEAR, FEW = 0.5, 20
-"""Rows above this fraction of their bound are in the programme from the start, and every 20th of the others."""
+NEAR = 0.5
+"""Torques below this fraction of their limit don't count."""
 
 VIOLATION = 5e-3
 """Relative violation of a row that is accepted."""
@@ -83,28 +79,13 @@ class Tolerances:
     jerk: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """Corrected references, and what they reach on the variants that they are designed for.
-
-    Attributes:
-        motors: motor angles [rad].
-        residual: largest vibration after the motion [m].
-        off_path: largest distance from where the end effector should be [m].
-    """
-
-    motors: JointSpline
-    residual: float
-    off_path: float
-
-
 def corrected(
     scene: Scene,
     variants: Sequence[Mapping[str, float]],
     motors: JointSpline,
     motion: Trajectory,
     tolerances: Tolerances,
-) -> Correction:
+) -> JointSpline:
     """Correct references such that they serve all variants of a robot.
 
     Args:
@@ -120,11 +101,22 @@ def corrected(
         EquilibriumError: a variant's elastic motion has no solution.
     """
     problem = _Problem(scene, variants, motors, motion, tolerances)
-    if problem.is_met():
-        return problem.judged(np.zeros(problem.count))
+    vibration, path, *others = problem.rows(motors)
+    if all(bool((each.value <= each.bound).all()) for each in (vibration, path, *others)):
+        return motors
     # least squares come so near that the programmes about them are final
-    free = problem.guess()
-    return problem.judged(free + problem.step(free))
+    motors = problem.moved(motors, _least_squares([vibration, path]))
+    vibration, path, *others = problem.rows(motors)
+    least = _solved(vibration, [path, *others])
+    if least is None:
+        raise TrajectoryError(
+            f"no correction of the references keeps all variants within {1e3 * tolerances.off_path:.3g} mm of the path and the "
+            "torques within their limits: allow more, give the motion more time, or narrow the band"
+        )
+    # nearest to the path with little more vibration
+    change, residual = least
+    nearest = _solved(path, [replace(vibration, bound=max(SLACK * residual, tolerances.residual)), *others])
+    return problem.moved(motors, change if nearest is None else nearest[0])
 
 
 class _Problem:
@@ -138,13 +130,12 @@ class _Problem:
         motion: Trajectory,
         tolerances: Tolerances,
     ) -> None:
-        self._motors, self._tolerances = motors, tolerances
+        self._tolerances = tolerances
         self._elastic = ElasticResponse(scene, variants, motors.coefficients[0], motors.intervals)
         rest = self._elastic.model.rest(motors.coefficients[-1])
         # a quintic spline makes no motion that is faster than half a period a knot
         highest = float(free_modes(rest).frequencies[:, :MODES].max(initial=1.0))
         self._basis = _correction_basis(motors, max(PERIODS * 2.0 * np.pi / highest, LEAST_SPACING))
-        self.count = 2 * self._basis.shape[1]
         fractions = self._elastic.fractions
         self._targets = motion.evaluate(fractions * motors.duration - LEAD, 0)[0]
         self._free_vibration, self._at_end = _free_vibration(rest), rest.elastic
@@ -154,57 +145,38 @@ class _Problem:
         if largest > tolerances.off_path:
             self._tolerances = replace(tolerances, off_path=GROWTH * largest)
         self._vibration_by = np.einsum(
-            "ptix,pxm->ptim", self._free_vibration, self._by.end_by.reshape(len(variants), -1, self.count)
+            "ptix,pxm->ptim", self._free_vibration, self._by.end_by.reshape(len(variants), -1, 2 * self._basis.shape[1])
         )
 
-    def motors(self, free: RealArray) -> JointSpline:
-        """References with corrections."""
-        return replace(self._motors, coefficients=self._motors.coefficients + self._basis @ free.reshape(2, -1).T)
+    def moved(self, motors: JointSpline, change: RealArray) -> JointSpline:
+        """References with a change (m,) of the corrections."""
+        return replace(motors, coefficients=motors.coefficients + self._basis @ change.reshape(2, -1).T)
 
-    def judged(self, free: RealArray) -> Correction:
-        """What corrections reach, by the elastic response itself."""
-        motors = self.motors(free)
-        response = self._response(motors)
-        largest = (
-            float(np.hypot(*np.moveaxis(each, -1, 0)).max())
-            for each in (self._vibration(response), self._path_errors(response))
-        )
-        return Correction(motors, *largest)
-
-    def is_met(self) -> bool:
-        """Whether the references serve all variants without a correction."""
-        response = self._response(self._motors)
-        rows = [*self._vectors(response), *self._torques(response), *self._jerks(self._motors)]
-        return all(bool((each.value <= each.bound).all()) for each in rows)
-
-    def guess(self) -> RealArray:
-        """Corrections by least squares."""
-        return _least_squares(self._vectors(self._response(self._motors)))
-
-    def _vectors(self, response: Response) -> list[_Rows]:
-        """Rows value + by change <= bound of the vibration and of the path."""
-        some = np.unique(np.linspace(0, len(response.end) - 1, ON_PATH).round().astype(int))
-        path = _in_directions(self._path_errors(response)[some, 5::6], self._by.position_by[some, 5::6])
-        vibration = _in_directions(self._vibration(response), self._vibration_by)
-        return [_Rows(*vibration, self._tolerances.residual), _Rows(*path, self._tolerances.off_path)]
-
-    def step(self, free: RealArray) -> RealArray:
-        """The change of the corrections that the linear programmes about them find."""
-        motors, t = self.motors(free), self._tolerances
-        response = self._response(motors)
-        vibration, path = self._vectors(response)
-        others = [*self._torques(response), *self._jerks(motors)]
-        least = _solved(vibration, [path, *others], np.zeros(self.count))
-        if least is None:
-            raise TrajectoryError(
-                f"no correction of the references keeps all variants within {1e3 * t.off_path:.3g} mm of the path and the "
-                "torques within their limits: allow more, give the motion more time, or narrow the band"
-            )
-        # nearest to the path with little more vibration
-        change, residual = least
-        vibration = replace(vibration, bound=max(SLACK * residual, t.residual))
-        nearest = _solved(path, [vibration, *others], change)
-        return change if nearest is None else nearest[0]
+    def rows(self, motors: JointSpline) -> list[_Rows]:
+        """Rows value + by change <= bound of the vibration, of the path, and of torques and jerks."""
+        response, limits = self._response(motors), self._tolerances
+        # displacements (P, times, 2) [m] from rest after the motion
+        state = response.end.copy()
+        state[:, 0] -= self._at_end
+        vibration = np.einsum("ptix,px->pti", self._free_vibration, state.reshape(len(state), -1))
+        some = np.unique(np.linspace(0, len(state) - 1, ON_PATH).round().astype(int))
+        path = self._path_errors(response)[some, 5::6], self._by.position_by[some, 5::6]
+        found = [
+            _Rows(*_in_directions(vibration, self._vibration_by), limits.residual),
+            _Rows(*_in_directions(*path), limits.off_path),
+        ]
+        if limits.torque is not None:
+            most = limits.torque[:, np.newaxis]
+            value, by = response.torque / most, self._by.torque_by / most[..., np.newaxis]
+            near, sign = np.abs(value) > NEAR, np.sign(value)
+            found.append(_Rows(np.abs(value[near]), sign[near][:, np.newaxis] * by[near], 1.0))
+        if limits.jerk is not None:
+            fractions = np.linspace(0.0, 1.0, 4 * motors.intervals + 1)
+            matrix = basis(motors.degree, motors.intervals, fractions, 3) / motors.duration**3 / limits.jerk
+            value, by = matrix @ motors.coefficients, np.kron(np.eye(2), matrix @ self._basis)
+            value = value.T.ravel()
+            found += [_Rows(sign * value, sign * by, 1.0) for sign in (1.0, -1.0)]
+        return found
 
     def _response(self, motors: JointSpline, by: RealArray | None = None) -> Response:
         references = np.hstack(list(motors.evaluate(self._elastic.fractions)))
@@ -213,31 +185,6 @@ class _Problem:
     def _path_errors(self, response: Response) -> RealArray:
         """Displacements (P, N, 2) [m] of all variants from where they should be."""
         return np.asarray(response.position - self._targets)
-
-    def _vibration(self, response: Response) -> RealArray:
-        """Displacements (P, times, 2) [m] from rest after the motion of all variants."""
-        state = response.end.copy()
-        state[:, 0] -= self._at_end
-        return np.asarray(np.einsum("ptix,px->pti", self._free_vibration, state.reshape(len(state), -1)))
-
-    def _torques(self, response: Response) -> list[_Rows]:
-        limit = self._tolerances.torque
-        if limit is None:
-            return []
-        value, by = response.torque / limit[:, np.newaxis], self._by.torque_by / limit[:, np.newaxis, :, np.newaxis]
-        near = np.abs(value) > NEAR
-        sign = np.sign(value[near])
-        return [_Rows(sign * value[near], sign[:, np.newaxis] * by[near], 1.0)]
-
-    def _jerks(self, motors: JointSpline) -> list[_Rows]:
-        limit = self._tolerances.jerk
-        if limit is None:
-            return []
-        fractions = np.linspace(0.0, 1.0, 4 * motors.intervals + 1)
-        matrix = basis(motors.degree, motors.intervals, fractions, 3) / motors.duration**3 / limit
-        value, by = matrix @ motors.coefficients, matrix @ self._basis
-        both = [np.asarray(np.kron(row, by), dtype=float) for row in np.eye(2)]
-        return [_Rows(sign * value[:, i], sign * both[i], 1.0) for i in range(2) for sign in (1.0, -1.0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,40 +207,29 @@ def _least_squares(parts: Sequence[_Rows]) -> RealArray:
     return np.asarray(-np.linalg.solve(normal, matrix.T @ values / scale) / scale)
 
 
-def _solved(least: _Rows, kept: Sequence[_Rows], first: RealArray) -> tuple[RealArray, float] | None:
+def _solved(least: _Rows, kept: Sequence[_Rows]) -> tuple[RealArray, float] | None:
     """The change that makes the largest of some rows least while others keep their bounds, and what it reaches; None if none can.
 
     Args:
         least: rows whose largest value is minimised; their bound is a scale.
         kept: rows with bounds.
-        first: change (m,) from which the programme starts.
     """
-    # [rows, -1] [further change, largest] <= upper, all relative to their bounds
+    # [rows, -1] [change, largest] <= upper, all relative to their bounds
     every, goals = [least, *kept], len(least.value)
-    score = np.concatenate([(rows.value + rows.by @ first) / rows.bound for rows in every])
+    score = np.concatenate([rows.value / rows.bound for rows in every])
     matrix = np.concatenate([np.pad(rows.by / rows.bound, ((0, 0), (0, 1))) for rows in every])
     matrix[:goals, -1] = -1.0
     upper = np.concatenate([-score[:goals], 1.0 - score[goals:]])
-    units = np.abs(matrix[:, :-1]).max(axis=0)
-    matrix[:, :-1] /= units
-    # the rows that are near their bounds, some others, and then those that are violated
-    near = np.full(len(score), NEAR)
-    near[:goals] *= score[:goals].max()
-    chosen = score > near
-    chosen[::FEW] = True
-    cost, bounds = np.append(np.zeros(len(first)), 1.0), np.append(np.full(len(first), LARGEST), np.inf)
-    curved = np.diag(np.append(np.full(len(first), CURVED), 0.0))
-    for _ in range(ROUNDS):
-        solution = solve_quadratic(curved, cost, matrix[chosen], upper[chosen], np.append(-bounds[:-1], 0.0), bounds)
-        violation = matrix @ solution - upper
-        if violation[chosen].max() > VIOLATION:
-            return None
-        worst = np.argsort(-violation)[:BATCH]
-        worst = worst[(violation[worst] > VIOLATION) & ~chosen[worst]]
-        if not worst.size:
-            break
-        chosen[worst] = True
-    return first + solution[:-1] / units, float(solution[-1]) * least.bound
+    units = np.append(np.abs(matrix[:, :-1]).max(axis=0), 1.0)
+    matrix /= units
+    count = len(units) - 1
+    solution = solve_quadratic(
+        np.diag(np.append(np.full(count, CURVED), 0.0)), np.append(np.zeros(count), 1.0), matrix, upper,
+        np.append(np.full(count, -LARGEST), 0.0), np.append(np.full(count, LARGEST), np.inf),
+    )  # fmt: skip
+    if (matrix @ solution - upper).max() > VIOLATION:
+        return None
+    return solution[:-1] / units[:-1], float(solution[-1]) * least.bound
 
 
 def _in_directions(value: RealArray, by: RealArray) -> tuple[RealArray, RealArray]:

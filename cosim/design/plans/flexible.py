@@ -78,7 +78,7 @@ def _candidate(goals: Goals, given: Assessment, motion: MotionPlan, design: Flex
     )
     changes = [each.changes(goals.scene) for each in variations]
     try:
-        motors = corrected(motion.scene, changes, design.motors, motion.task, tolerances).motors
+        motors = corrected(motion.scene, changes, design.motors, motion.task, tolerances)
     except TrajectoryError:
         # the FMU judges whether they do without a correction
         motors, label = design.motors, f"{label}, for the nominal payload"
