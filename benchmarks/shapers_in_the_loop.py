@@ -24,8 +24,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexfmu import load_scene
-from flexfmu.cosim.design.shapers.alternatives import alternatives, design_modes
-from flexfmu.cosim.design.shapers.study import ShapedMotion, candidates, payload_errors, simulate
+from flexfmu.cosim.design.shapers.study import (
+    ShapedMotion,
+    alternatives,
+    candidates,
+    design_modes,
+    payload_errors,
+    simulate,
+)
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.scene.schema import Scene

@@ -198,7 +198,7 @@ def shaper(
 
     Args:
         out (DIR): Folder of the results. Default: results/<name of the scene>.
-        payload_errors: Seven payload errors instead of five; writes payload_errors.md too. Default: five.
+        payload_errors: Seven payload errors instead of five. Default: five.
         payload_band (FRACTION): Largest error of the payload's mass, either way.
         drive: What drives the robot: exactly its references, or the scene's controllers and imperfections. Default: the
             controllers where the scene has some.
@@ -208,7 +208,7 @@ def shaper(
         max_torque (N.M): Largest torque of a motor over the payload band. Default: no limit.
         output (--output, -o FILE.toml): Write the scene with the recommended shaper here. Default: nowhere.
     """
-    from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, markdown, report, study_data, to_csv
+    from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data, to_csv
     from flexfmu.cosim.design.shapers.figure import save_sensitivity
     from flexfmu.cosim.design.shapers.recommendation import write_shaped
     from flexfmu.model.scene.keys import parse_setting
@@ -231,8 +231,6 @@ def shaper(
         text = to_json(study_data(study))
         folder.write("shapers.json", text)
         folder.write("shapers.csv", to_csv(study.results))
-        if payload_errors:
-            folder.write("payload_errors.md", markdown(f"Input shapers on {robot.name}", study.results))
         save_sensitivity(study, folder.path)
     # the shaped scene, and standard output
     if output is not None and study.recommendation.keeps_limits:

@@ -173,9 +173,8 @@ class _Problem:
         if limits.jerk is not None:
             fractions = np.linspace(0.0, 1.0, 4 * motors.intervals + 1)
             matrix = basis(motors.degree, motors.intervals, fractions, 3) / motors.duration**3 / limits.jerk
-            value, by = matrix @ motors.coefficients, np.kron(np.eye(2), matrix @ self._basis)
-            value = value.T.ravel()
-            found += [_Rows(sign * value, sign * by, 1.0) for sign in (1.0, -1.0)]
+            jerk, by_both = (matrix @ motors.coefficients).T.ravel(), np.kron(np.eye(2), matrix @ self._basis)
+            found += [_Rows(sign * jerk, np.asarray(sign * by_both, dtype=float), 1.0) for sign in (1.0, -1.0)]
         return found
 
     def _response(self, motors: JointSpline, by: RealArray | None = None) -> Response:

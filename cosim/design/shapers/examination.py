@@ -1,8 +1,8 @@
-"""Shaper study of a scene: designs input shapers, co-simulates each and recommends one; as a table, Markdown, CSV and plain data."""
+"""Shaper study of a scene: designs input shapers, co-simulates each and recommends one; as a table, CSV and plain data."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -13,7 +13,6 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.design.shapers.alternatives import DesignModes, alternatives, design_modes
 from flexfmu.cosim.design.shapers.recommendation import (
     Recommendation,
     compare_slower,
@@ -22,10 +21,13 @@ from flexfmu.cosim.design.shapers.recommendation import (
 )
 from flexfmu.cosim.design.shapers.study import (
     CandidateResult,
+    DesignModes,
     Drive,
     PayloadTrial,
     Vibrations,
+    alternatives,
     candidates,
+    design_modes,
     payload_errors,
     slower,
     studied,
@@ -37,7 +39,6 @@ from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.reports.terminal import titled_table
-from flexfmu.cosim.reports.text import markdown_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
 
@@ -115,14 +116,26 @@ def examine(
 
 
 def study_data(found: ShaperStudy) -> dict[str, Any]:
-    """Return the study as plain data."""
+    """Return the study as plain data in SI units; ``toml`` applies the recommended shaper, empty for the unshaped motion."""
+    design, chosen = found.design, found.recommendation.result.candidate
     return {
         "scene": found.scene.name,
-        "design": design_data(found.design),
+        "design": {
+            "modes": [{"frequency": mode.frequency, "ratio": mode.ratio} for mode in design.modes],
+            "first_frequency_along_path": list(design.path_range),
+            "first_frequency_over_payload_band": list(design.first_band),
+            "frequencies_over_payload_band": list(design.band),
+        },
         "alternatives": [result_data(result) for result in found.results],
         "slower": None if found.slower is None else result_data(found.slower),
         "left_out": dict(found.left_out),
-        "recommendation": recommendation_data(found.recommendation),
+        "recommendation": {
+            "shaper": chosen.name,
+            "shapes": chosen.application,
+            "reason": found.recommendation.reason,
+            "keeps_limits": found.recommendation.keeps_limits,
+            "toml": shaper_toml(chosen.section),
+        },
     }
 
 
@@ -161,64 +174,28 @@ def report(found: ShaperStudy, folder: Path, output: Path | None) -> list[Render
 COLUMNS = ("shaper", "shapes", "added ms", "nominal µm", "worst µm", "at rest ms", "deviation mm", "torque N·m")
 """Columns of the table on the terminal."""
 
-QUANTITIES: tuple[tuple[str, Callable[[PayloadTrial], str]], ...] = (
-    ("Residual vibration [µm]", lambda trial: f"{1e6 * trial.residual:.2f}"),
-    ("Settling time [ms]", lambda trial: milliseconds(trial.settling_time)),
-    ("Peak torque [N·m]", lambda trial: f"{trial.peak_torque:.1f}"),
-)
-"""Quantity of each Markdown table → its text for a trial."""
-
 
 def terminal_table(title: str, results: Sequence[CandidateResult], recommended: CandidateResult) -> Table:
     """Return a table with a line for each result, the recommended one in bold."""
     table = titled_table(title, *COLUMNS[:2], numbers=COLUMNS[2:], keys=2)
     for result in results:
-        nominal = result.nominal
+        nominal, rest = result.nominal, result.time_to_rest
         table.add_row(
-            *_named(result), f"{1e6 * nominal.residual:.2f}", f"{1e6 * result.worst_residual:.2f}",
-            milliseconds(result.time_to_rest), f"{1e3 * result.path_deviation:.3f}", f"{nominal.peak_torque:.1f}",
-            style="bold" if result is recommended else None,
+            result.candidate.name, result.candidate.application, f"{1e3 * result.added_time:.1f}",
+            f"{1e6 * nominal.residual:.2f}", f"{1e6 * result.worst_residual:.2f}",
+            "–" if rest is None else f"{1e3 * rest:.1f}", f"{1e3 * result.path_deviation:.3f}",
+            f"{nominal.peak_torque:.1f}", style="bold" if result is recommended else None,
         )  # fmt: skip
     return table
 
 
-def _named(result: CandidateResult) -> tuple[str, str, str]:
-    """Name, application and added time [ms]."""
-    return result.candidate.name, result.candidate.application, f"{1e3 * result.added_time:.1f}"
-
-
-def milliseconds(time: float | None) -> str:
-    """Format a time [s] in ms; a dash for None."""
-    return "–" if time is None else f"{1e3 * time:.1f}"
-
-
-def drive_of(results: Sequence[CandidateResult]) -> str:
-    """Return the drive of a study."""
-    return "controllers" if results[0].candidate.motion.scene.controller else "motion-driven"
-
-
-def markdown(title: str, results: Sequence[CandidateResult]) -> str:
-    """Return a Markdown table for each quantity: shapers in rows, payload errors in columns."""
-    errors = [trial.payload_error for trial in results[0].trials]
-    # columns of each table: shaper, added time, path deviation, then the quantity for each payload error
-    parts = [f"# {title}\n"]
-    for name, text in QUANTITIES:
-        head = ["Shaper", "Shapes", "Added time [ms]", "Path deviation [mm]", *(f"{error:+.0%}" for error in errors)]
-        rows = [
-            [*_named(result), f"{1e3 * result.path_deviation:.3f}", *map(text, result.trials)] for result in results
-        ]
-        rule = ["---", "---", *["---:"] * (len(head) - 2)]
-        parts.append(f"## {name}, {drive_of(results)}, by payload error\n")
-        parts.append(markdown_table(head, rule, rows) + "\n")
-    return "\n".join(parts)
-
-
 def to_csv(results: Sequence[CandidateResult]) -> str:
     """Return CSV with one line for each simulation, in SI units; a settling time beyond the dwell is left empty."""
+    drive = "controllers" if results[0].candidate.motion.scene.controller else "motion-driven"
     return csv_text(
         [
             {
-                "drive": drive_of(results),
+                "drive": drive,
                 "shaper": result.candidate.name,
                 "shapes": result.candidate.application,
                 "added_time": result.added_time,
@@ -242,16 +219,6 @@ def trial_data(trial: PayloadTrial) -> dict[str, float | None]:
     }
 
 
-def design_data(design: DesignModes) -> dict[str, Any]:
-    """Return the design modes as plain data; frequencies in Hz."""
-    return {
-        "modes": [{"frequency": mode.frequency, "ratio": mode.ratio} for mode in design.modes],
-        "first_frequency_along_path": list(design.path_range),
-        "first_frequency_over_payload_band": list(design.first_band),
-        "frequencies_over_payload_band": list(design.band),
-    }
-
-
 def result_data(result: CandidateResult) -> dict[str, Any]:
     """Return a result as plain data in SI units."""
     candidate = result.candidate
@@ -269,16 +236,4 @@ def result_data(result: CandidateResult) -> dict[str, Any]:
         "peak_jerk": result.peak_jerk if isfinite(result.peak_jerk) else None,
         "section": dict(candidate.section),
         "trials": [trial_data(trial) for trial in result.trials],
-    }
-
-
-def recommendation_data(recommendation: Recommendation) -> dict[str, Any]:
-    """Return the recommendation as plain data; ``toml`` is the table that applies it, empty for the unshaped motion."""
-    candidate = recommendation.result.candidate
-    return {
-        "shaper": candidate.name,
-        "shapes": candidate.application,
-        "reason": recommendation.reason,
-        "keeps_limits": recommendation.keeps_limits,
-        "toml": shaper_toml(candidate.section),
     }

@@ -12,7 +12,7 @@ from typing import Any
 import tomlkit
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.scene_files import changed_document
+from flexfmu.cosim.design.scene_files import changed_document, toml_item
 from flexfmu.cosim.design.shapers.study import UNSHAPED_NAME, CandidateResult
 from flexfmu.cosim.engine.files import write_whole
 from flexfmu.model.scene.file import load_scene
@@ -91,7 +91,11 @@ def recommend(
     settled = [(result.time_to_rest, result) for result in results if result.time_to_rest is not None]
     if not settled:
         best = min(results, key=lambda result: result.worst_residual)
-        return Recommendation(best, _smallest_residual(best, unshaped, settling_band))
+        return Recommendation(
+            best,
+            f"nothing comes to rest within {1e6 * settling_band:g} µm during the dwell{_payloads(best)}; this leaves the smallest "
+            f"residual vibration, {1e6 * best.worst_residual:.3g} µm at worst instead of {1e6 * unshaped.worst_residual:.3g} µm",
+        )
     # the shortest time to rest, and of equal ones the smallest path deviation
     shortest = min(time for time, _ in settled)
     best = min((r for time, r in settled if time <= shortest + RESOLUTION), key=lambda result: result.path_deviation)
@@ -117,14 +121,6 @@ def _rest(result: CandidateResult, band: float) -> str:
     if result.time_to_rest is None:
         return f"{1e6 * result.worst_residual:.3g} µm, no rest within {1e6 * band:g} µm during the dwell"
     return f"rest within {1e6 * band:g} µm {1e3 * result.time_to_rest:.1f} ms after the end of the scene's own motion"
-
-
-def _smallest_residual(best: CandidateResult, unshaped: CandidateResult, band: float) -> str:
-    """Return the reason where no motion comes to rest during the dwell."""
-    return (
-        f"nothing comes to rest within {1e6 * band:g} µm during the dwell{_payloads(best)}; this leaves the smallest "
-        f"residual vibration, {1e6 * best.worst_residual:.3g} µm at worst instead of {1e6 * unshaped.worst_residual:.3g} µm"
-    )
 
 
 def _payloads(result: CandidateResult) -> str:
@@ -166,20 +162,14 @@ def write_shaped(
 
 
 def _tables(section: Mapping[str, Any]) -> tomlkit.items.AoT:
-    """Return an array of one table, with modes as inline tables."""
-    table = tomlkit.table()
+    """Return an array of one table, with modes as inline tables, one a line."""
+    table, tables = tomlkit.table(), tomlkit.aot()
     for key, value in section.items():
-        table.append(key, _mode_tables(value) if key == "modes" else value)
-    tables = tomlkit.aot()
+        if key == "modes":
+            modes = tomlkit.array().multiline(True)
+            modes.extend(toml_item({"": mode})[""] for mode in value)
+            table.append(key, modes)
+        else:
+            table.append(key, value)
     tables.append(table)
     return tables
-
-
-def _mode_tables(modes: Any) -> tomlkit.items.Array:
-    """Return an array of inline tables, one mode a line."""
-    array = tomlkit.array().multiline(True)
-    for mode in modes:
-        inline = tomlkit.inline_table()
-        inline.update(mode)
-        array.append(inline)
-    return array

@@ -1,8 +1,13 @@
-"""Co-simulates a scene with each shaper and payload error; all runs share one FMU, whose payload is a parameter."""
+"""Designs input shapers for a scene and co-simulates it with each of them and each payload error.
+
+Shapers are designed for the robot's vibration modes along the path and over a payload band. All runs share one FMU, whose payload is a
+parameter.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
-from flexfmu.cosim.design.shapers.alternatives import Alternative
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan
@@ -19,10 +23,27 @@ from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure, settings_for
 from flexfmu.cosim.metrics.recorded_solution import Settings
+from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
+from flexfmu.trajectories.shapers.designs import SHAPERS, design, specified_insensitivity
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
 from flexfmu.trajectories.trajectory import TaskTrajectory
+
+POSES = 11
+"""Number of poses at which the modes are calculated: at equal intervals of time along the path, both ends included."""
+
+NEIGHBOURHOOD = 3.0
+"""Shapers are designed for modes up to this multiple of the lowest frequency; a motion hardly excites higher ones."""
+
+MOST_MODES = 3
+"""Largest number of modes that a shaper is designed for; a zero-vibration shaper adds half a period for each."""
+
+WIDEST = 2.2
+"""Largest ratio of the highest to the lowest frequency of a specified-insensitivity shaper's band."""
+
+CONVOLVED = ("um-zv", "zv", "zvd")
+"""Shapers that are convolved for several modes; longer ones would add too much time."""
 
 UNSHAPED_NAME, NOTHING = "unshaped", "-"
 """Name and application of the unshaped motion."""
@@ -45,6 +66,93 @@ Drive = Literal["perfect", "controller"]
 
 Vibrations = Mapping[str, tuple[RealArray, RealArray]]
 """Label of a motion → times after its end [s] and distances from where the robot comes to rest [m]."""
+
+
+@dataclass(frozen=True)
+class DesignModes:
+    """The modes and frequency bands that the shapers are designed for.
+
+    Attributes:
+        modes: modes at the end pose, where the residual vibration occurs, with the scene's payload; lowest first.
+        path_range: lowest and highest frequency of the first mode along the path [Hz].
+        band: lowest frequency of the first and highest of the last mode at the end pose over the payload band [Hz].
+        first_band: lowest and highest frequency of the first mode at the end pose over the payload band [Hz].
+    """
+
+    modes: tuple[Oscillator, ...]
+    path_range: tuple[float, float]
+    band: tuple[float, float]
+    first_band: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A shaper designed for the scene.
+
+    Attributes:
+        name: short name.
+        sequence: its impulses.
+        section: its keys in the scene file's `[[shaper]]` table, without `apply`.
+    """
+
+    name: str
+    sequence: ImpulseSequence
+    section: Mapping[str, Any] = field(default_factory=dict)
+
+
+def design_modes(motion: MotionPlan, payload_errors: Iterable[float]) -> DesignModes:
+    """Return the modes at the end of a motion, and their frequency bands along the path and over the payload errors.
+
+    Args:
+        motion: a scene's motion.
+        payload_errors: relative errors of the payload's mass.
+
+    Raises:
+        InputError: nothing vibrates.
+        EquilibriumError: the robot has no stable equilibrium at a pose.
+    """
+    # modes along the path, and at the end pose with each payload error
+    poses = motion.joints.evaluate(np.linspace(0.0, motion.duration, POSES), 0)[0]
+    found = [damped_modes(motion.scene, pose) for pose in poses]
+    if not len(found[-1].frequencies):
+        raise InputError(
+            f"nothing vibrates in scene {motion.scene.name}: all links are rigid or overdamped, and there is nothing to shape for; "
+            "give `effects` some modes, such as proximal_bending = 3"
+        )
+    # the lowest modes near the lowest one
+    pairs = zip(found[-1].frequencies[:MOST_MODES].tolist(), found[-1].ratios[:MOST_MODES].tolist(), strict=True)
+    lowest = found[-1].frequencies[0]
+    modes = tuple(Oscillator(*pair) for pair in pairs if pair[0] <= NEIGHBOURHOOD * lowest)
+    varied = [damped_modes(with_payload_error(motion.scene, error), poses[-1]) for error in payload_errors]
+    ends = [found[-1], *varied]
+    # frequency bands
+    last = len(modes) - 1
+    first = [float(each.frequencies[0]) for each in ends]
+    highest = max(float(each.frequencies[min(last, len(each.frequencies) - 1)]) for each in ends)
+    along = [float(each.frequencies[0]) for each in found if len(each.frequencies)]
+    return DesignModes(modes, (min(along), max(along)), (min(first), highest), (min(first), max(first)))
+
+
+def alternatives(design_for: DesignModes) -> list[Alternative]:
+    """Return shapers for the first mode, `CONVOLVED` ones for all modes, and SI for the frequency band, by duration.
+
+    SI covers all modes, or where their band is wider than `WIDEST` the first mode alone. A shaper that doesn't exist
+    for a mode's damping is left out.
+    """
+    modes = design_for.modes
+    candidates = [(name, modes[:1]) for name in SHAPERS]
+    if len(modes) > 1:
+        candidates += [(name, modes) for name in CONVOLVED]
+    found = []
+    for name, chosen in candidates:
+        with suppress(TrajectoryError):  # too much damping for this kind
+            section = {"kind": name, "modes": [{"frequency": each.frequency, "ratio": each.ratio} for each in chosen]}
+            found.append(Alternative(" x ".join([name] * len(chosen)), design(name, chosen), section))
+    band = design_for.band if design_for.band[1] <= WIDEST * design_for.band[0] else design_for.first_band
+    with suppress(TrajectoryError):  # the band is too wide
+        insensitive = {"kind": "si", "band": list(band), "ratio": modes[0].ratio}
+        found.append(Alternative("si", specified_insensitivity(*band, ratio=modes[0].ratio), insensitive))
+    return sorted(found, key=lambda each: each.sequence.duration)
 
 
 @dataclass(frozen=True)
@@ -126,16 +234,10 @@ class CandidateResult:
         return max(trial.peak_torque for trial in self.trials)
 
     @property
-    def worst_settling_time(self) -> float | None:
-        """Longest settling time over the payload band [s]; None where one trial didn't settle."""
-        times = [trial.settling_time for trial in self.trials]
-        return None if None in times else max(time for time in times if time is not None)
-
-    @property
     def time_to_rest(self) -> float | None:
-        """Added time plus longest settling time [s]: time from the unshaped motion's end to rest; None for no rest."""
-        settling = self.worst_settling_time
-        return None if settling is None else self.added_time + settling
+        """Time from the unshaped motion's end to rest [s], the longest over the payload band; None where one trial didn't settle."""
+        times = [trial.settling_time for trial in self.trials if trial.settling_time is not None]
+        return self.added_time + max(times) if len(times) == len(self.trials) else None
 
 
 def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -> Scene:

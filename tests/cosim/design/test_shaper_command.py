@@ -14,15 +14,17 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
-from flexfmu.cosim.design.shapers import alternatives as shaping_design
-from flexfmu.cosim.design.shapers.alternatives import Alternative, alternatives, design_modes
-from flexfmu.cosim.design.shapers.examination import markdown, to_csv
+from flexfmu.cosim.design.shapers import study as shaping_design
+from flexfmu.cosim.design.shapers.examination import to_csv
 from flexfmu.cosim.design.shapers.recommendation import compare_slower, recommend, write_shaped
 from flexfmu.cosim.design.shapers.study import (
+    Alternative,
     CandidateResult,
     PayloadTrial,
     ShapedMotion,
+    alternatives,
     candidates,
+    design_modes,
     payload_errors,
     peak_jerk,
     simulate,
@@ -300,7 +302,7 @@ def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
 
 
 def test_tables_have_every_trial(motion: MotionPlan) -> None:
-    """CSV has one line a simulation in SI units, Markdown one table a quantity with payload errors in columns."""
+    """CSV has one line a simulation in SI units."""
     trials = (
         PayloadTrial(-0.3, 2e-6, 0.0, 41.0),
         PayloadTrial(0.0, 1e-5, None, 50.0),
@@ -312,10 +314,6 @@ def test_tables_have_every_trial(motion: MotionPlan) -> None:
     rows = list(csv.DictReader(to_csv([found]).splitlines()))
     assert [float(row["payload_error"]) for row in rows] == [-0.3, 0.0, 0.3]
     assert [row["settling_time"] for row in rows] == ["0.0", "", "0.0123"]
-    text = markdown("Shapers", [found])
-    assert "| zv | joints | 8.0 | 0.300 | 2.00 | 10.00 | 3.00 |" in text
-    assert "| zv | joints | 8.0 | 0.300 | 0.0 | – | 12.3 |" in text
-    assert "-30% | +0% | +30%" in text
 
 
 @pytest.fixture
@@ -343,7 +341,7 @@ def coarse_scene(tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_command_writes_and_prints(coarse_scene: Path, tmp_path: Path) -> None:
-    """JSON, CSV, Markdown and the picture; the printed JSON is the written one; the shaped robot rests sooner."""
+    """JSON, CSV and the picture; the printed JSON is the written one; the shaped robot rests sooner."""
     out = tmp_path / "out"
     done = CliRunner().invoke(app, ["shaper", str(coarse_scene), "--out", str(out), "--json", "--payload-errors"])
     assert done.exit_code == 0, done.output
@@ -361,7 +359,6 @@ def test_the_command_writes_and_prints(coarse_scene: Path, tmp_path: Path) -> No
         next(e["added_time"] for e in data["alternatives"] if e["shaper"] == data["recommendation"]["shaper"])
     )
     assert len(list(csv.DictReader((out / "shapers.csv").read_text(encoding="utf-8").splitlines()))) == 35
-    assert "-30% | -20% | -10% | +0%" in (out / "payload_errors.md").read_text(encoding="utf-8")
     assert (out / "sensitivity.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (out / "sensitivity.svg").read_text(encoding="utf-8")
 
@@ -390,7 +387,6 @@ def test_the_command_says_what_it_recommends(coarse_scene: Path, tmp_path: Path)
     assert "Designed for 58.84 Hz (damping ratio 0.0180), 73.54 Hz" in words
     assert "Recommended: zv on joints: rest within 10 µm" in words
     assert "An unshaped motion slower by the same" in words
-    assert not (tmp_path / "out" / "payload_errors.md").exists()
 
 
 @pytest.mark.parametrize("band", ["1", "-0.1", "nan"])
