@@ -32,7 +32,7 @@ from flexfmu.cosim.engine.child_process import in_child
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
 

@@ -34,8 +34,8 @@ from ssp_support.importers import signals_in
 
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.algorithms import Jacobi
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.couplings import Jacobi
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION

@@ -22,8 +22,8 @@ import numpy as np
 
 from flexfmu import load_scene
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.outcome import Simulation
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable

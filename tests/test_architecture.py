@@ -84,7 +84,6 @@ import it."""
 PLUG_INS = (
     "cosim.cli",
     "cosim.control.controllers",
-    "cosim.engine.formats",
     "fmu_build.validation",
 )
 """Folders of which a module is one command, kind of controller, file format, or check: one place lists them all."""

@@ -310,7 +310,7 @@ def check_formats(formats: Sequence[str]) -> None:
     Raises:
         InputError: there is no such format, or its library isn't installed.
     """
-    from flexfmu.cosim.engine.results import check_format  # numpy, which help doesn't load
+    from flexfmu.cosim.engine.formats import check_format  # numpy, which help doesn't load
 
     for name in formats:
         check_format(name)

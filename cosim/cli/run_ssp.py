@@ -21,7 +21,7 @@ from flexfmu.cosim.cli.console import (
     write_results,
 )
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
-from flexfmu.cosim.engine.master.master import Simulation
+from flexfmu.cosim.engine.master.simulator import Simulation
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
 from flexfmu.cosim.exchange.ssp.loading import SspSystem, load_ssp

@@ -9,16 +9,18 @@ Hermite's interpolation formula, Amer. Math. Monthly 67, 1960).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import POINTER, Structure, c_size_t, c_void_p
 from functools import cache
 from math import comb, factorial
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from flexfmu.cosim.engine.fmu.calls import address
-from flexfmu.cosim.engine.master.c_library import CDense, load_interpolation
 from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, SignalTable
+from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray
 
 KNOWN = 3
@@ -30,6 +32,22 @@ POINTS = 4
 
 Signal = tuple[int, int, int, int, int]
 """Where a signal is in a table, and what is interpolated; see `DenseOutput.of`."""
+
+
+class CDense(Structure):
+    """``master_dense``."""
+
+    _fields_ = (("count", c_size_t), ("begins", c_void_p), ("points", c_void_p), ("weights", c_void_p))
+
+
+@cache
+def load_interpolation() -> Callable[..., None]:
+    """``master_interpolate``; a `BuildError` if it can't be compiled or loaded, for example without a C compiler."""
+    function: Any = shared_library("flexfmu.cosim.engine.master", "c-master").master_interpolate
+    function.argtypes = (POINTER(CDense), c_void_p, c_size_t, c_void_p, c_size_t, c_size_t, c_void_p)
+    function.restype = None
+    interpolate: Callable[..., None] = function
+    return interpolate
 
 
 def hermite_weights(nodes: RealArray, time: RealArray, order: int) -> RealArray:
@@ -127,26 +145,11 @@ class DenseOutput:
             orders: number of derivatives to return, up to 3.
         """
         found = np.empty((len(signals), orders, self.time.size))
-        interpolate = load_interpolation()
-        if interpolate is None or rows.shape[1] < POINTS:
-            for each, (row, step, own, own_step, lowest) in zip(found, signals.tolist(), strict=True):
-                self._in_python(rows, row, step, own, own_step, lowest, each)
-            return found
+        if rows.shape[1] < POINTS:
+            rows = np.pad(rows, ((0, 0), (0, POINTS - rows.shape[1])))
         signals, (start, distance) = np.ascontiguousarray(signals, np.int64), _address_and_distance(rows)
-        interpolate(self._in_c, start, distance, address(signals), len(signals), orders, address(found))
+        load_interpolation()(self._in_c, start, distance, address(signals), len(signals), orders, address(found))
         return found
-
-    def _in_python(
-        self, rows: RealArray, row: int, step: int, own: int, own_step: int, lowest: int, found: RealArray
-    ) -> None:
-        """The same sums, in the same order as in C, into ``found`` (orders, M)."""
-        places = np.minimum(self._begins[:, None] + np.arange(POINTS), rows.shape[1] - 1)
-        values, first, second = (rows[row + n * step][places] for n in range(KNOWN))
-        fixed = self._points >= 0
-        for n, (into, weights) in enumerate(zip(found, self._weights[lowest:], strict=False)):
-            part = weights[:, 0] * values + weights[:, 1] * first + weights[:, 2] * second
-            into[:] = (part[:, 0] + part[:, 1]) + (part[:, 2] + part[:, 3])
-            into[fixed] = rows[own + n * own_step][self._points[fixed]]
 
     def signals_in(self, table: SignalTable) -> Mapping[str, Signal]:
         """Numbers for `of` of a table's signals; runs of one system have the same ones."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.columns import Column, LazyColumns, SignalTable, chosen
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra, suggestion
-from flexfmu.cosim.engine.formats.csv_table import read_csv, write_csv
+from flexfmu.cosim.engine.formats import WRITERS, check_format, read_csv, read_mat, read_parquet, write_csv
 from flexfmu.cosim.engine.showing import few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["EVERYTHING", "FORMATS", "Column", "LazyColumns", "Recording", "Selection", "SignalTable", "check_format"]
+__all__ = ["EVERYTHING", "FORMATS", "Column", "LazyColumns", "Recording", "Selection", "SignalTable"]
 
-FORMATS = ("csv", "parquet", "mat", "mcap")
+FORMATS = (*WRITERS,)
 """Suffixes of the files that `Recording.write` writes."""
 
 Names = str | Collection[str] | None
@@ -153,7 +153,7 @@ class Recording(Mapping[str, Column]):
         """
         usual = [name for name in USUAL if name in self.columns] if names is None else names
         columns = {name: each for name, each in chosen(self.columns, usual or None).items() if each.texts is None}
-        from flexfmu.cosim.engine.formats.drawing import draw_signals
+        from flexfmu.cosim.engine.drawing import draw_signals
 
         return draw_signals(self.time, columns, title)
 
@@ -172,7 +172,7 @@ class Recording(Mapping[str, Column]):
             ResultsError: the file can't be written, with the system's reason.
         """
         target = Path(path)
-        return check_format(target.suffix.removeprefix("."))(self, target, about or {})
+        return check_format(target.suffix.removeprefix("."))(target, self.time, self.columns, about or {})
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Recording:
@@ -186,12 +186,9 @@ class Recording(Mapping[str, Column]):
         if source.suffix == ".csv":
             return cls.read_csv(source)
         if source.suffix == ".parquet":
-            with extra("parquet"):
-                from flexfmu.cosim.engine.formats.parquet import read_parquet
+            check_format("parquet")
             return cls(*read_parquet(source))
         if source.suffix == ".mat":
-            from flexfmu.cosim.engine.formats.mat import read_mat
-
             return cls(*read_mat(source))
         raise InputError(f"can't read {source}: results are read from .csv, .parquet and .mat files")
 
@@ -229,32 +226,6 @@ USUAL = (
     "link21.tip_deflection",
 )
 """Signals that `Recording.plot` shows by default."""
-
-Writer = Callable[[Recording, Path, Mapping[str, str]], Path]
-"""Writes a recording into a file with metadata."""
-
-
-def check_format(name: str) -> Writer:
-    """Return what writes a format of `FORMATS`, with its library loaded, so that no run is lost by a missing one.
-
-    Raises:
-        InputError: there is no such format, or its library isn't installed.
-    """
-    if name == "csv":
-        return lambda recording, path, about: recording.write_csv(path)
-    if name == "parquet":
-        with extra("parquet"):
-            from flexfmu.cosim.engine.formats.parquet import write_parquet
-        return lambda recording, path, about: write_parquet(path, recording.time, recording.columns, about)
-    if name == "mat":
-        from flexfmu.cosim.engine.formats.mat import write_mat
-
-        return lambda recording, path, about: write_mat(path, recording.time, recording.columns, about)
-    if name == "mcap":
-        with extra("mcap"):
-            from flexfmu.cosim.engine.formats.mcap import write_mcap
-        return lambda recording, path, about: write_mcap(path, recording.time, recording.columns, about)
-    raise InputError(f"there is no format {name!r} of results; choose from {', '.join(FORMATS)}")
 
 
 def _extremes(column: Column) -> tuple[str, str]:

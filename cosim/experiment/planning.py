@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.showing import shown_unit
+from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism

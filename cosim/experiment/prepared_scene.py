@@ -12,10 +12,8 @@ from typing import Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
 from flexfmu.cosim.engine.master.delays import SignalDelay
-from flexfmu.cosim.engine.master.isolation import isolation
-from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
-from flexfmu.cosim.engine.master.simulator import Simulator
+from flexfmu.cosim.engine.master.simulator import Progress, Simulator, isolation
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import COINCIDENT, RealArray

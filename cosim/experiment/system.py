@@ -10,7 +10,7 @@ from pathlib import Path
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver, Tolerance
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.slave import Slave

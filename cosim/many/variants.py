@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.engine.master.master import Progress
+from flexfmu.cosim.engine.master.simulator import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from flexfmu.cosim.engine.formats.drawing import NotebookFigure
+from flexfmu.cosim.engine.drawing import NotebookFigure
 
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
 """Colours of text and mechanism, of secondary lines, and of fills."""

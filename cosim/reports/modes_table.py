@@ -11,8 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.showing import few_lines
+from flexfmu.cosim.engine.showing import Rows, few_lines
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.terminal import titled_table

@@ -10,10 +10,9 @@ from typing import Any, TypedDict
 from flexfmu.cosim.engine.child_process import CALL_LIMIT
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
-from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.iteration import Anderson
-from flexfmu.cosim.engine.master.master import Progress, Simulation
-from flexfmu.cosim.engine.master.master import simulate as simulate_system
+from flexfmu.cosim.engine.master.simulator import Progress, Simulation, isolation
+from flexfmu.cosim.engine.master.simulator import simulate as simulate_system
 from flexfmu.cosim.engine.master.system import connect as connect_slaves
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Slave

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.fmu_build.choices import INTEGRATOR

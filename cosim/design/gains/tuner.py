@@ -20,8 +20,7 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, TrialJournal, check_keys
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.showing import ShowProgress, few_lines, quiet, shown_unit
+from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping

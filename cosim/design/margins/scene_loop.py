@@ -17,9 +17,8 @@ from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
 from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.dependencies import Connection
-from flexfmu.cosim.engine.master.isolation import is_foreign
-from flexfmu.cosim.engine.master.system import AlgebraicLoop, System, connect
+from flexfmu.cosim.engine.master.simulator import is_foreign
+from flexfmu.cosim.engine.master.system import AlgebraicLoop, Connection, System, connect
 from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import Loop

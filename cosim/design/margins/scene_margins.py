@@ -21,7 +21,7 @@ from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
-from flexfmu.cosim.engine.rows import Rows
+from flexfmu.cosim.engine.showing import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES, metric
 from flexfmu.cosim.reports.terminal import titled_table

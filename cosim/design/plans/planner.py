@@ -16,8 +16,7 @@ from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate
 from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.showing import ShowProgress, quiet, shown_unit
+from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time

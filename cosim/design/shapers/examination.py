@@ -34,8 +34,7 @@ from flexfmu.cosim.design.shapers.study import (
     study,
     vibration,
 )
-from flexfmu.cosim.engine.rows import csv_text
-from flexfmu.cosim.engine.showing import ShowProgress
+from flexfmu.cosim.engine.showing import ShowProgress, csv_text
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.reports.terminal import titled_table

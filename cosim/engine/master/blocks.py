@@ -117,14 +117,6 @@ class RunGrid:
         assert held is not None
         yield Block(held)
 
-    def time(self, point: int) -> float:
-        """Time of a communication point [s], counted from 0."""
-        for block in self.blocks():
-            if point <= block.steps:
-                break
-            point -= block.steps
-        return float(block.grid.times[point])
-
     def _pieces(self) -> Iterator[TimeGrid]:
         """The points between the cuts, without repetition; a short rest is part of the last one."""
         step, low, number = self._rules.step, -inf, 1

@@ -10,9 +10,8 @@ from math import inf
 import numpy as np
 
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
-from flexfmu.cosim.engine.master.dependencies import Connection, in_one_call
 from flexfmu.cosim.engine.master.plan import sampling_positions
-from flexfmu.cosim.engine.master.system import System
+from flexfmu.cosim.engine.master.system import Connection, System, in_one_call
 from flexfmu.cosim.engine.slave import HasLatency, Sampled, Slave, offset
 
 ROUNDING = 1e-9

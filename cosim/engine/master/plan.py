@@ -15,8 +15,14 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
 from typing import NamedTuple
 
-from flexfmu.cosim.engine.master.algorithms import Algorithm
-from flexfmu.cosim.engine.master.couplings import Couplings, StepGroup, loop_order, stale_after_step, step_groups
+from flexfmu.cosim.engine.master.couplings import (
+    Algorithm,
+    Couplings,
+    StepGroup,
+    loop_order,
+    stale_after_step,
+    step_groups,
+)
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, System
 from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, SamplesInTwoPhases
 

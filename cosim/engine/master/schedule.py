@@ -13,9 +13,8 @@ from typing import cast
 
 import numpy as np
 
-from flexfmu.cosim.engine.master.algorithms import Algorithm
 from flexfmu.cosim.engine.master.blocks import Block, RunGrid
-from flexfmu.cosim.engine.master.couplings import StepGroup, couplings
+from flexfmu.cosim.engine.master.couplings import Algorithm, StepGroup, couplings
 from flexfmu.cosim.engine.master.loops import (
     LoopCall,
     LoopSignals,

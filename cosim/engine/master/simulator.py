@@ -1,101 +1,115 @@
-"""A system with its order of calls and its time grid, prepared for any number of runs.
+"""The master: simulates a system of slaves on one time grid and records their outputs, once or any number of times.
 
-Estimates computing time and memory of a long run before it starts.
-
-The computing time of a communication step is measured on the first steps, in a child process where the platform allows
-it, so that the slaves don't change. Memory follows from the number of values.
+Runs with foreign code are simulated in a child process. It records into memory that it shares with its parent, which watches its
+progress.
 """
 
 from __future__ import annotations
 
+import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child, portable
+from flexfmu.cosim.engine.child_process import AVAILABLE, ChildLostError, in_child, portable
 from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, SlaveError, SlaveWarning
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
-from flexfmu.cosim.engine.master.c_library import load
-from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, can_compile
-from flexfmu.cosim.engine.master.coupling_error import CouplingError
-from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
+from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, can_compile, load
+from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
-from flexfmu.cosim.engine.master.dependencies import Connection
 from flexfmu.cosim.engine.master.grid import NO_POINTS
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
-from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
+from flexfmu.cosim.engine.master.outcome import (
+    Outcome,
+    Simulation,
+    blown_up,
+    find_alternation,
+    find_instability,
+    message_of,
+    outcome_of,
+    overshot,
+)
 from flexfmu.cosim.engine.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.simulation_loop import Progress, SimulationLoop, StepStatistics
-from flexfmu.cosim.engine.master.stability import find_alternation, find_instability
-from flexfmu.cosim.engine.master.step_control import StepDoubling
-from flexfmu.cosim.engine.master.system import System
+from flexfmu.cosim.engine.master.step_control import ControlledSteps, CouplingError, StepDoubling
+from flexfmu.cosim.engine.master.system import Connection, System
 from flexfmu.cosim.engine.results import EVERYTHING, Column, Recording, Selection
 from flexfmu.cosim.engine.slave import TEXTS, RealArray, Reports, Slave, Terminates
 
-MANY_POINTS, MANY_VALUES = 10**7, 10**8
-"""Numbers of communication steps and of recorded values above which the user is warned of the cost."""
-
-FEW_STEPS, TRIED_STEPS = 500, 2500
-"""Numbers of steps of the two trials; the initialisation cancels in the difference of their times."""
-
-BYTES_PER_VALUE = 8.0
-"""Bytes per recorded value; the results use the recorder's memory (`benchmarks/long_runs.py`)."""
+__all__ = ["Outcome", "Progress", "Simulation", "simulate"]
 
 
-def is_long(steps: int, values: int) -> bool:
-    """Whether a run of so many steps and recorded values is long enough for a warning of its cost."""
-    return steps > MANY_POINTS or values > MANY_VALUES
+def simulate(
+    system: System,
+    stop: float,
+    step: float,
+    *,
+    start: float = 0.0,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+    algorithm: Algorithm | None = None,
+    step_control: StepDoubling | None = None,
+    compiled: bool | None = None,
+    record: Selection = EVERYTHING,
+    isolation: float | None = None,
+) -> Simulation:
+    """Co-simulate a system from ``start`` to ``stop`` [s].
 
+    Communication points are start + n * step, every breakpoint and every sample instant, met exactly. At one instant
+    outputs are exchanged in the order of direct feedthrough, and algebraic loops are solved if the system has a solver.
+    Over a step an input follows the polynomial that its source predicts, if it does; else the algorithm interpolates it
+    between both ends of the step or extrapolates it from the beginning. The degree of the polynomial follows from the
+    derivatives that the source gives and the target takes.
 
-def cost(steps: int, values: int, trial: Callable[[int], Simulation]) -> str:
-    """A sentence with a run's computing time and memory, and how to reduce them.
+    Every run ends by terminating the slaves. A failing slave doesn't raise an exception: see `Simulation.outcome`; the
+    recording ends with the last completed step.
 
     Args:
-        steps: communication steps.
-        values: recorded values.
-        trial: simulates the first steps, as many as its argument says.
+        system: slaves and connections.
+        stop, start: [s].
+        step: communication step [s]; with step control the length of the first one.
+        tolerance: relative tolerance for the slaves' own integrators; None for their default.
+        progress: called during the run with the simulated fraction, 0..1.
+        algorithm: how slaves are coupled over a step: `GaussSeidel` (when None), `Jacobi` or `Implicit`.
+        step_control: chooses the communication steps; None for a constant step.
+        compiled: True or None to run the loop over the points in C if the system allows it (no step control, no loops
+            to iterate) and there is a C compiler, False for Python; the results are the same.
+        record: which outputs to record, with how many derivatives.
+        isolation: for a run in a child process the longest duration of one call of a slave [s], `CALL_LIMIT` for example; a
+            slave that crashes, exits or hangs ends only the run, and what slaves change in their own attributes stays
+            there. None for this process.
+
+    Returns:
+        Recording, outcome, message and delays.
+
+    Raises:
+        InputError: the time grid is invalid, a sample time doesn't fit it, a slave needs equal steps but doesn't get
+            them, a slave would have to be rolled back but can't save its state, or a signal to record doesn't exist.
     """
-    seconds = None
-    # an error occurs again in the run, which reports it better; the sentence then leaves out the time
-    with suppress(Exception):
-        seconds = (
-            in_child(lambda: _seconds_per_step(trial), lambda: None, CALL_LIMIT)
-            if AVAILABLE
-            else _seconds_per_step(trial)
-        )
-    time = ""
-    if seconds is not None:
-        duration = seconds * steps
-        unit, size = ("h", 3600.0) if duration > 5400.0 else ("min", 60.0) if duration > 90.0 else ("s", 1.0)
-        time = f"{duration / size:.2g} {unit} and "
-    gigabytes = 1e-9 * BYTES_PER_VALUE * values
-    return (
-        f"this run makes {steps:.3g} communication steps and records {values:.3g} values: it takes about {time}"
-        f"{gigabytes:.2g} GB of memory or temporary files; to spend less, {SPEND_LESS}"
+    simulator = Simulator(
+        system,
+        stop,
+        step,
+        start=start,
+        algorithm=algorithm,
+        step_control=step_control,
+        compiled=compiled,
+        record=record,
+        isolation=isolation,
     )
+    return simulator.run(tolerance, progress)
 
 
-def _seconds_per_step(trial: Callable[[int], Simulation]) -> float | None:
-    """Computing time per communication step, references included [s]; None if a trial ends early."""
-    taken = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        # two trials, which take the same time to initialise
-        for steps in (FEW_STEPS, TRIED_STEPS):
-            begin = perf_counter()
-            if trial(steps).steps < steps:
-                return None
-            taken.append(perf_counter() - begin)
-    return max(taken[1] - taken[0], 0.0) / (TRIED_STEPS - FEW_STEPS)
+MANY_POINTS, MANY_VALUES = 10**7, 10**8
+"""Numbers of communication steps and of recorded values above which the user is warned of the cost."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +137,7 @@ class Simulator:
     """Prepares runs of a system once: time grid, ports, order of calls, and memory for the recording.
 
     The slaves' sample times and breakpoints must not change while the simulator is in use. Args and errors as for
-    `flexfmu.cosim.engine.master.master.simulate`.
+    `flexfmu.cosim.engine.master.simulator.simulate`.
     """
 
     def __init__(
@@ -144,13 +158,6 @@ class Simulator:
             (slave.name, each.name) for slave in system.slaves for each in slave.variables if each.causality == "output"
         ]
         record.check([f"{slave}.{output}" for slave, output in outputs])
-        self._options: Mapping[str, Any] = {
-            "start": start,
-            "algorithm": algorithm,
-            "compiled": compiled,
-            "record": record,
-            "points": points,
-        }
         self._system, self._step, self._control, self._selection = system, step, step_control, record
         # time grid, order of calls, memory for the recording
         ticks = step_control is None and points is None
@@ -202,22 +209,20 @@ class Simulator:
         self._recorder.expect(grid.records)
 
     def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
-        """Co-simulate from start to stop; see `flexfmu.cosim.engine.master.master.simulate`.
+        """Co-simulate from start to stop; see `flexfmu.cosim.engine.master.simulator.simulate`.
 
         Args:
             tolerance: relative tolerance for the slaves' own integrators; None for their default.
             progress: called during the run with the simulated fraction, 0..1.
         """
         steps, values = self._grid.steps, self._recorder.values
-        # warn of the cost of a long run
-        if self._control is None and is_long(steps, values):
-
-            def trial(steps: int) -> Simulation:
-                """Simulate only the first ``steps`` communication steps."""
-                first = Simulator(self._system, self._grid.time(steps), self._step, **self._options)
-                return first._result(first._attempt(tolerance, None))
-
-            warnings.warn(cost(steps, values, trial), CostWarning, stacklevel=2)
+        if self._control is None and (steps > MANY_POINTS or values > MANY_VALUES):
+            warnings.warn(
+                f"this run makes {steps:.3g} communication steps and records {values:.3g} values, {8e-9 * values:.2g} GB of memory "
+                f"or temporary files; to spend less, {SPEND_LESS}",
+                CostWarning,
+                stacklevel=2,
+            )
         self._recorder.rewind(0)
         if self._isolation is None:
             return self._result(self._attempt(tolerance, progress))
@@ -225,11 +230,13 @@ class Simulator:
 
     def _attempt(self, tolerance: float | None, progress: Progress | None) -> RunEnd:
         """Execute a run in this process; its end."""
-        loop = SimulationLoop(self._schedule, self._grid, self._recorder, progress, self._compiled)
-        if self._control is not None:
-            loop.control_steps(self._control, self._coupling_error(self._control), self._step)
-        error = self._completed(loop, tolerance)
-        return RunEnd(error, loop.initialized, self._schedule.active_name, loop.reached)
+        controlled: ControlledSteps | None = None
+        if (control := self._control) is not None:
+            error, span = self._coupling_error(control), (self._grid.start, self._grid.stop)
+            controlled = ControlledSteps(self._schedule, self._recorder, control, error, self._step, span)
+        loop = SimulationLoop(self._schedule, self._grid, self._recorder, progress, self._compiled, controlled)
+        ended = self._completed(loop, tolerance)
+        return RunEnd(ended, loop.initialized, self._schedule.active_name, loop.reached)
 
     def _supervised(self, call_limit: float, tolerance: float | None, progress: Progress | None) -> RunEnd:
         """Execute a run in a child process, which may crash, exit or hang; its end."""
@@ -379,3 +386,35 @@ def _warn(recording: Recording, slaves: Sequence[tuple[str, Reports]]) -> None:
             remarks += slave.absence([each for each in slave.absent if f"{name}.{each}" in recording.columns])
         for remark in remarks:
             warnings.warn(f"{name}: {remark}", SlaveWarning, stacklevel=5)
+
+
+def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *, caller_owned: bool) -> float | None:
+    """The call limit [s] of a run of these slaves in a child process; None for a run in this process.
+
+    Args:
+        wanted: the user's choice; None isolates runs with foreign slaves, where the platform allows it.
+        slaves: the slaves.
+        call_limit: longest duration of one call of a slave [s].
+        caller_owned: whether Python slaves are the caller's own objects, which the caller may read after the run; if
+            ``wanted`` is None, such a run stays in this process.
+
+    Raises:
+        InputError: isolation is wanted on a platform other than Linux.
+    """
+    if wanted and not AVAILABLE:
+        raise InputError(
+            f"isolate = true needs Linux, this is {sys.platform}: leave `isolate` out to run all slaves in this process"
+        )
+    # isolate foreign slaves, but not objects that the caller may read after the run
+    if wanted is None:
+        foreign = [slave for slave in slaves if is_foreign(slave)]
+        objects = caller_owned and any(not (hasattr(slave, "path") or hasattr(slave, "block")) for slave in foreign)
+        wanted = AVAILABLE and bool(foreign) and not objects
+    return call_limit if wanted else None
+
+
+def is_foreign(slave: Slave) -> bool:
+    """Whether a slave runs foreign code: an FMU of another tool, a Python class outside this package, or a user's function."""
+    if isinstance(slave, FmuSlave | SampledFmu | FmuTask):
+        return not open_fmu(slave.path).is_ours
+    return getattr(slave, "has_foreign_code", False) or not type(slave).__module__.startswith("flexfmu.")

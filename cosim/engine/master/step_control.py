@@ -1,14 +1,27 @@
-"""Step size control for a given tolerance of the coupling error: step doubling with rollback."""
+"""Step size control for a given tolerance of the coupling error: step doubling with rollback.
+
+`CouplingError` estimates the error of a step, `ErrorBudget` says how much each step may add to what has accumulated over the run,
+and `ControlledSteps` takes the steps.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import ceil, exp, inf
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.errors import InputError, LoopError, SlaveError, StepSizeError, WorkError
+from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
+from flexfmu.cosim.engine.master.loops import StateKeeper
+from flexfmu.cosim.engine.master.ports import InputPort, OutputPort
+from flexfmu.cosim.engine.master.recorder import Recorder
+from flexfmu.cosim.engine.master.schedule import OFF_GRID, Schedule, Snapshot
+from flexfmu.cosim.engine.master.system import System
+from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, Slave, feedthrough
 
 SAFETY = 0.9
 """Safety factor of the next step relative to the optimal one, so that few steps are rejected."""
@@ -27,6 +40,9 @@ GROWTH_SHARE = 0.25
 
 MINIMUM_FADING = 2.0
 """Least decay rate of errors that counts, times the elapsed time: a slower decay may be a chance cancellation."""
+
+WORK_AT_START, WORK = 1e5, 100.0
+"""Maximum number of steps: WORK_AT_START, plus WORK times the number of steps of the first one's length."""
 
 
 @dataclass(frozen=True)
@@ -157,3 +173,473 @@ class ErrorBudget:
     def carry(self) -> None:
         """Start a new count of the accumulated error, added to the present one."""
         self._carried = self._present
+
+
+NUDGE = 1e-6
+"""Perturbation of an input, relative and absolute, that shows which output derivatives depend on it directly."""
+
+PEERS = 1.0 / 3.0
+"""Least magnitude of a signal relative to the largest of the same slave and unit.
+
+Without it a velocity component that has hardly begun to change, say, would have too small a tolerance."""
+
+TINY = float(np.finfo(np.float64).tiny)
+"""Smallest denominator, so that 0 / 0 becomes 0."""
+
+
+@dataclass(frozen=True)
+class MonitoredSignals:
+    """Signals of an output port whose error is monitored.
+
+    Attributes:
+        port: the output port.
+        rows, columns: (n,) indices into the port's signals: row 0 for values, row 1 for first derivatives.
+    """
+
+    port: OutputPort
+    rows: Indices
+    columns: Indices
+
+    @property
+    def names(self) -> list[str]:
+        """Names (n): ``slave.output``, or ``der(slave.output,1)`` for a first derivative."""
+        slave = self.port.slave
+        names = [f"{slave.name}.{slave.variables[self.port.indices[column]].name}" for column in self.columns]
+        return [f"der({name},1)" if row else name for name, row in zip(names, self.rows, strict=True)]
+
+    @property
+    def kinds(self) -> list[tuple[str, str]]:
+        """Pairs (n) of slave and unit; in place of an unknown unit the name of the output."""
+        variables = [self.port.slave.variables[self.port.indices[column]] for column in self.columns]
+        units = [each.unit or each.name for each in variables]
+        return [(self.port.slave.name, unit + "/s" * row) for unit, row in zip(units, self.rows.tolist(), strict=True)]
+
+    def with_rates(self, inputs: InputPort) -> MonitoredSignals:
+        """These signals and the first derivatives that don't depend directly on an input with a coupling error."""
+        if self.port.recorded < 2:
+            return self
+        rates = self.columns[~_entered_rates(inputs, self.port)[self.columns]]
+        rows = np.concatenate([self.rows, np.ones(rates.size, np.intp)])
+        return MonitoredSignals(self.port, rows, np.concatenate([self.columns, rates]))
+
+
+class CouplingError:
+    """Estimates the coupling error of the monitored signals, relative to their tolerance.
+
+    Attributes:
+        order: power of the step to which the error per unit step is proportional.
+        following: ports of monitored signals that may depend directly on inputs without a coupling error (from slaves
+            that predict their outputs or sample); they are read again after these inputs have been set.
+    """
+
+    def __init__(
+        self, system: System, ports: Sequence[OutputPort], couplings: Couplings, control: StepDoubling, span: float
+    ) -> None:
+        self._control = control
+        self._span = span
+        # signals to monitor, and the order of their error
+        if control.signals is None:
+            self._monitored = _monitored_by_default(system, ports, couplings)
+        else:
+            self._monitored = _find(ports, control.signals)
+        self._slaves = [system.slaves.index(each.port.slave) for each in self._monitored]
+        self.order = 1 + min(map(_degree, filter(_counts, couplings.values())), default=0)
+        self.following: list[OutputPort] = []
+
+    def start(self, inputs: Sequence[InputPort]) -> None:
+        """Monitor first derivatives too, except those that depend directly on an input with a coupling error.
+
+        Velocities accumulate errors; accelerations follow from the inputs. The slaves must have been initialised and
+        their inputs set. Monitored outputs named by the user get no derivatives.
+
+        Args:
+            inputs: input ports, in the order of `System.slaves`.
+        """
+        # ports that are read again after a step, and first derivatives
+        pairs = list(zip(self._monitored, (inputs[slave] for slave in self._slaves), strict=True))
+        self.following = [
+            each.port for each, port in pairs if any(not _errs(group.source.slave) for group in port.groups)
+        ]
+        if self._control.signals is None:
+            self._monitored = [each.with_rates(port) for each, port in pairs]
+        # flat indices of the signals in their ports
+        self._places = [
+            (each.port.signals.reshape(-1), each.rows * each.port.indices.size + each.columns)
+            for each in self._monitored
+        ]
+        self._names = [name for each in self._monitored for name in each.names]
+        # kinds: signals of one slave with the same unit share a magnitude
+        kinds = [kind for each in self._monitored for kind in each.kinds]
+        known = list(dict.fromkeys(kinds))
+        self._kind = np.array([known.index(kind) for kind in kinds], np.intp)
+        rates = [
+            (known.index((slave, unit + "/s")), i)
+            for i, (slave, unit) in enumerate(known)
+            if (slave, unit + "/s") in known
+        ]
+        # for each kind of rates: its index, and that of the kind it is the derivative of
+        self._rates, self._changing = np.array(rates, np.intp).reshape(-1, 2).T
+        self._of_kind, self._scale = np.zeros(len(known)), np.zeros(len(kinds))
+
+    def signals(self) -> RealArray:
+        """(n,) the current monitored signals."""
+        found = [signals.take(places) for signals, places in self._places]
+        return found[0] if len(found) == 1 else np.concatenate([np.empty(0), *found])
+
+    def learn(self, signals: RealArray) -> None:
+        """Update the magnitudes with the signals (n,).
+
+        A signal's magnitude is its largest absolute value so far, but no less than `PEERS` times the largest of its
+        kind (same slave and unit). A rate's magnitude is also at least the largest of the signals that it is the rate
+        of, divided by the length of the run.
+        """
+        sizes, largest = abs(signals), self._of_kind
+        np.maximum.at(largest, self._kind, sizes)
+        np.maximum.at(largest, self._rates, largest[self._changing] / (PEERS * self._span))
+        self._scale = np.maximum(np.maximum(self._scale, sizes), PEERS * largest[self._kind])
+
+    def compare(self, short: RealArray, long: RealArray) -> tuple[RealArray, RealArray]:
+        """(n,) error relative to the tolerance, and (n,) fraction by which the magnitude has grown since `learn`.
+
+        Args:
+            short: (n,) signals of the half steps.
+            long: (n,) signals of the whole step.
+        """
+        scale = np.maximum(self._scale, abs(short))
+        return self._over(abs(short - long), scale), 1.0 - self._scale / np.maximum(scale, TINY)
+
+    def learned(self, short: RealArray, long: RealArray) -> RealArray:
+        """(n,) error relative to the tolerance, as in `compare`, with the magnitudes of the last `learn`."""
+        return self._over(abs(short - long), self._scale)
+
+    def _over(self, differences: RealArray, scale: RealArray) -> RealArray:
+        """(n,) Richardson's error estimate relative to the tolerance, for signals of magnitude ``scale``."""
+        allowed = (2.0**self.order - 1.0) * (self._control.tolerance * scale + self._control.absolute)
+        return differences / np.maximum(allowed, TINY)
+
+    def name(self, signal: int) -> str:
+        """Name of the monitored signal with this index."""
+        return self._names[signal]
+
+
+def _monitored_by_default(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> list[MonitoredSignals]:
+    """Monitored outputs of all slaves whose inputs have a coupling error.
+
+    These are the continuous outputs that are connected; all continuous outputs if none is connected or the slave gives
+    no derivatives. Outputs that depend directly on an input with a coupling error (a spring's force, say) follow from
+    the others and are left out, unless no slave has others.
+    """
+    monitored: list[MonitoredSignals] = []
+    following: list[MonitoredSignals] = []
+    for i in sorted({target for (_, target), coupling in couplings.items() if _counts(coupling)}):
+        port, variables = ports[i], ports[i].slave.variables
+        # connected outputs
+        used = {each.output for each in system.connections if each.source == i and port.recorded > 1}
+        # inputs with an error, and outputs that depend directly on them
+        erring = {
+            variables[each.input].name
+            for each in system.connections
+            if each.target == i and _errs(system.slaves[each.source])
+        }
+        entered = {name for name, inputs in feedthrough(port.slave).items() if erring & set(inputs)}
+        # continuous outputs; preferably those without direct feedthrough from inputs with an error
+        columns = [
+            k
+            for k, index in enumerate(port.indices)
+            if index in (used or port.indices) and not variables[index].discrete
+        ]
+        states = [k for k in columns if variables[port.indices[k]].name not in entered]
+        (monitored if states else following).append(_values(port, states or columns))
+    return monitored or following
+
+
+def _errs(source: Slave) -> bool:
+    """Whether the slave's outputs can have a coupling error at communication points, as those of stepped slaves do."""
+    return not isinstance(source, PredictsOutputs | Sampled)
+
+
+def _entered_rates(inputs: InputPort, outputs: OutputPort) -> NDArray[np.bool_]:
+    """(n,) whether the first derivative of each output depends directly on an input with a coupling error."""
+    # perturb all inputs with an error and compare the derivatives
+    before, fed = outputs.signals.copy(), inputs.fed.copy()
+    with StateKeeper([inputs.slave]) as state:
+        for group in inputs.groups:
+            if _errs(group.source.slave):
+                inputs.fed[0, group.slots] += NUDGE * (1.0 + abs(fed[0, group.slots]))
+        inputs.send()
+        outputs.transfer()
+        entered: NDArray[np.bool_] = outputs.signals[1] != before[1]
+        state.restore()
+    # restore the buffers; the slave has been rolled back
+    inputs.fed[:], outputs.signals[:] = fed, before
+    return entered
+
+
+def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[MonitoredSignals]:
+    """The monitored signals for the outputs named ``slave.output``.
+
+    Raises:
+        InputError: there is no such output.
+    """
+    known = {
+        f"{port.slave.name}.{port.slave.variables[index].name}": (port, column)
+        for port in ports
+        for column, index in enumerate(port.indices)
+    }
+    # columns of the named outputs, by port
+    columns: dict[OutputPort, list[int]] = {}
+    for name in names:
+        if name not in known:
+            hint = get_close_matches(name, known, n=1, cutoff=0.0)
+            remedy = f"; did you mean {hint[0]!r}?" if hint else ", nor any other"
+            raise InputError(f"step control can't watch {name!r}: there is no such output{remedy}")
+        port, column = known[name]
+        columns.setdefault(port, []).append(column)
+    return [_values(port, each) for port, each in columns.items()]
+
+
+def _values(port: OutputPort, columns: Sequence[int]) -> MonitoredSignals:
+    """The values of these columns of a port, without derivatives."""
+    return MonitoredSignals(port, np.zeros(len(columns), np.intp), np.array(columns, np.intp))
+
+
+def _counts(coupling: Coupling) -> bool:
+    """Whether the coupling error depends on the communication step."""
+    return coupling.transport in (Transport.EXTRAPOLATED, Transport.INTERPOLATED, Transport.AVERAGED)
+
+
+def _degree(coupling: Coupling) -> int:
+    """Degree of the polynomial that the coupling represents exactly; 1 for the mean of both ends."""
+    if coupling.transport is Transport.AVERAGED:
+        return 1
+    return coupling.order if coupling.ends is None else 2 * coupling.ends + 1
+
+
+class ControlledSteps:
+    """Steps the slaves from one grid point to the next with a bounded coupling error.
+
+    Each step is taken once as a whole and once in two halves; the halves are kept. Their difference estimates the local
+    error; if it is too large, the slaves are rolled back and a smaller step is tried. A second solution takes the whole steps
+    only and is never corrected. Its difference from the first solution estimates the error accumulated since it began. (Both by
+    Richardson extrapolation.)
+
+    Args:
+        schedule: ports and order of calls.
+        recorder: records every instant.
+        control: tolerance and limits of the steps.
+        error: estimates the coupling error.
+        first: length of the first step [s].
+        span: begin and end of the run [s].
+
+    Attributes:
+        time: end of the last accepted step [s].
+        accepted, rejected: number of steps so far; the two halves of an accepted step count as two.
+        largest: largest accepted half step [s].
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        recorder: Recorder,
+        control: StepDoubling,
+        error: CouplingError,
+        first: float,
+        span: tuple[float, float],
+    ) -> None:
+        self.time = self._mark = -inf
+        self.accepted = self.rejected = 0
+        self.largest = 0.0
+        self._schedule, self._recorder = schedule, recorder
+        self._control, self._error, self._budget = control, error, ErrorBudget(*span)
+        # length of the next step, smallest step, and maximum number of steps
+        self._step = min(first, control.largest)
+        self._least = control.least(first)
+        self._first, self._most = first, WORK_AT_START + WORK * self._budget.span / first
+        # signals at the end of the last step, and snapshots to roll back to: of the run, and of the second solution
+        self._signals = np.empty(0)
+        self._short: Snapshot | None = None
+        self._long: Snapshot | None = None
+
+    def cross(self, begin: float, end: float) -> None:
+        """Step from ``begin`` to ``end`` [s]; exchange and record at every point between them, not at the end.
+
+        Raises:
+            StepSizeError: the error exceeds the tolerance even with the smallest step.
+            WorkError: the run has taken more steps than allowed.
+            SlaveError: a slave fails even in the smallest step.
+            LoopError: an iteration doesn't converge even in the smallest step.
+        """
+        # signals may have jumped at this point: include their new magnitudes
+        self.time, self._mark = begin, begin
+        if self.accepted == 0:
+            self._error.start(self._schedule.inputs)
+        self._signals = self._error.signals()
+        self._error.learn(self._signals)
+        try:
+            self._short = self._schedule.save()
+            # steps up to the point, with exchange and recording between them
+            while self.time < end:
+                if self.time > begin:
+                    if self._schedule.predicting:
+                        self._schedule.exchange(OFF_GRID, self.time, False)
+                    self._recorder.append(self.time)
+                self._advance(end)
+        finally:
+            self._short = _replaced(self._short, None)
+            if self._schedule.due:
+                self.finish()
+
+    def finish(self) -> None:
+        """End the second solution: after the run, and at each grid point if slaves sample.
+
+        The states of sampled slaves are not saved.
+        """
+        self._long = _replaced(self._long, None)
+        self._budget.carry()
+
+    def _advance(self, end: float) -> None:
+        """Take one step that meets the tolerance, no further than ``end`` [s]."""
+        # reduce the step until the error is small enough
+        wanted, rejected = self._step, self.rejected
+        while True:
+            self._check_work(end)
+            step = fitted(max(self._step, self._least), end - self.time)
+            reached = self.time + step if step < end - self.time else end
+            error, added = self._try(reached)
+            proposal = self._control.next_step(step, error, self._error.order)
+            if error <= 1.0:
+                break
+            self.rejected += 1
+            self._step = proposal
+        # update the error budget
+        self._budget.spend(step, added, self._accumulated(reached, added, reached < end or not self._schedule.due))
+        # after a step that was shortened only to end on the point, keep the length wanted before
+        shortened = self.rejected == rejected and proposal >= GROW * step
+        self._step = max(proposal, wanted) if shortened else proposal
+        self.time = reached
+        self.accepted += 2
+        self.largest = max(self.largest, 0.5 * step)
+
+    def _try(self, end: float) -> tuple[float, float]:
+        """Take a step as a whole and in two halves; roll back if its error is too large.
+
+        A failing slave or a loop that doesn't converge counts as an infinite error: a smaller step may succeed.
+
+        Returns:
+            The error relative to what the step may add (the largest of all signals), and relative to the tolerance.
+        """
+        # error of the worst signal; infinite if the step fails
+        recorded, step, worst = self._recorder.count, end - self.time, ""
+        error = added = inf
+        try:
+            errors, grown = self._double(end)
+            ratios = errors / self._budget.allowed(self.time, end, grown)
+            error, added = float(ratios.max(initial=0.0)), float(errors.max(initial=0.0))
+            worst = self._error.name(int(np.argmax(ratios))) if ratios.size else ""
+        except (SlaveError, LoopError):
+            if step <= self._least:
+                raise
+        # too large: roll back, or give up at the smallest step
+        if error > 1.0:
+            if step <= self._least:
+                raise StepSizeError(self._complaint(worst, step, error))
+            self._recorder.rewind(recorded)
+            self._restore(self._short)
+        return error, added
+
+    def _double(self, end: float) -> tuple[RealArray, RealArray]:
+        """Take the step as a whole, roll back, take it in two halves and record the middle.
+
+        Returns:
+            What `CouplingError.compare` returns for both.
+        """
+        schedule, begin = self._schedule, self.time
+        # as a whole
+        middle, at_once = begin + 0.5 * (end - begin), self._at_once(end, goes_on=False)
+        self._restore(self._short)
+        # in two halves
+        schedule.begin(begin, middle, end)
+        schedule.advance(begin, middle)
+        schedule.exchange(OFF_GRID, middle, False)
+        self._recorder.append(middle)
+        schedule.advance(middle, end)
+        schedule.refresh(end, self._error.following)
+        self._signals = self._error.signals()
+        return self._error.compare(self._signals, at_once)
+
+    def _at_once(self, end: float, jump: bool = False, goes_on: bool = True) -> RealArray:
+        """Take a step as a whole; the signals (n,) at its end.
+
+        Args:
+            end: of the step [s].
+            jump: whether signals may jump at its beginning.
+            goes_on: whether another step continues from its end.
+        """
+        self._schedule.begin(self.time, end, jump=jump)
+        self._schedule.advance(self.time, end)
+        if goes_on or self._error.following:
+            self._schedule.refresh(end, self._error.following)
+        return self._error.signals()
+
+    def _accumulated(self, end: float, added: float, goes_on: bool) -> float:
+        """Continue the second solution to ``end`` [s]; the error accumulated since it began, relative to the tolerance.
+
+        Args:
+            end: of the step [s].
+            added: the step's own error; returned where there is no second solution.
+            goes_on: whether the second solution continues from ``end``.
+        """
+        self._error.learn(self._signals)
+        # without a second solution, before or after this step, only the step's own error is known
+        before = self._long or self._short
+        if before is self._short and not goes_on:
+            return added
+        schedule, kept = self._schedule, self._schedule.save()
+        try:
+            # the second solution: one whole step further
+            self._restore(before)
+            long = self._at_once(end, jump=self.time == self._mark, goes_on=goes_on)
+            self._long = _replaced(self._long, schedule.save() if goes_on else None)
+        except (SlaveError, LoopError):
+            # the step is too long for a slave or a loop: the second solution restarts
+            self._long, long = _replaced(self._long, None), None
+            self._budget.carry()
+        # back to the first solution, from which the next step begins
+        self._short = _replaced(self._short, kept)
+        self._restore(kept)
+        return added if long is None else float(self._error.learned(self._signals, long).max(initial=0.0))
+
+    def _restore(self, snapshot: Snapshot | None) -> None:
+        """Roll back to a snapshot, if there is one."""
+        if snapshot is not None:
+            self._schedule.restore(snapshot)
+
+    def _check_work(self, end: float) -> None:
+        """Refuse another step once the maximum number of steps is exceeded.
+
+        Raises:
+            WorkError: it is exceeded.
+        """
+        steps = self.accepted + self.rejected
+        if steps > self._most:
+            raise WorkError(
+                f"step control has made {steps} steps up to {self.time:.9g} s, where the run goes on beyond {end:.9g} s, and "
+                f"is at steps of {self._step:.3g} s: far more than steps of {self._first:.3g} s would be; take a larger "
+                f"tolerance, derivatives of inputs and outputs or a softer coupling, a larger `minimum`, or a smaller first "
+                f"step if so many are meant"
+            )
+
+    def _complaint(self, worst: str, step: float, error: float) -> str:
+        """Message for an error that is too large at the smallest step."""
+        return (
+            f"the coupling error of {worst} is {error:.3g} times what the tolerance of {self._control.tolerance:g} allows "
+            f"at {self.time:.9g} s, even with a step of {step:.3g} s; take a larger tolerance, a smaller smallest step, "
+            f"or a higher precision within the slaves"
+        )
+
+
+def _replaced(old: Snapshot | None, new: Snapshot | None) -> Snapshot | None:
+    """The new snapshot, after the states of the old one have been released."""
+    if old is not None:
+        old.states.release()
+    return new

@@ -18,11 +18,10 @@ from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.engine.fmu.variables import Value
-from flexfmu.cosim.engine.master.algorithms import Algorithm
-from flexfmu.cosim.engine.master.isolation import isolation
+from flexfmu.cosim.engine.master.couplings import Algorithm
 from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, TableMap
-from flexfmu.cosim.engine.master.master import Progress, Simulation, simulate
+from flexfmu.cosim.engine.master.simulator import Progress, Simulation, isolation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Column, Recording
@@ -82,7 +81,7 @@ class SspSystem:
         isolate: bool | None = None,
         call_limit: float = CALL_LIMIT,
     ) -> Simulation:
-        """Simulate the system with `flexfmu.cosim.engine.master.master.simulate`.
+        """Simulate the system with `flexfmu.cosim.engine.master.simulator.simulate`.
 
         Signals have the names of the file: ``inner.first.x`` for a component in a subsystem, ``inner.y`` for a system's connector.
         Those of an exported scene have the names that they have in `flexfmu.cosim.experiment.prepared_scene.run_scene`, ``joint1.torque``

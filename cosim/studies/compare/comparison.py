@@ -14,8 +14,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
 from flexfmu.cosim.engine.results import USUAL, Recording
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.showing import few_lines, html_table, shown_unit
+from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition

@@ -16,8 +16,7 @@ from rich.text import Text
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
-from flexfmu.cosim.engine.rows import csv_text
-from flexfmu.cosim.engine.showing import ShowProgress, quiet
+from flexfmu.cosim.engine.showing import ShowProgress, csv_text, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.page import render

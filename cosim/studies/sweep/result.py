@@ -22,8 +22,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import replacing, write_pieces
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.engine.rows import Rows
-from flexfmu.cosim.engine.showing import shown_unit
+from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, locked
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric

@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from flexfmu.cosim.cli import run_scene as run_module
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metric_table import METRICS

@@ -26,7 +26,7 @@ from flexfmu.cosim.control.imperfections.signal_blocks import (
     rate_limit,
     saturation,
 )
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.model.symbolic import SymbolicBlock
 

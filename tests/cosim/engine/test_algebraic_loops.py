@@ -11,7 +11,7 @@ from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 

@@ -9,8 +9,8 @@ import pytest
 from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import SlaveError
-from flexfmu.cosim.engine.master import c_library
-from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.compiled_loop import load
+from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.planning import plan
@@ -144,4 +144,4 @@ def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -
     """The run goes on in Python."""
     monkeypatch.setenv("CC", "there-is-no-such-compiler")
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
-    assert c_library.load.__wrapped__() is None
+    assert load.__wrapped__() is None

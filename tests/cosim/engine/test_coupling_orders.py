@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, Tolerance
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 
 Factory = Callable[..., Any]
 

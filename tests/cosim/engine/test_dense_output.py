@@ -41,17 +41,13 @@ def test_polynomials_are_exact() -> None:
                 np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-6)
 
 
-def test_c_and_python_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Signals, derivatives of others and what was recorded itself, from rows of a larger array."""
-    dense, rows = (
-        DenseOutput(POINTS, np.sort(INSTANTS), 4),
-        np.random.default_rng(1).normal(size=(9, 40))[:, : POINTS.size],
-    )
-    signals = np.array([[0, 1, 0, 1, 0], [1, 3, 0, 4, 2], [2, 2, 3, 1, 1]])
-    in_c = dense.of(rows, signals, 3)
-    monkeypatch.setattr("flexfmu.cosim.engine.dense_output.load_interpolation", lambda: None)
-    np.testing.assert_array_equal(dense.of(rows, signals, 3), in_c)
-    assert abs(in_c).min() > 0.0
+def test_few_points() -> None:
+    """Two communication points give a polynomial of degree 5."""
+    (x,), points, inside = signals(5, 1), POINTS[:2], np.linspace(*POINTS[:2], 5)
+    found = resampled(Recording(points, {"x": column(x, points)}), DenseOutput(points, inside, 1), 1)["x"]
+    assert found.first is not None
+    np.testing.assert_allclose(found.values, x(inside), rtol=1e-9)
+    np.testing.assert_allclose(found.first, x.deriv()(inside), rtol=1e-9)
 
 
 def test_jumps_have_both_limits() -> None:

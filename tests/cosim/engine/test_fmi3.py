@@ -13,7 +13,7 @@ import pytest
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu, fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.fmu_build.validation.finding import Severity

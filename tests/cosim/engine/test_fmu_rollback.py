@@ -9,8 +9,8 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.algorithms import Implicit, Jacobi
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.couplings import Implicit, Jacobi
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave

@@ -14,7 +14,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 
 

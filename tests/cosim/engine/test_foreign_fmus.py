@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Recording, Selection
@@ -323,7 +323,7 @@ def test_blanks_and_unicode_in_paths(foreign_fmu: Path, tmp_path: Path, monkeypa
         target.writestr("resources/Kennlinie größer 1.txt", "1")
     code = (
         "import sys; from flexfmu.cosim.engine.fmu.slave import FmuSlave; from flexfmu.cosim.engine.master.system import connect;"
-        "from flexfmu.cosim.engine.master.master import simulate;"
+        "from flexfmu.cosim.engine.master.simulator import simulate;"
         "print(simulate(connect([FmuSlave(sys.argv[1])], []), 1.0, 0.1).outcome.name)"
     )
     environment = {**os.environ, "TMPDIR": str(folder)}

@@ -18,10 +18,9 @@ from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master import isolation as module
-from flexfmu.cosim.engine.master.isolation import isolation
-from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master import simulator as module
 from flexfmu.cosim.engine.master.outcome import message_of
+from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, isolation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
@@ -142,7 +141,7 @@ def test_sys_exit_is_caught_without_isolation() -> None:
 HANGING = """
 import signal, sys, time, threading
 from pathlib import Path
-from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.system import connect
 from test_isolation import Ramp
 

@@ -9,7 +9,7 @@ import pytest
 from python_slave import PythonSlave, SampledSlave
 
 from flexfmu.cosim.engine.errors import SlaveError
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 

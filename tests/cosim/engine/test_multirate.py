@@ -12,7 +12,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.couplings import Transport
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.grid import Clock, time_grid
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
 

@@ -14,7 +14,7 @@ from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu, fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.ssp.export import export_ssp

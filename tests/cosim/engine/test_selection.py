@@ -7,8 +7,7 @@ import pytest
 from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.master.master import simulate
-from flexfmu.cosim.engine.master.simulator import Simulator
+from flexfmu.cosim.engine.master.simulator import Simulator, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.master.stability import find_alternation, find_instability
+from flexfmu.cosim.engine.master.outcome import find_alternation, find_instability
 
 TIME = 0.01 * np.arange(400)
 

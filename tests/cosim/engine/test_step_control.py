@@ -13,8 +13,8 @@ import pytest
 from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError, SlaveError
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling, fitted
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.slave import SlaveVariable

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, TableMap
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 

@@ -13,7 +13,7 @@ import flexfmu
 from flexfmu.cosim.cli import run_scene as command
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import WiringError
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.parameters import holding_torques

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import LoopWarning
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.run_checks import divergence
 from flexfmu.cosim.reports.summary import summarise

@@ -14,7 +14,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

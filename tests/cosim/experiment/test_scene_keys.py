@@ -12,7 +12,7 @@ from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
-from flexfmu.cosim.engine.master.algorithms import GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.couplings import GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.parameters import holding_torques

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.engine.rows import SHOWN, Rows
+from flexfmu.cosim.engine.showing import SHOWN, Rows
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.reports.modes_table import ModalPose, ModesAlongPath

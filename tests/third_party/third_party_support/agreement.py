@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Jacobi
-from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Jacobi
+from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.experiment.planning import plan

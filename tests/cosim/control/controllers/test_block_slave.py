@@ -13,7 +13,7 @@ from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import (
     BindsBuffers,

@@ -19,7 +19,7 @@ from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
 from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.engine.binding import Evaluation
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.isolation import isolation
+from flexfmu.cosim.engine.master.simulator import isolation
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp

@@ -19,7 +19,7 @@ from flexfmu.cosim.control.controllers.cascade import current_loop, position_loo
 from flexfmu.cosim.control.controllers.joints import Limits, symmetric
 from flexfmu.cosim.control.controllers.pid import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, Sampled, Slave, SlaveVariable
 from flexfmu.cosim.experiment.scene_loop import loop_of

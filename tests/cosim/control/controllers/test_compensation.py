@@ -19,7 +19,7 @@ from flexfmu.cosim.control.controllers.computed_torque import gravity_feedforwar
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.numeric import inverse_dynamics

@@ -26,7 +26,7 @@ from flexfmu.cosim.control.controllers.state_feedback import (
     static_feedforward,
 )
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
 from flexfmu.fmu_build.build import build_fmu

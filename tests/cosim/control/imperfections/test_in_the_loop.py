@@ -20,7 +20,7 @@ from flexfmu.cosim.control.imperfections.signal_blocks import (
     saturation,
 )
 from flexfmu.cosim.engine.errors import AlgebraicLoopError
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.control.imperfections.lag import Lag, lag
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 

@@ -10,7 +10,7 @@ import pytest
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.shapers import JOINT_REFERENCES, SHAPED, shaper_block
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan

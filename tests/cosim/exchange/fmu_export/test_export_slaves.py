@@ -13,7 +13,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave

@@ -19,7 +19,7 @@ from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu, fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
-from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave

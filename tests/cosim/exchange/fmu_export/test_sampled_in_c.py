@@ -16,7 +16,7 @@ from python_slave import PythonSlave
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable

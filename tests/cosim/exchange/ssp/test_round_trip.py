@@ -10,7 +10,7 @@ import pytest
 from fmpy import read_model_description
 from fmpy.ssp.ssd import read_ssd, read_ssv
 
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.exchange.ssp.export import PARAMETERS, export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp

@@ -10,7 +10,7 @@ import pytest
 from ssp_support.packages import CONNECTION, NAMESPACES, SSD, binding, inline, of_second, of_system, parameter_set
 
 from flexfmu.cosim.engine.master.linear_map import LinearMap
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 from flexfmu.cosim.exchange.ssp.structure import SspError, SspUnit, ValueMap
 

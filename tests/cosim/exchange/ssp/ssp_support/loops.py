@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 from flexfmu.model.scene.file import load_scene

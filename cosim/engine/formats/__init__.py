@@ -1,1 +1,0 @@
-"""Recordings in files and in other tools' forms: CSV, pandas, xarray, Parquet, MATLAB, MCAP, Matplotlib."""
