@@ -6,9 +6,8 @@ from abc import abstractmethod
 from collections.abc import Iterator
 
 import casadi
-import numpy as np
 
-from flexfmu.model.effects import Effect, EffectContext, form, symmetric
+from flexfmu.model.effects import Effect, EffectContext, derived_matrix, form
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Family, Robot
 from flexfmu.model.scene import effects as keys
@@ -44,17 +43,8 @@ class ModalDamping(StructuralDamping):
 
     def __init__(self, registry: ParameterRegistry, ratio: float) -> None:
         self._registry = registry
-        self._ratio = registry.parameter(
-            Variable(
-                "damping.ratio",
-                "1",
-                "Modal damping ratio of the link modes",
-                "parameter",
-                start=ratio,
-                minimum=0.0,
-                maximum=1e3,
-            )
-        )
+        text = "Modal damping ratio of the link modes"
+        self._ratio = registry.parameter(_factor("damping.ratio", "1", text, ratio, 1e3))
 
     def _power(self, family: Family, v: casadi.SX) -> casadi.SX:
         total = casadi.SX(0)
@@ -99,13 +89,7 @@ class ProportionalDamping(StructuralDamping):
             damping += self._rate * family.mass
         if self._has_time:
             damping += self._time * family.stiffness
-        # the matrix as derived values, with its pattern of zeros
-        prefix = f"{family.group}_{family.direction}_c"
-        derived = symmetric(
-            v.numel(),
-            lambda i, j: self._registry.derived(f"{prefix}_{i}_{j}", damping[i, j]),
-            np.array(casadi.DM(damping.sparsity(), 1.0).full()),
-        )
+        derived = derived_matrix(self._registry, f"{family.group}_{family.direction}_c", damping)
         return 0.5 * form(derived, v, v)
 
 

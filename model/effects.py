@@ -19,7 +19,6 @@ from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import Family, Robot
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote
-from flexfmu.trajectories.jets import RealArray
 
 
 @dataclass(frozen=True)
@@ -130,13 +129,13 @@ def column(entries: Sequence[casadi.SX]) -> casadi.SX:
     return casadi.vertcat(casadi.SX(0, 1), *entries)
 
 
-def symmetric(count: int, entry: Callable[[int, int], casadi.SX], pattern: RealArray) -> casadi.SX:
-    """A symmetric matrix with entries only where the pattern isn't zero; both triangles share their symbols."""
-    matrix = casadi.SX(count, count)
-    for i in range(count):
-        for j in range(i, count):
-            if pattern[i, j]:
-                matrix[i, j] = matrix[j, i] = entry(i, j)
+def derived_matrix(registry: ParameterRegistry, prefix: str, values: casadi.SX) -> casadi.SX:
+    """A symmetric matrix (K, K) as derived values ``prefix_i_j``, without those that are zero; both triangles share their symbols."""
+    matrix = casadi.SX(*values.shape)
+    for i in range(values.shape[0]):
+        for j in range(i, values.shape[0]):
+            if not values[i, j].is_zero():
+                matrix[i, j] = matrix[j, i] = registry.derived(f"{prefix}_{i}_{j}", values[i, j])
     return matrix
 
 

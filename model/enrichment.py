@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from flexfmu.model.link_shapes import FAMILIES
+from flexfmu.model.beams import FAMILIES
 from flexfmu.model.scene.effects import LOADS, MAXIMUM_MODES, Effects
 from flexfmu.model.scene.schema import Scene
 

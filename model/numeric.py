@@ -8,9 +8,9 @@ from functools import lru_cache
 import casadi
 import numpy as np
 
+from flexfmu.model.beams import FAMILIES
 from flexfmu.model.five_bar import assemble
-from flexfmu.model.foreshortening import bending_beyond
-from flexfmu.model.link_shapes import FAMILIES
+from flexfmu.model.link_effects import bending_beyond
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 

@@ -8,31 +8,270 @@ direct elastodynamic model for control loops: inputs are the motor torques and a
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import casadi
+import numpy as np
 
 from flexfmu.model.choice_text import choice_notes
+from flexfmu.model.closure import ProjectedForces
 from flexfmu.model.five_bar import FiveBar, assemble
-from flexfmu.model.plant_functions import (
-    OutputRow,
-    PlantEquations,
-    compliance,
-    elastic_names,
-    elastic_scale,
-    make_plant,
-    output,
-    reaction_outputs,
-    robot_outputs,
-    start_angles,
-    start_parameters,
-)
-from flexfmu.model.scene.assembly import bases, elbows, motor_angles
+from flexfmu.model.robot import Family
+from flexfmu.model.scene.assembly import WORKING_MODES, bases, elbows, motor_angles
 from flexfmu.model.scene.disturbances import PAYLOAD, disturbance_inputs
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import Bar, Drawing, Friction, Spot, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import MotionSymbols
+from flexfmu.model.time_derivatives import (
+    MotionSymbols,
+    acceleration_terms,
+    forward,
+    motion_forward,
+    motion_rate1,
+    motion_rate2,
+)
+
+MINIMUM_SINE = 0.01
+"""Smallest |sine| of the angle between the distal links in a simulation: half of the limit for planning.
+The condition number of the elastic mass matrix is 3e5 at 0.026 and 8e6 at 0.005."""
+
+MARGIN_NAME = "sine of the angle between the distal links (type-2 singularity)"
+
+MIDDLE = np.array([0.5])
+"""Position on a link (fraction of its length) for shapes without tip displacement."""
+
+POSE = ("end_effector.position.x", "end_effector.position.y")
+"""Outputs that give the pose of the robot in messages."""
+
+OutputRow = tuple[Variable, casadi.SX]
+
+
+@dataclass(frozen=True)
+class PlantEquations:
+    """The equations of a plant as expressions.
+
+    Attributes:
+        motion: unknowns y, their rates and accelerations, and inputs u.
+        residual: r(y, v, a, u), (n, 1).
+        outputs: output variables with their expressions.
+        initial_inputs: start values of u, expression of the parameters.
+        initial_coordinates: start values of y, undeformed, expression of the parameters.
+        error_scale: weights [kappa (n), mu (n), floor] of the error norm, expression of the derived values.
+    """
+
+    motion: MotionSymbols
+    residual: casadi.SX
+    outputs: Sequence[OutputRow]
+    initial_inputs: casadi.SX
+    initial_coordinates: casadi.SX
+    error_scale: casadi.SX
+
+    @property
+    def shown(self) -> casadi.SX:
+        """The outputs' expressions, (n_outputs, 1)."""
+        return casadi.vertcat(*(casadi.SX(expression) for _, expression in self.outputs))
+
+
+def make_plant(
+    scene: Scene,
+    five_bar: FiveBar,
+    equations: PlantEquations,
+    *,
+    description: str,
+    unknowns: Sequence[str],
+    inputs: Sequence[Variable],
+    locked: int = 0,
+    rate_inputs: int = 0,
+    frictions: tuple[Friction, ...] = (),
+) -> SymbolicModel:
+    """The symbolic model of a plant; see `SymbolicModel` for the arguments."""
+    return SymbolicModel(
+        name=scene.name,
+        description=description,
+        unknowns=tuple(unknowns),
+        inputs=tuple(inputs),
+        parameters=five_bar.registry.variables,
+        outputs=tuple(variable for variable, _ in equations.outputs),
+        functions=_functions(five_bar, equations, 1 if scene.mechanism.assembly_mode == "left" else -1),
+        acceleration_terms=acceleration_terms(equations.motion, equations.shown),
+        feedthrough=_feedthrough(equations, inputs),
+        static_start=scene.cosimulation.initial == "static",
+        margin_name=MARGIN_NAME,
+        minimum_margin=MINIMUM_SINE,
+        is_damped=five_bar.dynamics.is_damped,
+        locked=locked,
+        rate_inputs=rate_inputs,
+        twin_unknowns=_twins(unknowns),
+        twin_inputs=_twins([variable.name for variable in inputs]),
+        frictions=frictions,
+        effects=five_bar.notes,
+        pose=POSE,
+    )
+
+
+def _twins(names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Indices of the names of leg 1 and their counterparts of leg 2, as ``link11.bending[1]`` and ``link21.bending[1]``."""
+    mirrored = [re.sub(r"^([a-z]+)1", r"\g<1>2", name) for name in names]
+    return tuple((k, names.index(name)) for k, name in enumerate(mirrored) if name != names[k] and name in names)
+
+
+def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
+    """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`; `side` is the assembly mode's sign."""
+    # symbols of the motion, of the parameters p and of the derived values d
+    motion, residual, outputs = equations.motion, equations.residual, equations.shown
+    y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
+    # derived values and start values, from the parameters
+    derived = five_bar.registry.resolved()
+    start = casadi.vertcat(derived, equations.initial_coordinates)
+    results = {
+        "derive": ([p], derived),
+        "initial_inputs": ([p], equations.initial_inputs),
+        "initial_coordinates": ([p], equations.initial_coordinates),
+        "start_forward": forward([p], start),
+        "residual": ([y, v, a, u, d], residual),
+        "mass_matrix": ([y, u, d], casadi.tril2symm(casadi.tril(casadi.jacobian(residual, a)))),
+        "outputs": ([y, v, a, u, d], outputs),
+        "motion_forward": motion_forward(motion, residual, outputs, d),
+        "motion_rate1": motion_rate1(motion, residual, outputs, d),
+        "motion_rate2": motion_rate2(motion, residual, outputs, d),
+        "singularity": ([y, u, d], side * five_bar.closure.sine),
+        "error_scale": ([d], equations.error_scale),
+    }
+    return {
+        name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
+        for name, (arguments, result) in results.items()
+    }
+
+
+def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
+    """Symbols (2, 1) of the parameters start.x and start.y: the start pose [m]."""
+    return casadi.vertcat(
+        *(
+            five_bar.registry.parameter(
+                Variable(
+                    f"start.{axis}", "m", f"Start pose, {axis} of the rigid end effector", "parameter", value, -1e3, 1e3
+                )
+            )
+            for axis, value in zip("xy", scene.start, strict=True)
+        )
+    )
+
+
+def start_angles(five_bar: FiveBar, start: casadi.SX, scene: Scene) -> casadi.SX:
+    """Motor angles (2, 1) at the start pose by rigid inverse kinematics in the scene's working mode."""
+    # parameters, not derived values, which are computed later
+    p = {v.name: s for v, s in zip(five_bar.registry.variables, casadi.vertsplit(five_bar.registry.p), strict=True)}
+    a, proximal, distal = p["base_half_distance"], p["proximal.length"], p["distal.length"]
+    angles = []
+    # law of cosines in the triangle base, elbow, end effector
+    for base, sign in zip((-a, a), WORKING_MODES[scene.mechanism.working_mode], strict=True):
+        dx, dy = start[0] - base, start[1]
+        square = dx**2 + dy**2
+        cosine = (proximal**2 + square - distal**2) / (2 * proximal * casadi.sqrt(square))
+        angles.append(casadi.atan2(dy, dx) + sign * casadi.acos(cosine))
+    return casadi.vertcat(*angles)
+
+
+def output(name: str, unit: str, description: str, of: str | None = None) -> Variable:
+    """An output variable; `of` names the output whose time derivative it is."""
+    return Variable(name, unit, description, "output", derivative_of=of)
+
+
+def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
+    """Outputs of the robot: end effector, effects, and elastic coordinates with their derivatives."""
+    closure, motion = five_bar.closure, five_bar.motion
+    rows: list[OutputRow] = []
+    # motion of the end effector
+    for kind, unit, vector in (
+        ("position", "m", five_bar.position),
+        ("velocity", "m/s", closure.velocity),
+        ("acceleration", "m/s2", closure.acceleration),
+    ):
+        rows += _components(f"end_effector.{kind}", unit, f"End effector, {{}} of the {kind}", vector)
+    # outputs of the effects, static deflections included
+    for each in five_bar.outputs:
+        value = casadi.dot(each.gain, each.coordinates)
+        if five_bar.partition.statics:
+            value = casadi.substitute(value, five_bar.robot.q_e, five_bar.elastic)
+        rows.append((output(each.name, each.unit, each.description[0].upper() + each.description[1:]), value))
+    # elastic coordinates with their rates and accelerations
+    robot, states = five_bar.robot, five_bar.partition.states
+    units, texts = robot.elastic_units, robot.elastic_texts
+    for k, (name, i) in enumerate(zip(elastic_names(five_bar), states, strict=True)):
+        unit, text = units[i], texts[i]
+        rate, acceleration = f"der({name})", f"der({name},2)"
+        rows.append((output(name, unit, text), motion.q_e[k]))
+        rows.append((output(rate, f"{unit}/s", f"Rate of {name}", of=name), motion.v_e[k]))
+        rows.append((output(acceleration, f"{unit}/s2", f"Acceleration of {name}", of=rate), motion.a_e[k]))
+    return rows
+
+
+def elastic_names(five_bar: FiveBar) -> tuple[str, ...]:
+    """Names of the elastic coordinates that are states."""
+    return tuple(five_bar.robot.elastic_names[i] for i in five_bar.partition.states)
+
+
+def reaction_outputs(forces: ProjectedForces) -> list[OutputRow]:
+    """Outputs for the joint reaction forces of both legs."""
+    rows: list[OutputRow] = []
+    for leg in (1, 2):
+        elbow, pull = forces.elbows[leg - 1], forces.pulls[leg - 1]
+        rows += _components(
+            f"elbow{leg}.reaction", "N", f"Force of link {leg}1 on link {leg}2 at the elbow, {{}}", elbow
+        )
+        rows += _components(f"leg{leg}.reaction", "N", f"Force of leg {leg} on the end effector, {{}}", pull)
+    return rows
+
+
+def _components(name: str, unit: str, text: str, vector: casadi.SX) -> list[OutputRow]:
+    parts = zip("xy", casadi.vertsplit(vector), strict=True)
+    return [(output(f"{name}.{axis}", unit, text.format(axis)), component) for axis, component in parts]
+
+
+def _feedthrough(equations: PlantEquations, inputs: Sequence[Variable]) -> Mapping[str, tuple[str, ...]]:
+    """Output → inputs with direct feedthrough; accelerations depend on all inputs."""
+    names, motion = [variable.name for variable in inputs], equations.motion
+    table = {}
+    for variable, expression in equations.outputs:
+        everything = bool(motion.a.numel()) and casadi.depends_on(expression, motion.a)
+        depends = casadi.depends_on(expression, motion.u)
+        direct = casadi.which_depends(expression, motion.u, 1, False) if depends else [False] * len(names)
+        table[variable.name] = tuple(name for name, used in zip(names, direct, strict=True) if used or everything)
+    return table
+
+
+def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
+    """Modal stiffnesses and masses of the elastic states, as lists of column vectors, for the error norm."""
+    families = _vibrating(five_bar)
+    kappa = [casadi.diag(family.stiffness) for family in families]
+    mu = [casadi.diag(family.mass) for family in families]
+    if five_bar.joint_stiffness is not None:
+        kappa.append(casadi.repmat(five_bar.joint_stiffness, 2, 1))
+        mu.append(casadi.repmat(five_bar.registry.find_derived("proximal_m_l2_3"), 2, 1))
+    return kappa, mu
+
+
+def _vibrating(five_bar: FiveBar) -> list[Family]:
+    """The families of all links that are states, without the quasi-static ones."""
+    return [part.family for _, part in five_bar.robot.elastic if not part.family.quasi_static]
+
+
+def compliance(five_bar: FiveBar) -> casadi.SX:
+    """Sum of the modal compliances at the tips [m/N], or at mid-length where no tip moves; zero for a rigid robot."""
+    families = _vibrating(five_bar)
+    # compliance of the links
+    moves = any(shape.tip for family in families for shape in family.shapes)
+    total = casadi.SX(0)
+    for family in families:
+        reach = family.tips if moves else casadi.DM([float(shape.value(MIDDLE)[0]) for shape in family.shapes])
+        total += casadi.sum1(reach**2 / casadi.diag(family.stiffness))
+    # compliance of the transmissions, at the elbows
+    if five_bar.joint_stiffness is not None:
+        total += five_bar.links["proximal"].length ** 2 / five_bar.joint_stiffness
+    return total
+
 
 REFERENCE_LOAD = 1.0
 """Acceleration [m/s²] whose static deflection is the floor of the motion-driven error norm: the tolerance of smaller

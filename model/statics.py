@@ -1,14 +1,20 @@
-"""Static equilibrium of the flexible robot with locked motors, by Newton's method with step halving.
+"""Static equilibrium of the flexible robot with locked motors, and its natural frequencies and damping about it.
 
-The stiffness matrix is exact, so convergence is quadratic. Near the solution the elastic forces of stiff families
-cancel to rounding; a step then needn't reduce the residual.
+The equilibrium is found by Newton's method with step halving. The stiffness matrix is exact, so convergence is quadratic. Near the
+solution the elastic forces of stiff families cancel to rounding; a step then needn't reduce the residual.
+
+Small motions satisfy M x'' + C x' + K x = 0. Squared undamped frequencies [rad²/s²] are the generalised eigenvalues of
+(K, M); damped modes are eigenvalues of the first-order form in [x, x'].
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import casadi
 import numpy as np
+from scipy.linalg import eigh
 
 from flexfmu.model.numeric import NumericModel, numeric_model, standstill
 from flexfmu.model.scene.errors import EquilibriumError
@@ -106,3 +112,83 @@ def _at_rounding(model: NumericModel, u: RealArray, q: RealArray, force: RealArr
 def _static_force(model: NumericModel, q: RealArray, u: RealArray) -> RealArray:
     zeros = np.zeros(model.n)
     return np.asarray(model.elastic_forces(q, zeros, zeros, u).full()).ravel()
+
+
+OSCILLATING = 1e-9
+"""An eigenvalue belongs to a vibration if its imaginary part exceeds this fraction of its magnitude."""
+
+
+@dataclass(frozen=True, eq=False)
+class DampedModes:
+    """Damped modes of the assembled robot, in ascending order of frequency, without overdamped modes.
+
+    Attributes:
+        frequencies: |λ| / 2π of the eigenvalues λ [Hz], shape (m,): the undamped natural frequency where the damping is
+            proportional.
+        ratios: damping ratios -Re λ / |λ|, shape (m,).
+    """
+
+    frequencies: RealArray
+    ratios: RealArray
+
+
+def natural_frequencies(scene: Scene, joints: tuple[float, float] | RealArray) -> RealArray:
+    """Undamped natural frequencies [Hz], ascending, shape (n,), with the motors locked at (q11, q21) [rad].
+
+    Raises:
+        EquilibriumError: there is no static equilibrium at the pose, or it is unstable (buckled).
+    """
+    if numeric_model(scene).n == 0:
+        return np.empty(0)
+    mass, _, stiffness = _matrices(scene, joints)
+    return np.asarray(np.sqrt(_stable(eigh(stiffness, mass, eigvals_only=True), joints)) / (2 * np.pi), dtype=float)
+
+
+def damped_modes(scene: Scene, joints: tuple[float, float] | RealArray) -> DampedModes:
+    """Frequencies and damping ratios with the motors locked at (q11, q21) [rad]: eigenvalues of M x'' + C x' + K x = 0.
+
+    Raises:
+        EquilibriumError: there is no static equilibrium at the pose, or it is unstable (buckled).
+    """
+    n = numeric_model(scene).n
+    if n == 0:
+        return DampedModes(np.empty(0), np.empty(0))
+    # first-order form in [x, x'] about a stable equilibrium
+    mass, damping, stiffness = _matrices(scene, joints)
+    _stable(eigh(stiffness, mass, eigvals_only=True), joints)
+    acceleration = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    values = np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), acceleration])).astype(complex)
+    # one eigenvalue of each conjugate pair, ascending; overdamped modes have none
+    values = values[values.imag > OSCILLATING * np.abs(values)]
+    values = values[np.argsort(np.abs(values))]
+    size = np.abs(values)
+    # the real part of an undamped mode is a rounding error of either sign
+    return DampedModes(size / (2 * np.pi), np.maximum(-values.real / size, 0.0))
+
+
+def _matrices(scene: Scene, joints: tuple[float, float] | RealArray) -> tuple[RealArray, RealArray, RealArray]:
+    """Mass, damping and stiffness of small motions about the static equilibrium, (n, n) each."""
+    model, u = numeric_model(scene), standstill(joints)
+    elastic = static_equilibrium(scene, joints).elastic
+    stiffness, mass = model.static_stiffness(elastic, u).full(), model.mass_matrix(elastic, u).full()
+    return 0.5 * (mass + mass.T), _damping_matrix(scene)(elastic, u).full(), 0.5 * (stiffness + stiffness.T)
+
+
+@lru_cache(maxsize=32)
+def _damping_matrix(scene: Scene) -> casadi.Function:
+    """(q_e, u) → damping matrix: Jacobian of the elastic forces by the elastic rates at rest (n, n) [N s/m]."""
+    model = numeric_model(scene)
+    q, v, u = casadi.SX.sym("q", model.n), casadi.SX.sym("v", model.n), casadi.SX.sym("u", 6)
+    force = model.elastic_forces(q, v, casadi.SX.zeros(model.n), u)
+    at_rest = casadi.substitute(casadi.jacobian(force, v), v, casadi.SX.zeros(model.n))
+    return casadi.Function("damping_matrix", [q, u], [casadi.densify(casadi.cse(at_rest))])
+
+
+def _stable(squares: RealArray, joints: tuple[float, float] | RealArray) -> RealArray:
+    """The squared angular frequencies, ascending; raises `EquilibriumError` if one is negative."""
+    if squares[0] < 0.0:
+        raise EquilibriumError(
+            f"the static equilibrium with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad is unstable "
+            f"(lowest eigenvalue {squares[0]:.4g} 1/s2): the load buckles the robot near this pose"
+        )
+    return squares

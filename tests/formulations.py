@@ -20,9 +20,8 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.studies.workprec.trial import completed
 from flexfmu.model.finite_elements.motion import element_frequencies, equilibrium
 from flexfmu.model.finite_elements.robot import FiniteElementRobot
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import natural_frequencies, static_equilibrium
 
 Beam = Literal["euler-bernoulli", "timoshenko"]
 

@@ -30,7 +30,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.kinematics import RigidKinematics
-from flexfmu.model.plant_functions import MINIMUM_SINE
+from flexfmu.model.plants import MINIMUM_SINE
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError

@@ -28,7 +28,6 @@ from flexfmu.cosim.control.imperfections.channels import (
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import linear_plant
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.filters import (
     MODE,
@@ -40,6 +39,7 @@ from flexfmu.model.scene.filters import (
     NotchSection,
     TunedSection,
 )
+from flexfmu.model.statics import natural_frequencies
 from flexfmu.model.symbolic import SymbolicBlock
 
 

@@ -62,7 +62,7 @@ def _from_section(section: ImpulseShaperSection, context: LoopContext) -> Shaper
     if section.modes is not None:
         modes = [Oscillator(mode.frequency, mode.ratio) for mode in section.modes]
         return _applied(design(section.kind, modes), section)
-    from flexfmu.model.modes import damped_modes
+    from flexfmu.model.statics import damped_modes
 
     # modes at the end pose, where the residual vibration occurs
     found = damped_modes(context.scene, context.joints.evaluate(context.joints.duration, 0, "left")[0, 0])

@@ -19,8 +19,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.signals import segments
-from flexfmu.model.beams import Direction, LinkGroup
-from flexfmu.model.link_shapes import scene_shapes
+from flexfmu.model.beams import Direction, LinkGroup, scene_shapes
 from flexfmu.model.scene.schema import Scene
 
 PLACES = np.linspace(0.0, 1.0, 101)

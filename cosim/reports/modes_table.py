@@ -131,7 +131,7 @@ def modes_along_path(
         InputError: ``count`` is even or below 3.
         EquilibriumError: the robot has no stable static equilibrium at a pose.
     """
-    from flexfmu.model.modes import natural_frequencies
+    from flexfmu.model.statics import natural_frequencies
 
     if count < 3 or count % 2 == 0:
         raise InputError(

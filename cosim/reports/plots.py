@@ -44,8 +44,7 @@ from flexfmu.cosim.reports.motors import motor_plots
 from flexfmu.cosim.reports.page import WIDTH, Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.svg import FIRST, GREY, INK, SECOND
-from flexfmu.model.beams import Shape, tip_force_bending
-from flexfmu.model.link_shapes import scene_shapes
+from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.trajectories.curves import Point
 

@@ -20,10 +20,9 @@ from functools import lru_cache
 import casadi
 import numpy as np
 
-from flexfmu.model.beams import LinkGroup
+from flexfmu.model.beams import LinkGroup, shear_coefficient
 from flexfmu.model.scene.mechanism import LinkSection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.timoshenko import shear_coefficient
 from flexfmu.trajectories.jets import RealArray
 
 COORDINATES = 6

@@ -197,10 +197,10 @@ class Effects(Section):
 
 
 EFFECTS = (
-    "link_inertia.LinkInertia",
-    "rotary_inertia.RotaryInertia",
-    "elastic_family.ElasticFamily",
-    "foreshortening.Foreshortening",
+    "link_effects.LinkInertia",
+    "link_effects.RotaryInertia",
+    "link_effects.ElasticFamily",
+    "link_effects.Foreshortening",
     "loads.PointPayload",
     "loads.PayloadInertia",
     "loads.Gravity",

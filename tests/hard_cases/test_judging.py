@@ -32,9 +32,9 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import natural_frequencies
 
 ROOT = Path(__file__).parents[2]
 PASSED = CaseReport("all is well", (Criterion("error", 1e-6, 1e-5), Criterion("numbers not finite", 0.0, 0.0)))

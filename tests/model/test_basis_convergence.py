@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import natural_frequencies
 
 POSES = [(-0.175, 0.320), (0.0, 0.295)]
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")

@@ -7,11 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.modes import damped_modes, natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import damped_modes, natural_frequencies, static_equilibrium
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,12 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from flexfmu.model.link_shapes import family_shapes
-from flexfmu.model.modes import damped_modes, natural_frequencies
+from flexfmu.model.beams import family_shapes, slenderness, timoshenko_shapes
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.scene.assembly import elbows, motor_angles
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
-from flexfmu.model.timoshenko import slenderness, timoshenko_shapes
+from flexfmu.model.statics import damped_modes, natural_frequencies, static_equilibrium
 
 POSE = (0.05, 0.3)
 BASES = ("assumed-modes", "craig-bampton")

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from flexfmu.model.beams import scene_shapes
 from flexfmu.model.five_bar import assemble
-from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 

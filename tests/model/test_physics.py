@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import natural_frequencies, static_equilibrium
 
 POSES = [(-0.175, 0.320), (-0.175, 0.300), (-0.1, 0.295), (0.0, 0.295), (0.1, 0.295), (0.175, 0.320)]
 

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import natural_frequencies, static_equilibrium
 
 POSE = (-0.1, 0.3)
 FAMILIES = ("distal_axial", "proximal_axial", "proximal_bending")

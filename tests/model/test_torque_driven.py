@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from flexfmu.model.linear import linearize, operating_point
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.multipliers import constrained_model, motion_driven_accelerations
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
@@ -17,6 +16,7 @@ from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import natural_frequencies
 from flexfmu.model.symbolic import SymbolicModel
 
 POSE = (-0.1, 0.3)

@@ -39,7 +39,7 @@ from flexfmu.model.scene.choice import (
     integrator_tolerance,
 )
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.cost import Cost, costs
+from flexfmu.model.selection.linearized_motion import Cost, costs
 from flexfmu.trajectories.trajectory import Trajectory
 
 POSES = 3

@@ -21,10 +21,10 @@ from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
-from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.effects import NoDampingSection
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import damped_modes
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray

@@ -35,8 +35,8 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import RestPositions, StaticEquilibria
 from flexfmu.cosim.many.executor import mapping
-from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.motion import TrajectorySection
+from flexfmu.model.statics import damped_modes
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.sequence import Oscillator
 

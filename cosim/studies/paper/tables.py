@@ -26,9 +26,9 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import natural_frequencies
 from flexfmu.trajectories.trajectory import Trajectory
 
 

@@ -18,10 +18,9 @@ from numpy.polynomial import chebyshev
 
 from flexfmu.cosim.control.blocks.code import compile_function
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import natural_frequencies, static_equilibrium
 from flexfmu.trajectories.trajectory import Trajectory
 
 DEGREE = 95

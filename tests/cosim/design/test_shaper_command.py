@@ -38,9 +38,9 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.model.modes import DampedModes
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import DampedModes
 from flexfmu.trajectories.shapers.designs import design
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory
 

@@ -15,9 +15,8 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
 from flexfmu.cosim.experiment.scene_run import rest_position
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import natural_frequencies, static_equilibrium
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.trajectory import limits
 

@@ -14,9 +14,9 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.stress import LinkStress, link_stresses
 from flexfmu.cosim.reports.motors import stress_rows
 from flexfmu.cosim.reports.summary import summarise
+from flexfmu.model.beams import scene_shapes
 from flexfmu.model.finite_elements.motion import equilibrium
 from flexfmu.model.finite_elements.robot import finite_element_robot
-from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene

@@ -15,7 +15,7 @@ from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.reports.curve_data import unpacked
 from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.plots import LONGEST, _to_scale, bent_robot, path_panel, scene_panel
-from flexfmu.model.link_shapes import scene_shapes
+from flexfmu.model.beams import scene_shapes
 from flexfmu.model.scene.assembly import bases, elbows
 
 MakeRun = Callable[..., Run]

@@ -7,7 +7,6 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.radau import radau
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, fitted
@@ -15,7 +14,7 @@ from flexfmu.model.reference_design.variants import free_modes
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import natural_frequencies, static_equilibrium
 from flexfmu.trajectories.jets import RealArray
 
 VARIANTS = ({"payload.mass": 4.2}, {"payload.mass": 7.8, "material.youngs_modulus": 63e9, "damping.ratio": 0.01})

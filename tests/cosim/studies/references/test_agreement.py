@@ -30,9 +30,9 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.finite_elements.motion import element_frequencies, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
-from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import natural_frequencies
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
 WITH, WITHOUT = 1e-3, 2e-3
