@@ -27,8 +27,7 @@ class MotorInertia(Effect):
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
-        inertia = context.scene.effects.motor_inertia
-        if inertia:
+        if inertia := context.scene.effects.motor_inertia:
             yield cls(context.registry, inertia)
 
     def __init__(self, registry: ParameterRegistry, inertia: float) -> None:
@@ -52,8 +51,7 @@ class ViscousFriction(Effect):
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
-        coefficient = context.scene.effects.joint_friction.viscous
-        if coefficient:
+        if coefficient := context.scene.effects.joint_friction.viscous:
             yield cls(context.registry, coefficient)
 
     def __init__(self, registry: ParameterRegistry, coefficient: float) -> None:
@@ -175,8 +173,7 @@ class ElasticTransmission(Effect):
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
-        transmission = context.scene.effects.transmission
-        if transmission is not None:
+        if (transmission := context.scene.effects.transmission) is not None:
             yield cls(context.registry, transmission.stiffness, transmission.damping)
 
     def __init__(self, registry: ParameterRegistry, stiffness: float, damping: float) -> None:

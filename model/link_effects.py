@@ -36,8 +36,6 @@ from flexfmu.model.beams import (
 from flexfmu.model.effects import Effect, EffectContext, Output, column, derived_matrix, dot, form
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import ElasticSymbols, Family, Link, Robot
-from flexfmu.model.scene.mechanism import LinkSection as Rod
-from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote, Variable
 
 
@@ -338,30 +336,6 @@ class Foreshortening(Effect):
     def _matrix(self, family: Family, name: str, weight: Evaluate, factor: casadi.SX) -> casadi.SX:
         products = gram(family.shapes, lambda shape: shape.slope, weight)
         return derived_matrix(self._registry, f"{family.group}_{name}", factor * casadi.DM(products))
-
-
-def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
-    """Bending energy of fourth order, which the model neglects: 1/2 ∫ EI w''² w'² dx [J].
-
-    The curvature of an inextensible line is w'' / sqrt(1 - w'²). The other terms of this order (inertia of the
-    shortening, w'⁴ / 8) are far smaller, see ``tests/cosim/metrics/test_large_deflections.py``.
-
-    Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct.
-    Mech. 6 (1978), eq. (14) in the plane.
-    """
-    # slopes and strains at the quadrature nodes, as functions of the elastic coordinates
-    xi, weights = np.polynomial.legendre.leggauss(40)
-    energy = casadi.SX(0)
-    for link, part in _bending(robot):
-        geometry: Rod = getattr(scene.mechanism, link.group)
-        second = np.pi / 64.0 * (geometry.diameter**4 - geometry.inner_diameter**4)
-        slopes, strains = (
-            casadi.DM(np.stack([field(0.5 * (xi + 1.0)) for field in fields], axis=1)) @ part.q
-            for fields in zip(*((shape.slope, shape.strain) for shape in part.family.shapes), strict=True)
-        )
-        rigidity = scene.mechanism.material.youngs_modulus * second / geometry.length**5
-        energy += 0.5 * rigidity * casadi.dot(casadi.DM(0.5 * weights), (slopes * strains) ** 2)
-    return energy
 
 
 def _bending(robot: Robot) -> Iterator[tuple[Link, ElasticSymbols]]:

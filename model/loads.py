@@ -25,8 +25,7 @@ class PointPayload(Effect):
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
-        mass = context.scene.payload.mass
-        if mass:
+        if mass := context.scene.payload.mass:
             yield cls(context.registry, mass)
 
     def __init__(self, registry: ParameterRegistry, mass: float) -> None:
@@ -58,8 +57,7 @@ class PayloadInertia(Effect):
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
-        inertia = context.scene.payload.inertia
-        if inertia:
+        if inertia := context.scene.payload.inertia:
             yield cls(context.registry, inertia, context.links["distal"].length)
 
     def __init__(self, registry: ParameterRegistry, inertia: float, length: casadi.SX) -> None:

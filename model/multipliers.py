@@ -99,43 +99,19 @@ def motion_driven_accelerations(
         motor_acceleration: q_a'' (2,) [rad/s²].
         baumgarte: stabilisation rate [1/s]; 0 lets the constraints drift.
     """
-    prescribed = np.eye(2, 10 + model.n)
-    solution = _solved(model, q, v, np.zeros(2), baumgarte, prescribed, motor_acceleration)
-    size = 10 + model.n
-    return ConstrainedMotion(solution[:size], solution[size : size + PASSIVE], -solution[size + PASSIVE :])
-
-
-def torque_driven_accelerations(
-    model: ConstrainedModel, q: RealArray, v: RealArray, torque: RealArray, baumgarte: float = 0.0
-) -> ConstrainedMotion:
-    """Accelerations and reactions for motor torques (2,) [N m]; arguments as in `motion_driven_accelerations`."""
-    size = 10 + model.n
-    solution = _solved(model, q, v, torque, baumgarte, np.empty((0, size)), np.empty(0))
-    return ConstrainedMotion(solution[:size], solution[size:], np.asarray(torque, dtype=float))
-
-
-def _solved(
-    model: ConstrainedModel,
-    q: RealArray,
-    v: RealArray,
-    torque: RealArray,
-    baumgarte: float,
-    rows: RealArray,
-    wanted: RealArray,
-) -> RealArray:
-    """Accelerations and multipliers of the constraints and of further ones, ``rows`` q'' = ``wanted``."""
-    psi, mass = model.jacobian(q).full(), model.mass_matrix(q).full()
-    forces = -model.bias(q, v).full().ravel()
-    forces[:2] += torque
+    size, psi = 10 + model.n, model.jacobian(q).full()
     # Baumgarte stabilisation drives the constraints back to zero
     drift = (
         model.curvature(q, v).full().ravel()
         + 2 * baumgarte * (psi @ v)
         + baumgarte**2 * model.constraints(q).full().ravel()
     )
-    rows = np.vstack([psi, rows])
-    kkt = np.block([[mass, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-    return np.asarray(np.linalg.solve(kkt, np.concatenate([forces, -drift, wanted])))
+    # the motors' accelerations are constraints too, whose multipliers are the torques
+    rows = np.vstack([psi, np.eye(2, size)])
+    kkt = np.block([[model.mass_matrix(q).full(), rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+    right = np.concatenate([-model.bias(q, v).full().ravel(), -drift, motor_acceleration])
+    solution = np.asarray(np.linalg.solve(kkt, right))
+    return ConstrainedMotion(solution[:size], solution[size : size + PASSIVE], -solution[size + PASSIVE :])
 
 
 def _split(q: casadi.SX, n: int) -> tuple[casadi.SX, casadi.SX, casadi.SX]:

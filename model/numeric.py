@@ -10,7 +10,8 @@ import numpy as np
 
 from flexfmu.model.beams import FAMILIES
 from flexfmu.model.five_bar import assemble
-from flexfmu.model.link_effects import bending_beyond
+from flexfmu.model.robot import Robot
+from flexfmu.model.scene.mechanism import LinkSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
@@ -93,3 +94,29 @@ def inverse_dynamics(scene: Scene) -> casadi.Function:
     return casadi.Function(
         "inverse_dynamics", [motion.q_a, motion.v_a, motion.a_a], [casadi.densify(casadi.cse(torque))]
     )
+
+
+def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
+    """Bending energy of fourth order, which the model neglects: 1/2 ∫ EI w''² w'² dx [J].
+
+    The curvature of an inextensible line is w'' / sqrt(1 - w'²). The other terms of this order (inertia of the
+    shortening, w'⁴ / 8) are far smaller, see ``tests/cosim/metrics/test_large_deflections.py``.
+
+    Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct.
+    Mech. 6 (1978), eq. (14) in the plane.
+    """
+    # slopes and strains at the quadrature nodes, as functions of the elastic coordinates
+    xi, weights = np.polynomial.legendre.leggauss(40)
+    energy = casadi.SX(0)
+    for link, part in robot.elastic:
+        if part.family.direction != "bending":
+            continue
+        geometry: LinkSection = getattr(scene.mechanism, link.group)
+        second = np.pi / 64.0 * (geometry.diameter**4 - geometry.inner_diameter**4)
+        slopes, strains = (
+            casadi.DM(np.stack([field(0.5 * (xi + 1.0)) for field in fields], axis=1)) @ part.q
+            for fields in zip(*((shape.slope, shape.strain) for shape in part.family.shapes), strict=True)
+        )
+        rigidity = scene.mechanism.material.youngs_modulus * second / geometry.length**5
+        energy += 0.5 * rigidity * casadi.dot(casadi.DM(0.5 * weights), (slopes * strains) ** 2)
+    return energy

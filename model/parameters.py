@@ -101,33 +101,20 @@ class ParameterRegistry:
 
 def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:
     """Register the parameters of the mechanism: lengths, diameters and material; returns name → symbol."""
-    # lengths of the mechanism
-    variables = [
-        _positive(
-            "base_half_distance", "m", "Half of the distance between the bases", mechanism.base_half_distance, 1e3
-        )
-    ]
+    half, material = mechanism.base_half_distance, mechanism.material
+    variables = [_positive("base_half_distance", "m", "Half of the distance between the bases", half, 1e3)]
     # rods and tubes
     for group, link in (("proximal", mechanism.proximal), ("distal", mechanism.distal)):
+        inner, text = f"{group}.inner_diameter", f"Inner diameter of the {group} links, 0 for solid rods"
         variables += [
             _positive(f"{group}.length", "m", f"Length of the {group} links", link.length, 1e3),
             _positive(f"{group}.diameter", "m", f"Outer diameter of the {group} links", link.diameter, 1e2),
-            Variable(
-                f"{group}.inner_diameter",
-                "m",
-                f"Inner diameter of the {group} links, 0 for solid rods",
-                "parameter",
-                start=link.inner_diameter,
-                minimum=0.0,
-                maximum=1e2,
-            ),
+            Variable(inner, "m", text, "parameter", start=link.inner_diameter, minimum=0.0, maximum=1e2),
         ]
-    # material
+    young, modulus = "Young's modulus of the links", material.youngs_modulus
     variables += [
-        _positive("material.density", "kg/m3", "Density of the links", mechanism.material.density, 1e6),
-        _positive(
-            "material.youngs_modulus", "Pa", "Young's modulus of the links", mechanism.material.youngs_modulus, 1e15
-        ),
+        _positive("material.density", "kg/m3", "Density of the links", material.density, 1e6),
+        _positive("material.youngs_modulus", "Pa", young, modulus, 1e15),
     ]
     # symbols by name
     return {variable.name: registry.parameter(variable) for variable in variables}

@@ -53,6 +53,9 @@ class PlantEquations:
     """The equations of a plant as expressions.
 
     Attributes:
+        description, locked, rate_inputs, frictions: as in `SymbolicModel`.
+        unknowns: names of y.
+        inputs: variables of u.
         motion: unknowns y, their rates and accelerations, and inputs u.
         residual: r(y, v, a, u), (n, 1).
         outputs: output variables with their expressions.
@@ -61,70 +64,31 @@ class PlantEquations:
         error_scale: weights [kappa (n), mu (n), floor] of the error norm, expression of the derived values.
     """
 
+    description: str
+    unknowns: tuple[str, ...]
+    inputs: tuple[Variable, ...]
     motion: MotionSymbols
     residual: casadi.SX
     outputs: Sequence[OutputRow]
     initial_inputs: casadi.SX
     initial_coordinates: casadi.SX
     error_scale: casadi.SX
-
-    @property
-    def shown(self) -> casadi.SX:
-        """The outputs' expressions, (n_outputs, 1)."""
-        return casadi.vertcat(*(casadi.SX(expression) for _, expression in self.outputs))
+    locked: int = 0
+    rate_inputs: int = 0
+    frictions: tuple[Friction, ...] = ()
 
 
-def make_plant(
-    scene: Scene,
-    five_bar: FiveBar,
-    equations: PlantEquations,
-    *,
-    description: str,
-    unknowns: Sequence[str],
-    inputs: Sequence[Variable],
-    locked: int = 0,
-    rate_inputs: int = 0,
-    frictions: tuple[Friction, ...] = (),
-) -> SymbolicModel:
-    """The symbolic model of a plant; see `SymbolicModel` for the arguments."""
-    return SymbolicModel(
-        name=scene.name,
-        description=description,
-        unknowns=tuple(unknowns),
-        inputs=tuple(inputs),
-        parameters=five_bar.registry.variables,
-        outputs=tuple(variable for variable, _ in equations.outputs),
-        functions=_functions(five_bar, equations, 1 if scene.mechanism.assembly_mode == "left" else -1),
-        acceleration_terms=acceleration_terms(equations.motion, equations.shown),
-        feedthrough=_feedthrough(equations, inputs),
-        static_start=scene.cosimulation.initial == "static",
-        margin_name=MARGIN_NAME,
-        minimum_margin=MINIMUM_SINE,
-        is_damped=five_bar.dynamics.is_damped,
-        locked=locked,
-        rate_inputs=rate_inputs,
-        twin_unknowns=_twins(unknowns),
-        twin_inputs=_twins([variable.name for variable in inputs]),
-        frictions=frictions,
-        effects=five_bar.notes,
-        pose=POSE,
-    )
-
-
-def _twins(names: Sequence[str]) -> tuple[tuple[int, int], ...]:
-    """Indices of the names of leg 1 and their counterparts of leg 2, as ``link11.bending[1]`` and ``link21.bending[1]``."""
-    mirrored = [re.sub(r"^([a-z]+)1", r"\g<1>2", name) for name in names]
-    return tuple((k, names.index(name)) for k, name in enumerate(mirrored) if name != names[k] and name in names)
-
-
-def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
-    """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`; `side` is the assembly mode's sign."""
+def make_plant(scene: Scene, five_bar: FiveBar, equations: PlantEquations) -> SymbolicModel:
+    """The symbolic model of a plant."""
     # symbols of the motion, of the parameters p and of the derived values d
-    motion, residual, outputs = equations.motion, equations.residual, equations.shown
+    motion, residual = equations.motion, equations.residual
+    outputs = casadi.vertcat(*(casadi.SX(expression) for _, expression in equations.outputs))
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
     # derived values and start values, from the parameters
     derived = five_bar.registry.resolved()
     start = casadi.vertcat(derived, equations.initial_coordinates)
+    side = 1 if scene.mechanism.assembly_mode == "left" else -1
+    # the functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`
     results = {
         "derive": ([p], derived),
         "initial_inputs": ([p], equations.initial_inputs),
@@ -139,10 +103,37 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
         "singularity": ([y, u, d], side * five_bar.closure.sine),
         "error_scale": ([d], equations.error_scale),
     }
-    return {
-        name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
-        for name, (arguments, result) in results.items()
-    }
+    return SymbolicModel(
+        name=scene.name,
+        description=equations.description,
+        unknowns=equations.unknowns,
+        inputs=equations.inputs,
+        parameters=five_bar.registry.variables,
+        outputs=tuple(variable for variable, _ in equations.outputs),
+        functions={
+            name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
+            for name, (arguments, result) in results.items()
+        },
+        acceleration_terms=acceleration_terms(motion, outputs),
+        feedthrough=_feedthrough(equations),
+        static_start=scene.cosimulation.initial == "static",
+        margin_name=MARGIN_NAME,
+        minimum_margin=MINIMUM_SINE,
+        is_damped=five_bar.dynamics.is_damped,
+        locked=equations.locked,
+        rate_inputs=equations.rate_inputs,
+        twin_unknowns=_twins(equations.unknowns),
+        twin_inputs=_twins([variable.name for variable in equations.inputs]),
+        frictions=equations.frictions,
+        effects=five_bar.notes,
+        pose=POSE,
+    )
+
+
+def _twins(names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Indices of the names of leg 1 and their counterparts of leg 2, as ``link11.bending[1]`` and ``link21.bending[1]``."""
+    mirrored = [re.sub(r"^([a-z]+)1", r"\g<1>2", name) for name in names]
+    return tuple((k, names.index(name)) for k, name in enumerate(mirrored) if name != names[k] and name in names)
 
 
 def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
@@ -230,9 +221,9 @@ def _components(name: str, unit: str, text: str, vector: casadi.SX) -> list[Outp
     return [(output(f"{name}.{axis}", unit, text.format(axis)), component) for axis, component in parts]
 
 
-def _feedthrough(equations: PlantEquations, inputs: Sequence[Variable]) -> Mapping[str, tuple[str, ...]]:
+def _feedthrough(equations: PlantEquations) -> Mapping[str, tuple[str, ...]]:
     """Output → inputs with direct feedthrough; accelerations depend on all inputs."""
-    names, motion = [variable.name for variable in inputs], equations.motion
+    names, motion = [variable.name for variable in equations.inputs], equations.motion
     table = {}
     for variable, expression in equations.outputs:
         everything = bool(motion.a.numel()) and casadi.depends_on(expression, motion.a)
@@ -318,6 +309,10 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
     mass = 2 * (five_bar.links["proximal"].mass + five_bar.links["distal"].mass) + five_bar.end_effector_mass
     floor = REFERENCE_LOAD * mass * casadi.sqrt(compliance(five_bar)) if kappa else casadi.SX(1)
     equations = PlantEquations(
+        description="Flexible five-bar robot, motion-driven: joint references in, torques and end-effector motion out",
+        unknowns=elastic_names(five_bar),
+        inputs=_reference_inputs(scene),
+        rate_inputs=4,
         motion=MotionSymbols(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
         residual=five_bar.forces.elastic,
         outputs=outputs,
@@ -325,15 +320,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
         initial_coordinates=casadi.SX.zeros(m.q_e.numel()),
         error_scale=casadi.vertcat(casadi.SX(0, 1), *kappa, *mu, floor),
     )
-    return make_plant(
-        scene,
-        five_bar,
-        equations,
-        description="Flexible five-bar robot, motion-driven: joint references in, torques and end-effector motion out",
-        unknowns=elastic_names(five_bar),
-        inputs=_reference_inputs(scene),
-        rate_inputs=4,
-    )
+    return make_plant(scene, five_bar, equations)
 
 
 def _reference_inputs(scene: Scene) -> tuple[Variable, ...]:
@@ -371,7 +358,16 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
     outputs += robot_outputs(five_bar)
     if scene.effects.reactions:
         outputs += reaction_outputs(five_bar.forces)
+    position_of = five_bar.registry.position
     equations = PlantEquations(
+        description="Flexible five-bar robot, torque-driven: motor torques in, joint and end-effector motion out",
+        unknowns=("joint1.position", "joint2.position", *elastic_names(five_bar)),
+        inputs=_torque_inputs(scene),
+        locked=2,
+        frictions=tuple(
+            Friction(i, position_of(friction.breakaway), position_of(friction.direction))
+            for i, friction in enumerate(five_bar.stiction)
+        ),
         motion=MotionSymbols(
             casadi.vertcat(m.q_a, m.q_e),
             casadi.vertcat(m.v_a, m.v_e),
@@ -386,20 +382,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
     )
     if PAYLOAD in disturbances:
         equations = _with_payload_change(equations, five_bar.registry.find_derived("payload_mass"), disturbed[-1])
-    position_of = five_bar.registry.position
-    return make_plant(
-        scene,
-        five_bar,
-        equations,
-        description="Flexible five-bar robot, torque-driven: motor torques in, joint and end-effector motion out",
-        unknowns=("joint1.position", "joint2.position", *elastic_names(five_bar)),
-        inputs=_torque_inputs(scene),
-        locked=2,
-        frictions=tuple(
-            Friction(i, position_of(friction.breakaway), position_of(friction.direction))
-            for i, friction in enumerate(five_bar.stiction)
-        ),
-    )
+    return make_plant(scene, five_bar, equations)
 
 
 def _joint_outputs(five_bar: FiveBar, torque: casadi.SX) -> list[OutputRow]:

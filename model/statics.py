@@ -53,22 +53,38 @@ def static_equilibrium(scene: Scene, joints: tuple[float, float] | RealArray) ->
         EquilibriumError: the iteration doesn't converge; the message gives pose and residual.
     """
     model, u = numeric_model(scene), standstill(joints)
-    elastic = _newton(model, u)
-    zeros = np.zeros(model.n)
+    elastic, zeros = _newton(model, u), np.zeros(model.n)
     position, _, _, torque = model.motion(elastic, zeros, zeros, u)
     return StaticState(elastic, np.asarray(position.full()).ravel(), np.asarray(torque.full()).ravel())
 
 
 def _newton(model: NumericModel, u: RealArray) -> RealArray:
     """Elastic coordinates (n,) in equilibrium, by damped Newton iteration on the elastic forces at rest."""
-    q = np.zeros(model.n)
+    q = zeros = np.zeros(model.n)
     if model.n == 0:
         return q
+
+    def force_at(q: RealArray) -> RealArray:
+        return np.asarray(model.elastic_forces(q, zeros, zeros, u).full()).ravel()
+
+    def at_rounding(q: RealArray, force: RealArray) -> bool:
+        """Whether the residual is only rounding of the elastic forces that cancel in it."""
+        scale = np.abs(model.static_stiffness(q, u).full()) @ np.abs(q) + np.abs(force_at(zeros))
+        return bool(np.all(np.abs(force) <= 1e3 * np.finfo(float).eps * scale + np.finfo(float).tiny))
+
     # iterate until a full step is at rounding, or no fraction of it reduces the residual
-    force = _static_force(model, q, u)
+    force = force_at(q)
     for _ in range(MAXIMUM_ITERATIONS):
         step = np.linalg.solve(model.static_stiffness(q, u).full(), -force)
-        q, force, damping = _damped_step(model, u, q, step, force)
+        # halve the step until the residual falls or is at rounding level
+        damping, norm = 1.0, np.linalg.norm(force)
+        while damping >= SMALLEST_DAMPING:
+            trial = q + damping * step
+            found = force_at(trial)
+            if np.all(np.isfinite(found)) and (np.linalg.norm(found) < norm or at_rounding(trial, found)):
+                q, force = trial, found
+                break
+            damping *= 0.5
         if damping == 1.0 and np.linalg.norm(step) <= RELATIVE_STEP * np.linalg.norm(q):
             return q
         if damping < SMALLEST_DAMPING or not np.all(np.isfinite(q)):
@@ -76,42 +92,12 @@ def _newton(model: NumericModel, u: RealArray) -> RealArray:
         if np.linalg.norm(step) < np.finfo(float).eps * np.linalg.norm(q) or not np.any(force):
             return q
     # a residual at the rounding level of the cancelling forces counts as zero
-    if _at_rounding(model, u, q, force):
+    if at_rounding(q, force):
         return q
     raise EquilibriumError(
         f"no static equilibrium with the motors at q11 = {u[0]:.6g} rad, q21 = {u[1]:.6g} rad: the residual force stays at "
         f"{np.linalg.norm(force):.3g} N; the pose may be too near to a singularity or the links too soft for the load"
     )
-
-
-def _damped_step(
-    model: NumericModel, u: RealArray, q: RealArray, step: RealArray, force: RealArray
-) -> tuple[RealArray, RealArray, float]:
-    """New coordinates, force and damping; halves the step until the residual falls or is at rounding level."""
-    # halve the step until it is accepted
-    damping, norm = 1.0, np.linalg.norm(force)
-    while damping >= SMALLEST_DAMPING:
-        trial = q + damping * step
-        trial_force = _static_force(model, trial, u)
-        if np.all(np.isfinite(trial_force)) and (
-            np.linalg.norm(trial_force) < norm or _at_rounding(model, u, trial, trial_force)
-        ):
-            return trial, trial_force, damping
-        damping *= 0.5
-    return q, force, 0.0
-
-
-def _at_rounding(model: NumericModel, u: RealArray, q: RealArray, force: RealArray) -> bool:
-    """Whether the residual is only rounding of the elastic forces that cancel in it."""
-    stiffness = np.abs(model.static_stiffness(q, u).full())
-    load = np.abs(_static_force(model, np.zeros(model.n), u))
-    scale = stiffness @ np.abs(q) + load
-    return bool(np.all(np.abs(force) <= 1e3 * np.finfo(float).eps * scale + np.finfo(float).tiny))
-
-
-def _static_force(model: NumericModel, q: RealArray, u: RealArray) -> RealArray:
-    zeros = np.zeros(model.n)
-    return np.asarray(model.elastic_forces(q, zeros, zeros, u).full()).ravel()
 
 
 OSCILLATING = 1e-9

@@ -118,14 +118,11 @@ ALONE = {
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
     "model.finite_elements.element": "the beam element, whose sections other programs use too",
-    "model.foreshortening": "an effect",
     "model.scene.picture": "drawing",
+    "model.time_derivatives": "derivatives of the equations along a motion, for the runtime",
     "model.multipliers": "the second form of the equations",
-    "model.plant_functions": "functions of a plant, which hard cases check too",
     "model.reference_design.optimal_control": "sequential convex programmes",
     "model.reference_design.robust_correction": "correction over a band",
-    "model.rotary_inertia": "an effect",
-    "model.selection.cost": "operations of effects",
 }
 """Modules with one importer that are an idea of their own, and which."""
 
