@@ -23,8 +23,8 @@ from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure, settings_for
 from flexfmu.cosim.metrics.recorded_solution import Settings
-from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import damped_modes
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.designs import SHAPERS, design, specified_insensitivity
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
