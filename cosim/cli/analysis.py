@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, print_rich, print_text, progress
+from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, print_result, progress
 from flexfmu.cosim.engine.files import OutputFolder
-from flexfmu.cosim.reports.text import to_json
 
 
 def modes(
@@ -30,11 +29,8 @@ def modes(
     with progress() as show:
         show("frequencies along the path", None)
         found = modes_along_path(plan(robot), poses, lambda fraction: show("frequencies along the path", fraction))
-    # standard output
-    if json:
-        print_text(to_json({"scene": robot.name, "poses": [pose.to_dict() for pose in found]}))
-    else:
-        print_rich(*modes_table(robot.name, found))
+    data = {"scene": robot.name, "poses": [pose.to_dict() for pose in found]}
+    print_result(json, data, *modes_table(robot.name, found))
     return 0
 
 
@@ -73,12 +69,9 @@ def margins(
         if out is not None:
             show("drawing", None)
             files = write_margins(result, out)
-    if json:
-        print_text(to_json({**margins_data(result), "files": [str(path) for path in files]}))
-    else:
-        print_rich(*margins_table(result))
-        if files:
-            print_text(f"files: {', '.join(map(str, files))}\n")
+    where = [f"files: {', '.join(map(str, files))}"] if files else []
+    data = {**margins_data(result), "files": [str(path) for path in files]}
+    print_result(json, data, *margins_table(result), *where)
     return 0 if result.is_stable else FAILURE
 
 
@@ -103,9 +96,6 @@ def effects(
     with progress() as show:
         study = study_effects(robot, tolerance, tuple(of or []), show)
         comparisons = check_choice(study, show=show) if check else ()
-    # standard output
-    if json:
-        print_text(to_json(study_data(study, comparisons)))
-    else:
-        print_rich(*report(study), *([comparison_table(comparisons)] if check else ()))
+    compared = [comparison_table(comparisons)] if check else []
+    print_result(json, study_data(study, comparisons), *report(study), *compared)
     return 0

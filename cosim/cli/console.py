@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Never, TextIO
 
 import typer
 
-from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 
 if TYPE_CHECKING:
@@ -44,7 +44,9 @@ def print_text(text: str) -> None:
     Raises:
         ResultsError: standard output is closed or can't be written, a full disk for example.
     """
-    stdout = _stdout()
+    stdout: TextIO | None = sys.stdout
+    if stdout is None:
+        raise ResultsError("can't write to standard output: it is closed")
     try:
         stdout.write(text.encode(stdout.encoding or "utf-8", "replace").decode(stdout.encoding or "utf-8"))
         stdout.flush()
@@ -62,7 +64,18 @@ def print_rich(*parts: RenderableType) -> None:
 
     with rich_output() as console:
         for part in parts:
-            console.print(part, soft_wrap=isinstance(part, Text) and not console.is_terminal)
+            shown = Text(part) if isinstance(part, str) else part
+            console.print(shown, soft_wrap=isinstance(shown, Text) and not console.is_terminal)
+
+
+def print_result(as_json: bool, data: Any, *parts: RenderableType) -> None:
+    """Write a result to standard output: its data as JSON, or else these tables and texts."""
+    if as_json:
+        from flexfmu.cosim.reports.text import to_json
+
+        print_text(to_json(data))
+    else:
+        print_rich(*parts)
 
 
 @contextmanager
@@ -74,7 +87,7 @@ def rich_output() -> Iterator[Console]:
     """
     from rich.console import Console
 
-    is_terminal, text = _stdout().isatty(), StringIO()
+    is_terminal, text = sys.stdout is not None and sys.stdout.isatty(), StringIO()
     yield Console(
         file=text, force_terminal=is_terminal or None, width=None if is_terminal else PIPED_WIDTH, highlight=False
     )
@@ -97,18 +110,6 @@ def progress() -> Iterator[ShowProgress]:
         yield lambda text, fraction: bar.update(
             task, description=text, total=None if fraction is None else 1.0, completed=fraction or 0.0
         )
-
-
-def _stdout() -> TextIO:
-    """Standard output.
-
-    Raises:
-        ResultsError: the command was started without one.
-    """
-    stdout: TextIO | None = sys.stdout
-    if stdout is None:
-        raise ResultsError("can't write to standard output: it is closed")
-    return stdout
 
 
 def keep_stdout() -> None:
@@ -213,7 +214,10 @@ def one_line_errors() -> Iterator[None]:
         status = _exit_status(error)
         if status is None:
             raise
-        show_note(_sentence(error))
+        message = str(error)
+        if isinstance(error, OSError):
+            message = f"{error.strerror or error}" + (f" ({error.filename})" if error.filename else "")
+        show_note(message)
         raise typer.Exit(status) from error
 
 
@@ -245,7 +249,7 @@ def _exit_status(error: Exception) -> int | None:
 
     The families of errors are imported here: `flexfmu --help` would wait for SciPy otherwise.
     """
-    from flexfmu.cosim.engine.errors import CosimError, InputError
+    from flexfmu.cosim.engine.errors import CosimError
     from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError, StartError
     from flexfmu.model.scene.errors import EquilibriumError, SceneError
     from flexfmu.trajectories.errors import TrajectoryError
@@ -255,14 +259,6 @@ def _exit_status(error: Exception) -> int | None:
     if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError | StartError):
         return USAGE
     return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
-
-
-def _sentence(error: Exception) -> str:
-    """The error's message; for an error of the operating system its reason and the file."""
-    if isinstance(error, OSError):
-        where = f" ({error.filename})" if error.filename else ""
-        return f"{error.strerror or error}{where}"
-    return str(error)
 
 
 def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
@@ -304,16 +300,14 @@ LONGEST = 80
 """Characters of a folder's name that are for changes of the scene."""
 
 
-def check_formats(formats: Sequence[str]) -> None:
-    """Check formats before a run.
+def check_scene_file(path: Path | None) -> None:
+    """Check that a scene can be written there.
 
     Raises:
-        InputError: there is no such format, or its library isn't installed.
+        InputError: the name has another ending.
     """
-    from flexfmu.cosim.engine.formats import check_format  # numpy, which help doesn't load
-
-    for name in formats:
-        check_format(name)
+    if path is not None and path.suffix != ".toml":
+        raise InputError(f"a scene file ends in .toml, got {path}: write {path}.toml")
 
 
 def write_results(

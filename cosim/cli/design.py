@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note, usual_folder
+from flexfmu.cosim.cli.console import (
+    FAILURE,
+    check_scene_file,
+    load_resolved,
+    print_result,
+    progress,
+    show_note,
+    usual_folder,
+)
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.table import Table
 
     from flexfmu.cosim.design.gains.tuner import TuneResult
@@ -67,8 +77,7 @@ def tune(
     from flexfmu.cosim.design.gains.tuner import tune_scene
     from flexfmu.model.scene.keys import parse_setting
 
-    if output is not None and output.suffix != ".toml":
-        raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
+    check_scene_file(output)
     robot = load_resolved(scene, settings)
     folder = out or usual_folder(robot.name, settings, "-tune")
     changes = dict(map(parse_setting, settings or ()))
@@ -94,10 +103,8 @@ def tune(
     files = [write_tuned(result, target, scene, changes), *write_tuning(result, folder)]
     if result.interrupted:
         show_note("interrupted: these are the best values so far; the same command continues")
-    if json:
-        print_text(to_json({**summary(result), "files": [str(path) for path in files]}))
-    else:
-        _print(result, [str(path) for path in files])
+    names = [str(path) for path in files]
+    print_result(json, {**summary(result), "files": names}, *_shown(result, names))
     return 0 if result.is_feasible else FAILURE
 
 
@@ -117,24 +124,20 @@ def _started(scene: Scene, text: str) -> Scene:
     return started(scene, kind, bandwidth)  # type: ignore[arg-type]
 
 
-def _print(result: TuneResult, files: list[str]) -> None:
-    """The values, the figures, and the files."""
+def _shown(result: TuneResult, files: Sequence[str]) -> Iterator[RenderableType]:
+    """The values, the figures, what to try, and the files."""
     from rich.text import Text
 
-    failed = sum(1 for each in result.trials if each.message)
-    print_rich(_values(result), _figures(result))
+    yield _values(result)
+    yield _figures(result)
     if not result.is_feasible:
-        print_rich(Text("No trial keeps all limits; these values miss them least.", style="yellow"))
-    for key in _at_end(result):
-        print_rich(Text(f"{key} is at the end of its interval: a wider one may be better.", style="yellow"))
-    print_rich(Text(f"{len(result.trials)} trials, {failed} of which failed; results: {', '.join(files)}"))
-
-
-def _at_end(result: TuneResult) -> list[str]:
-    """Keys whose tuned value is within 1 % of an end of the interval."""
-    over = result.study.over
-    shares = {each.key: each.share_of(result.values[each.key]) for each in over if each.key in result.values}
-    return [key for key, share in shares.items() if not 0.01 < share < 0.99]
+        yield Text("No trial keeps all limits; these values miss them least.", style="yellow")
+    # within 1 % of an end of the interval
+    for each in result.study.over:
+        if each.key in result.values and not 0.01 < each.share_of(result.values[each.key]) < 0.99:
+            yield Text(f"{each.key} is at the end of its interval: a wider one may be better.", style="yellow")
+    failed = sum(1 for each in result.trials if each.message)
+    yield f"{len(result.trials)} trials, {failed} of which failed; results: {', '.join(files)}"
 
 
 def _values(result: TuneResult) -> Table:
@@ -228,8 +231,8 @@ def shaper(
     with progress() as show:
         study = examine(robot, payload_band, FINE if payload_errors else COARSE, show, drive, limits)
         show("writing the results", None)
-        text = to_json(study_data(study))
-        folder.write("shapers.json", text)
+        data = study_data(study)
+        folder.write("shapers.json", to_json(data))
         folder.write("shapers.csv", to_csv(study.results))
         save_sensitivity(study, folder.path)
     # the shaped scene, and standard output
@@ -237,10 +240,7 @@ def shaper(
         write_shaped(
             scene, study.recommendation.result.candidate.section, output, dict(map(parse_setting, settings or ()))
         )
-    if json:
-        print_text(text)
-    else:
-        print_rich(*report(study, folder.path, output))
+    print_result(json, data, *report(study, folder.path, output))
     # nothing keeps the limits
     if not study.recommendation.keeps_limits:
         show_note(study.recommendation.reason + (f"; {output} is not written" if output is not None else ""))

@@ -4,7 +4,7 @@ and checks of any FMU."""
 from __future__ import annotations
 
 from dataclasses import asdict
-from math import gcd, lcm
+from math import gcd, inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,20 +14,16 @@ from flexfmu.cosim.cli.console import (
     FAILURE,
     load_changed,
     load_resolved,
-    print_rich,
-    print_text,
+    print_result,
     progress,
     show_note,
     usual_folder,
 )
 from flexfmu.cosim.cli.options import naming_convention
 from flexfmu.cosim.engine.errors import FmuFileError
-from flexfmu.cosim.reports.text import to_json
 from flexfmu.fmu_build.errors import ArchiveError
 
 if TYPE_CHECKING:
-    from fractions import Fraction
-
     from rich.table import Table
 
     from flexfmu.cosim.engine.master.system import System
@@ -50,6 +46,7 @@ def build(
         enumerations: Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.
     """
     from flexfmu.cosim.experiment.scene_build import build_scene
+    from flexfmu.cosim.reports.summary import choice_summary
     from flexfmu.model.choice_text import choice_sentence
 
     # choose effects where the scene leaves them open, then build
@@ -69,21 +66,14 @@ def build(
             enumerations=enumerations,
             progress=lambda text: show(text, None),
         )
-    # standard output
-    if json:
-        from flexfmu.cosim.reports.summary import choice_summary
-
-        choice = choice_summary(robot)
-        chosen = {"effect_choice": choice} if choice else {}
-        print_text(to_json(asdict(built) | {"path": str(built.path)} | chosen))
-        return 0
-    if robot.effects.choice is not None:
-        print_text(f"{choice_sentence(robot)}\n")
+    choice = choice_summary(robot)
+    data = asdict(built) | {"path": str(built.path)} | ({"effect_choice": choice} if choice else {})
     origin = "taken from the cache" if built.cached else "built"
-    print_text(
+    where = (
         f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
-        f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}\n"
+        f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}"
     )
+    print_result(json, data, *([choice_sentence(robot)] if robot.effects.choice is not None else []), where)
     return 0
 
 
@@ -115,19 +105,6 @@ def fmus(
         system = export_slaves(
             robot, folder, names=slave or None, platforms=platform or None, naming=convention, progress=show
         )
-    # standard output
-    if json:
-        print_text(to_json(_facts(system)))
-    else:
-        from rich.text import Text
-
-        connected = f"connections between them: {len(system.connections)}, listed by --json"
-        print_rich(_table(system), Text(f"{folder}: {len(system.slaves)} FMUs; {connected}"))
-    return 0
-
-
-def _facts(system: ExportedSystem) -> dict[str, object]:
-    """What `--json` prints."""
     # slaves by the names that the connections refer to
     slaves = [
         {
@@ -141,7 +118,10 @@ def _facts(system: ExportedSystem) -> dict[str, object]:
         for each in system.slaves
     ]
     connections = [{"from": source, "to": target} for source, target in system.connections]
-    return {"slaves": slaves, "connections": connections, "step": system.step, "stop_time": system.stop_time}
+    data = {"slaves": slaves, "connections": connections, "step": system.step, "stop_time": system.stop_time}
+    connected = f"connections between them: {len(connections)}, listed by --json"
+    print_result(json, data, _table(system), f"{folder}: {len(slaves)} FMUs; {connected}")
+    return 0
 
 
 def _table(system: ExportedSystem) -> Table:
@@ -181,50 +161,37 @@ def export(
         export_ssp(robot, target, platforms=platform or None, progress=show)
     if robot.cosimulation.drive == "torque":
         _note_late_samples(load_ssp(target).system)
-    # standard output
     size = target.stat().st_size
-    if json:
-        print_text(to_json({"path": str(target), "bytes": size}))
-    else:
-        print_text(f"{target}: {size / 1000:.0f} kB, SSP 1.0; run it with: flexfmu run {target}\n")
+    text = f"{target}: {size / 1000:.0f} kB, SSP 1.0; run it with: flexfmu run {target}"
+    print_result(json, {"path": str(target), "bytes": size}, text)
     return 0
 
 
 def _note_late_samples(system: System) -> None:
     """Say which samples other masters pass on a sample late: outputs that follow inputs at once, to slaves that sample
     at the same instants. What they are is in docs/ssp.md."""
-    from fractions import Fraction
-
     from flexfmu.cosim.engine.slave import Sampled, feedthrough, offset
 
-    # sample time and offset [s], as the decimals that they are written as
+    # sample time and offset in ns
     clocks = {
-        index: (Fraction(repr(float(slave.sample_time))), Fraction(repr(float(offset(slave)))))
+        index: (round(1e9 * slave.sample_time), round(1e9 * offset(slave)))
         for index, slave in enumerate(system.slaves)
-        if isinstance(slave, Sampled)
+        if isinstance(slave, Sampled) and slave.sample_time < inf
     }
-    # connections with direct feedthrough between slaves whose clocks meet
+    # connections with direct feedthrough between slaves whose clocks meet: their offsets differ by common parts of the sample times
     late: dict[str, None] = {}
     for each in system.connections:
         source = system.slaves[each.source]
-        follows = feedthrough(source)[source.variables[each.output].name]
-        if follows and {each.source, each.target} <= clocks.keys() and _meet(clocks[each.source], clocks[each.target]):
-            late[f"{source.name} -> {system.slaves[each.target].name}"] = None
+        if feedthrough(source)[source.variables[each.output].name] and {each.source, each.target} <= clocks.keys():
+            (time, begin), (other_time, other_begin) = clocks[each.source], clocks[each.target]
+            if (begin - other_begin) % gcd(time, other_time) == 0:
+                late[f"{source.name} -> {system.slaves[each.target].name}"] = None
     if late:
         show_note(
             f"note: {', '.join(late)} sample at the same instants: masters that read all outputs before they set inputs "
             "(libcosim, ecos, Maestro, fmpy) pass these signals on a sample late; give what is fed an `offset` of a "
             "communication step (docs/ssp.md)"
         )
-
-
-def _meet(first: tuple[Fraction, Fraction], second: tuple[Fraction, Fraction]) -> bool:
-    """Whether two clocks ever sample at the same instant: their offsets differ by common parts of their sample times."""
-    from fractions import Fraction
-
-    (time, begin), (other_time, other_begin) = first, second
-    part = Fraction(gcd(time.numerator, other_time.numerator), lcm(time.denominator, other_time.denominator))
-    return (begin - other_begin) % part == 0
 
 
 def validate(
@@ -251,26 +218,18 @@ def validate(
     from flexfmu.fmu_build.validation.finding import Finding, Severity
     from flexfmu.fmu_build.validation.validate import TIME_LIMIT, validate_fmu
 
-    limit = time_limit or TIME_LIMIT
-
-    def as_json(findings: list[Finding]) -> str:
-        return to_json({"fmu": str(fmu), "time_limit": limit, "findings": [asdict(finding) for finding in findings]})
-
-    # a file that is no archive is an error here, in JSON a finding too
+    limit, broken = time_limit or TIME_LIMIT, None
     try:
         with progress() as show:
             show(f"checking {fmu.name}, at most {limit:g} s", None)
             findings = validate_fmu(fmu, limit, not static)
     except ArchiveError as error:
-        if json:
-            print_text(as_json([Finding("archive", str(error))]))
-        raise FmuFileError(str(error)) from error
-    # standard output
-    if json:
-        print_text(as_json(findings))
-    elif findings:
-        print_text("".join(f"{finding}\n" for finding in findings))
-    else:
-        print_text(f"{fmu}: no findings\n")
+        # a file that is no archive is an error here, in JSON a finding too
+        findings, broken = [Finding("archive", str(error))], error
+    data = {"fmu": str(fmu), "time_limit": limit, "findings": [asdict(finding) for finding in findings]}
+    if json or broken is None:
+        print_result(json, data, *(map(str, findings) if findings else [f"{fmu}: no findings"]))
+    if broken is not None:
+        raise FmuFileError(str(broken)) from broken
     fatal = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
     return FAILURE if any(finding.severity in fatal for finding in findings) else 0

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_changed, print_rich, print_text, progress, show_note, usual_folder
+from flexfmu.cosim.cli.console import (
+    FAILURE,
+    check_scene_file,
+    load_changed,
+    print_result,
+    progress,
+    show_note,
+    usual_folder,
+)
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
-from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import RenderableType
 
-    from flexfmu.cosim.design.plans.assessment import Assessment
     from flexfmu.cosim.design.plans.planner import PlanResult
     from flexfmu.model.scene.schema import Scene
 
@@ -73,15 +81,16 @@ def plan(
     """
     import os
 
+    from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.plans.assessment import file_candidate
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
 
-    if output is not None and output.suffix != ".toml":
-        raise InputError(f"a scene file ends in .toml, got {output}: write {output}.toml")
+    check_scene_file(output)
     robot = load_changed(scene, settings)
+    band = None if payload_band is None else parse_band(payload_band)
     wishes: dict[str, Any] = {
-        "minimise": minimise, "duration": duration, "residual": residual, "payload_band": _band(payload_band),
+        "minimise": minimise, "duration": duration, "residual": residual, "payload_band": band,
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
     }  # fmt: skip
     robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
@@ -104,28 +113,9 @@ def plan(
     if result.interrupted:
         cause = "interrupted" if budget is None else f"interrupted, or the budget of {budget:g} s is spent"
         show_note(f"{cause}: this is the best motion so far")
-    if json:
-        print_text(to_json({**summary(result), "files": [str(path) for path in files]}))
-    else:
-        _print(result, [str(path) for path in files])
+    names = [str(path) for path in files]
+    print_result(json, {**summary(result), "files": names}, *_shown(result), f"results: {', '.join(names)}")
     return FAILURE if result.missed else 0
-
-
-def _band(text: str | None) -> float | list[float] | None:
-    """A payload band by its option.
-
-    Raises:
-        InputError: it is neither a fraction nor two masses.
-    """
-    if text is None:
-        return None
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not 1 <= len(numbers) <= 2:
-        raise InputError(f"--payload-band takes a fraction, 0.3, or two masses in kg, 4,8; got {text!r}")
-    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:
@@ -146,73 +136,29 @@ def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Sce
     return scene.replace(changes) if changes else scene
 
 
-def _print(result: PlanResult, files: list[str]) -> None:
-    """The front, the limits of the chosen motion, and the files."""
-    from rich.text import Text
-
-    chosen, given = result.chosen, result.given
-    faster = "" if chosen is given else f", {chosen.time / given.time:.3g} of the given time"
-    head = f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
-    tables = [_limits(result), _front(result), *([_robustness(result)] if result.robustness else [])]
-    print_rich(Text(head), *tables, Text(result.verdict[0].upper() + result.verdict[1:] + "."))
-    print_rich(Text(f"results: {', '.join(files)}"))
-
-
-def _limits(result: PlanResult) -> Table:
-    """How close the chosen motion comes to each limit."""
-    from flexfmu.cosim.engine.showing import shown_unit
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    table = titled_table("Limits of the chosen motion")
-    for name in ("limit", "value", "of", "unit", "used", "where"):
-        table.add_column(name, justify="left" if name in ("limit", "unit", "where") else "right")
-    for use in result.chosen.uses:
-        unit = shown_unit(use.unit)
-        table.add_row(use.name, f"{use.value:.3g}", f"{use.limit:.3g}", unit, f"{100 * use.share:.0f} %", use.where)
-    return table
-
-
 SHOWN = 12
 """Motions of the front that the terminal shows."""
 
 
-def _shown(result: PlanResult) -> list[Assessment]:
-    """Motions over the whole front, the given and the chosen one and those to compare with among them."""
-    front = list(result.table)
-    if len(front) <= SHOWN:
-        return front
-    chosen = {round(k * (len(front) - 1) / (SHOWN - 3)) for k in range(SHOWN - 2)}
-    others = [each.candidate.label for each in result.table if each not in result.front]
-    names = {result.chosen.candidate.label, result.given.candidate.label, *others}
-    return [each for k, each in enumerate(front) if k in chosen or each.candidate.label in names]
-
-
-def _front(result: PlanResult) -> Table:
-    """The Pareto front."""
-    from flexfmu.cosim.design.plans.plan_page import standing
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    front, shown = result.table, _shown(result)
-    table = titled_table(
-        "Pareto front" if len(shown) == len(front) else f"Pareto front: {len(shown)} of {len(front)}, all in front.csv"
-    )
-    for name in ("motion", "time s", "residual µm", "torque N·m", "energy J", "off path mm", "limits"):
-        table.add_column(name, justify="left" if name in ("motion", "limits") else "right")
-    for each in shown:
-        figures = (
-            f"{each.time:.3f}",
-            f"{1e6 * each.residual:.2f}",
-            f"{each.torque:.1f}",
-            f"{each.energy:.1f}",
-            f"{1e3 * each.off_path:.2f}",
-        )
-        table.add_row(each.candidate.label, *figures, standing(result, each))
-    return table
-
-
-def _robustness(result: PlanResult) -> Table:
-    """The chosen motion in other models."""
-    from flexfmu.cosim.design.plans.plan_page import robustness_table
+def _shown(result: PlanResult) -> Iterator[RenderableType]:
+    """How close the chosen motion comes to each limit, the front, the chosen motion in other models, and the verdict."""
+    from flexfmu.cosim.design.plans.plan_page import front_table, limits_table, robustness_table
     from flexfmu.cosim.reports.terminal import as_terminal_table
 
-    return as_terminal_table(robustness_table(result), texts=("Model", "Worst for", "Limits"))
+    chosen, given = result.chosen, result.given
+    faster = "" if chosen is given else f", {chosen.time / given.time:.3g} of the given time"
+    yield f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
+    yield as_terminal_table(limits_table(chosen), texts=("Unit", "Kept", "Where"))
+    # motions over the whole front, the given and the chosen one and those to compare with among them
+    table, count = front_table(result), len(result.table)
+    if count > SHOWN:
+        spread = {round(k * (count - 1) / (SHOWN - 3)) for k in range(SHOWN - 2)}
+        labels = {each.candidate.label for each in (chosen, given)}
+        always = (each not in result.front or each.candidate.label in labels for each in result.table)
+        rows = [row for k, (row, there) in enumerate(zip(table.rows, always, strict=True)) if k in spread or there]
+        title = table.title if len(rows) == count else f"{table.title}: {len(rows)} of {count}, all in front.csv"
+        table = replace(table, title=title, rows=rows)
+    yield as_terminal_table(table, texts=("Method", "Limits"))
+    if result.robustness:
+        yield as_terminal_table(robustness_table(result), texts=("Model", "Worst for", "Limits"))
+    yield f"{result.verdict[0].upper()}{result.verdict[1:]}."

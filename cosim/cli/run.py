@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.console import end_loading
+from flexfmu.cosim.cli.console import (
+    FAILURE,
+    end_loading,
+    load_changed,
+    print_text,
+    progress,
+    show_note,
+    usual_folder,
+    write_results,
+)
 from flexfmu.cosim.cli.options import run_option
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment.run_options import RunOptions
 
 
 def run(
@@ -51,36 +68,191 @@ def run(
     """
     from zipfile import is_zipfile
 
+    # options that go with the other kind of file
+    is_ssp = scene.lower().endswith(".ssp") or is_zipfile(scene)
+    recorded = bool(record) or record_step is not None or record_order is not None
+    wrong = {
+        "--report goes with a scene; an SSP file has no report": is_ssp and report,
+        "--record, --record-step and --record-order go with a scene": is_ssp and recorded,
+        f"--set {(settings or [''])[0]} goes with a scene; parameters of an SSP file are in the file": is_ssp
+        and settings,
+        "--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`": not is_ssp
+        and stop_time is not None,
+        "--ssd goes with an SSP file; a scene is one system": not is_ssp and ssd is not None,
+        "--output-order goes with an SSP file; in a scene each FMU has its own `output_order`": not is_ssp
+        and output_order is not None,
+    }
+    for problem, there in wrong.items():
+        if there:
+            raise InputError(problem)
     chosen = tuple(dict.fromkeys(formats or ("csv",)))
-    if scene.lower().endswith(".ssp") or is_zipfile(scene):
-        if report:
-            raise InputError("--report goes with a scene; an SSP file has no report")
-        if record or record_step is not None or record_order is not None:
-            raise InputError("--record, --record-step and --record-order go with a scene")
-        if settings:
-            raise InputError(f"--set {settings[0]} goes with a scene; parameters of an SSP file are in the file")
-        from flexfmu.cosim.cli.run_ssp import run_ssp_command
+    if is_ssp:
+        return _run_ssp(Path(scene), out, (stop_time, step, ssd, output_order), isolate, chosen, json)
+    options: RunOptions = {"communication_step": step, "isolate": isolate, "accept_size": yes}
+    has_report = not json if report is None else report
+    companions = 1 if verify is None else 2 * verify
+    return _run_scene(
+        scene, out, options, (record, record_step, record_order), companions, has_report, chosen, settings, json
+    )
 
-        end_loading()
-        return run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order, chosen)
-    # options that a scene doesn't have
-    if stop_time is not None:
-        raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
-    if ssd is not None:
-        raise InputError("--ssd goes with an SSP file; a scene is one system")
-    if output_order is not None:
-        raise InputError("--output-order goes with an SSP file; in a scene each FMU has its own `output_order`")
-    from flexfmu.cosim.cli.run_scene import run_command
+
+def _run_scene(
+    source: str,
+    out: Path | None,
+    options: RunOptions,
+    recorded: tuple[list[str] | None, float | None, int | None],
+    companions: int,
+    has_report: bool,
+    formats: Sequence[str],
+    changes: Sequence[str] | None,
+    as_json: bool,
+) -> int:
+    """Simulate a scene, write, print; the exit status. What was recorded before a failure is written too.
+
+    ``recorded`` are names, interval [s] and derivatives of the recorded signals, None for the scene's keys; errors are taken from
+    ``companions`` more precise runs.
+    """
+    from flexfmu.cosim.engine.formats import check_format
+    from flexfmu.cosim.engine.results import EVERYTHING, Selection
+    from flexfmu.cosim.experiment.metric import Metric
+    from flexfmu.cosim.experiment.prepared_scene import run_scene
+    from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
+    from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
+    from flexfmu.cosim.reports.summary import summarise
+    from flexfmu.cosim.reports.text import to_json
+    from flexfmu.model.scene.errors import EquilibriumError
 
     end_loading()
-    return run_command(
-        scene,
-        out,
-        json,
-        {"communication_step": step, "isolate": isolate, "accept_size": yes},
-        companions=1 if verify is None else 2 * verify,
-        has_report=not json if report is None else report,
-        recorded=(record, record_step, record_order),
-        formats=chosen,
-        changes=settings,
-    )
+    # formats and folder come first: no run is lost because it can't be written
+    for name in formats:
+        check_format(name)
+    scene = load_changed(source, changes)
+    folder = OutputFolder(out or usual_folder(scene.name, changes))
+    folder.prepare()
+    with progress() as show:
+        if scene.effects.select is not None or scene.learners:
+            from flexfmu.cosim.design.effects.choice import resolved
+
+            scene = resolved(scene, show)
+        show("planning the motion, building the FMU", None)
+        (names, every, order), section = recorded, scene.cosimulation
+        order = section.record_order if order is None else order
+        record = Selection(names or section.record, order, section.record_step if every is None else every)
+        options |= {"record": record, "progress": partial(show, "simulating")}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LoopWarning)  # which the summary has
+            run = run_scene(scene, **options)
+        # the recording first, whatever becomes of metrics and plots
+        show("writing the results", None)
+        files = write_results(folder, run.recording, formats, run.about)
+        # metrics and report are of all signals with two derivatives
+        is_whole = record.names is None and record.order == EVERYTHING.order
+        measurements, settings = dict.fromkeys(COMMON_METRICS, Metric(None)), None
+        problem = run.message if run.outcome.is_failure else None
+        if is_whole and run.completed:
+            try:
+                settings = settings_for(run)
+                own = measure(run.recording, settings)
+                measurements = {**with_errors(run, own, settings, companions, partial(show, "estimating the errors"))}
+            except (EquilibriumError, ResultsError) as error:
+                settings, problem = None, str(error)
+        summary = summarise(run, measurements)
+        if changes:
+            summary["changes"] = [*changes]
+        if scene.controller:
+            from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
+
+            summary["health"] |= loop_sentences(run)
+        if "learning" in summary and scene.learners:
+            from flexfmu.cosim.design.learning import contraction_of
+
+            contraction = contraction_of(scene)
+            summary["learning"]["contraction"] = None if contraction is None else asdict(contraction)
+        folder.write("summary.json", to_json(summary))
+        files.append("summary.json")
+        if has_report and is_whole:
+            from flexfmu.cosim.reports.plots import draw_plots
+            from flexfmu.cosim.reports.report import render_report
+
+            show("drawing the report", None)
+            rest = settings.end_equilibrium if settings is not None and settings.dwell else None
+            folder.write("report.html", render_report(summary, draw_plots(run, rest)))
+            files.append("report.html")
+        else:
+            folder.remove("report.html")
+    # standard output
+    if as_json:
+        print_text(to_json(summary))
+    else:
+        from flexfmu.cosim.cli.run_summary import print_summary
+        from flexfmu.model.choice_text import choice_sentence
+
+        print_summary(summary, choice_sentence(scene), folder.path, files)
+    if problem is not None:
+        show_note(f"{problem}; what was recorded is in {folder.path}")
+        return FAILURE
+    return 0
+
+
+def _run_ssp(
+    source: Path,
+    out: Path | None,
+    told: tuple[float | None, float | None, str | None, int | None],
+    isolate: bool | None,
+    formats: Sequence[str],
+    as_json: bool,
+) -> int:
+    """Simulate an SSP file, write results.csv and summary.json, and print how the run ended; the exit status.
+
+    What was recorded before a failure is written too. ``told`` are stop time and step [s] in place of the file's own, one of several
+    systems in it, and the highest output derivative of its FMUs that is read.
+    """
+    from flexfmu.cosim.engine.formats import check_format
+    from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
+    from flexfmu.cosim.exchange.ssp.loading import load_ssp
+    from flexfmu.cosim.experiment.recording import slave_facts
+    from flexfmu.cosim.reports.text import to_json
+
+    end_loading()
+    for name in formats:
+        check_format(name)
+    stop, step, ssd, output_order = told
+    loaded = load_ssp(source, stop=stop, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
+    folder = OutputFolder(out or RESULTS / source.stem)
+    folder.prepare()
+    # simulate, and write what was recorded even if it failed
+    with progress() as show:
+        simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
+        show("writing the results", None)
+        recording, title = simulation.recording, loaded.structure.name
+        files = write_results(folder, recording, formats, {"system": title, "outcome": simulation.message})
+        summary: dict[str, Any] = {
+            "system": title,
+            "outcome": simulation.outcome.name.lower(),
+            "message": simulation.message,
+            "start_time": loaded.start,
+            "stop_time": loaded.stop,
+            "end_time": float(recording.time[-1]) if recording.time.size else None,
+            "communication_step": loaded.step,
+            "steps": simulation.steps,
+            "slaves": [
+                {"name": each.name, "sample_time": each.sample_time, "offset": each.offset}
+                for each in slave_facts(loaded.system.slaves)
+            ],
+            "connections": [loaded.system.describe(each) for each in loaded.system.connections],
+            "ignored_parameters": list(loaded.ignored),
+            "remarks": list(loaded.remarks),
+            "units": recording.units,
+        }
+        folder.write("summary.json", to_json(summary))
+    # standard output
+    if as_json:
+        print_text(to_json(summary))
+    else:
+        from flexfmu.cosim.cli.run_summary import print_ssp_summary
+
+        print_ssp_summary(summary, recording, folder.path, [*files, "summary.json"])
+    if simulation.outcome.is_failure:
+        show_note(f"{simulation.message}; what was recorded is in {folder.path}")
+        return FAILURE
+    return 0

@@ -1,4 +1,4 @@
-"""What `flexfmu run` prints of a scene: the metrics with their errors, how the run went, and warnings."""
+"""What `flexfmu run` prints: the metrics with their errors or the ranges of outputs, how the run went, and warnings."""
 
 from __future__ import annotations
 
@@ -12,36 +12,58 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import files_sentence, print_rich
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display, display_error
 from flexfmu.cosim.reports.motors import motor_rows, stress_rows
 from flexfmu.cosim.reports.summary import title_of
 from flexfmu.cosim.reports.terminal import titled_table
 
+TEXT_WIDTH = 40
+"""Characters of a text in the table of results."""
+
 
 def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: Sequence[str]) -> None:
     """What was chosen, the metrics of a complete run, the FMU's statistics, warnings, and where the files are."""
     health, metrics = summary["health"], summary["metrics"]
-    parts: list[RenderableType] = [Text(choice)] if choice else []
+    parts: list[RenderableType] = [choice] if choice else []
     if health["outcome"] == "completed":
         # what the motors have to do is in summary.json, and here where the scene has motors
         shown = {
             each: value for each, value in metrics.items() if "motor" in summary["scene"] or each not in DRIVE_METRICS
         }
-        parts += [_metrics_table(title_of(summary), shown, summary["errors"]), Text(health["errors_from"])]
+        parts += [_metrics_table(title_of(summary), shown, summary["errors"]), health["errors_from"]]
     motors, links = summary.get("motors", ()), summary.get("stresses", ())
     if motors:
         parts.append(_motors_table(motors))
     if links:
         parts.append(_stress_table(links))
     # how the run went
-    parts.append(Text(_health_line(health, summary["timing"])))
-    parts += _learning_line(summary.get("learning"))
+    timing, statistics = summary["timing"], ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
+    parts.append(
+        f"{health['outcome']}: {health['end_time'] or 0.0:g} s simulated in {timing['simulate']:.3f} s "
+        f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else "")
+    )
+    # the cycles, where a motion is repeated
+    if learning := summary.get("learning"):
+        errors = (1e3 * max(each["rms"]) for each in learning["tracking_errors"])
+        parts.append("tracking error of the cycles, mrad RMS: " + ", ".join(f"{error:.4g}" for error in errors))
+        if worst := learning.get("contraction"):
+            parts.append(
+                f"contraction: from cycle to cycle errors change by a factor of at most {worst['factor']:.4g}, at "
+                f"{worst['frequency']:.4g} Hz and {100.0 * worst['place']:.3g} % of the path"
+            )
     if late := _late(summary["delays"]):
-        parts.append(Text("late signals:\n  " + "\n  ".join(late)))
+        parts.append("late signals:\n  " + "\n  ".join(late))
     # what spoils the results
+    sentences: list[str] = []
     if health["warnings"]:
-        parts.append(Text(_warning_line(health), style="yellow"))
-    sentences = [
+        coarse = "; ".join(
+            f"{ALL_METRICS[each['metric']].label} (by {display(each['metric'], each['estimated_error'], digits=1)})"
+            for each in health["warnings"]
+        )
+        sentences.append(f"the communication step of {health['communication_step']:g} s is too coarse for: {coarse}")
+    sentences += [
         *health["large_deflections"],
         *health["counted_twice"],
         *health["beyond_tolerance"],
@@ -49,7 +71,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     ]
     sentences += [sentence for part in (*motors, *links) for sentence in part["exceeded"]]
     parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
-    parts.append(Text(files_sentence(files, folder)))
+    parts.append(files_sentence(files, folder))
     print_rich(*parts)
 
 
@@ -84,36 +106,26 @@ def _stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def _health_line(health: Mapping[str, Any], timing: Mapping[str, float]) -> str:
-    statistics = ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
-    return (
-        f"{health['outcome']}: {health['end_time'] or 0.0:g} s simulated in {timing['simulate']:.3f} s "
-        f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else "")
-    )
+def print_ssp_summary(summary: Mapping[str, Any], recording: Recording, folder: Path, files: Sequence[str]) -> None:
+    """The outputs' ranges of an SSP file's run, how it ended, and where the files are."""
+    ended = f"{summary['end_time'] or 0.0:g} s in steps of {summary['communication_step']:g} s"
+    parts: list[RenderableType] = [_ranges(summary["system"], recording), f"{summary['message']}: {ended}"]
+    if summary["ignored_parameters"]:
+        names = ", ".join(summary["ignored_parameters"])
+        parts.append(Text(f"warning: parameters that fit no variable were ignored: {names}", style="yellow"))
+    parts += [Text(f"warning: {remark}", style="yellow") for remark in summary["remarks"]]
+    print_rich(*parts, files_sentence(files, folder))
 
 
-def _learning_line(learning: Mapping[str, Any] | None) -> list[RenderableType]:
-    """The tracking error of the cycles, where a motion is repeated."""
-    if learning is None:
-        return []
-    errors = [1e3 * max(each["rms"]) for each in learning["tracking_errors"]]
-    parts: list[RenderableType] = [
-        Text("tracking error of the cycles, mrad RMS: " + ", ".join(f"{error:.4g}" for error in errors))
-    ]
-    if worst := learning.get("contraction"):
-        parts.append(
-            Text(
-                f"contraction: from cycle to cycle errors change by a factor of at most {worst['factor']:.4g}, at "
-                f"{worst['frequency']:.4g} Hz and {100.0 * worst['place']:.3g} % of the path"
-            )
-        )
-    return parts
-
-
-def _warning_line(health: Mapping[str, Any]) -> str:
-    """All metrics for which the communication step is too coarse, each with its estimated error."""
-    coarse = "; ".join(
-        f"{ALL_METRICS[warning['metric']].label} (by {display(warning['metric'], warning['estimated_error'], digits=1)})"
-        for warning in health["warnings"]
-    )
-    return f"warning: the communication step of {health['communication_step']:g} s is too coarse for: {coarse}"
+def _ranges(title: str, recording: Recording) -> Table:
+    """Smallest, largest and last value of every output; of a text the last alone."""
+    table = titled_table(title, "Output", numbers=("Smallest", "Largest", "Last"))
+    for name, column in recording.columns.items():
+        if column.values.size and column.texts is not None:
+            # texts have no order; long ones and line breaks stay in results.csv
+            last = " ".join(column.text_at(-1).split())
+            table.add_row(name, "", "", f'"{last[:TEXT_WIDTH]}{"..." if len(last) > TEXT_WIDTH else ""}"')
+        elif column.values.size:
+            values = column.values.min(), column.values.max(), column.values[-1]
+            table.add_row(f"{name} [{shown_unit(column.unit) or '-'}]", *(f"{value:.6g}" for value in values))
+    return table

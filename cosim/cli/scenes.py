@@ -7,10 +7,9 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from flexfmu.cosim.cli.console import print_rich, print_text, show_note
+from flexfmu.cosim.cli.console import check_scene_file, print_result, print_text, show_note
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import write_whole
-from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,16 +21,11 @@ USUAL = "starter"
 
 def scenes(json: bool = False) -> int:
     """List the scenes that come with flexfmu, which every command takes by their names."""
-    from rich.text import Text
-
     from flexfmu.model.scene.file import scene_path, shipped_scenes
 
     found = [_facts(name) for name in shipped_scenes()]
-    if json:
-        print_text(to_json({"scenes": found}))
-        return 0
-    copied = Text("A copy to change: flexfmu new FILE.toml --from NAME")
-    print_rich(_table(found), copied, Text(f"The files are in {scene_path(USUAL).parent}"))
+    copied = "A copy to change: flexfmu new FILE.toml --from NAME"
+    print_result(json, {"scenes": found}, _table(found), copied, f"The files are in {scene_path(USUAL).parent}")
     return 0
 
 
@@ -82,8 +76,7 @@ def new(
     from flexfmu.model.scene.file import read_scene_text, scene_path, shipped_scenes
 
     # usage
-    if file.suffix != ".toml":
-        raise InputError(f"a scene file ends in .toml, got {file}: write {file}.toml")
+    check_scene_file(file)
     if origin not in shipped_scenes():
         raise InputError(f"--from takes a shipped scene, {' or '.join(shipped_scenes())}, got {origin}")
     if file.exists() and not force:
@@ -98,11 +91,8 @@ def new(
     # the first line lets editors complete keys and show their units
     schema = scene_path(origin).parents[1] / "scene.schema.json"
     file.write_text(f"#:schema {schema.as_uri()}\n{text}", encoding="utf-8")
-    # standard output
-    if json:
-        print_text(to_json({"path": str(file), "name": name, "from": origin}))
-    else:
-        print_text(f"{file}: the scene {origin} as {name}; run it with: flexfmu run {quote(str(file))}\n")
+    data = {"path": str(file), "name": name, "from": origin}
+    print_result(json, data, f"{file}: the scene {origin} as {name}; run it with: flexfmu run {quote(str(file))}")
     return 0
 
 

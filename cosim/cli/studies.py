@@ -3,14 +3,14 @@ accuracy costs, and with `--hard` whether hard cases stay right."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flexfmu.cosim.cli.console import (
     FAILURE,
     load_resolved,
-    print_rich,
+    print_result,
     print_text,
     progress,
     rich_output,
@@ -76,33 +76,29 @@ def compare(
         found = compare_runs(compared_runs(sources, show, band), measured, meaning, delay)
     if out is not None:
         found.write(out)
-    if json:
-        print_text(to_json(found.as_data()))
-    else:
-        _print(found, out)
+    print_result(json, found.as_data(), *_shown(found, out))
     failed = [run for run in found.runs if run.failure]
     for run in failed:
         show_note(f"{run.name}{'' if run.metrics else ' failed'}: {run.failure}")
     return FAILURE if failed else 0
 
 
-def _print(found: Comparison, out: Path | None) -> None:
+def _shown(found: Comparison, out: Path | None) -> Iterator[RenderableType]:
     """The tables of the page, and where it is."""
     from rich.text import Text
 
     from flexfmu.cosim.reports.terminal import as_terminal_table
     from flexfmu.cosim.studies.compare.comparison import POORLY, delay_text
 
-    parts: list[RenderableType] = [as_terminal_table(table) for table in found.tables()]
+    yield from map(as_terminal_table, found.tables())
     measured = found.measured
     if measured is not None:
-        parts.append(Text(f"{measured.name} is {delay_text(measured.delay)}"))
+        yield f"{measured.name} is {delay_text(measured.delay)}"
         if measured.delay.correlation < POORLY:
             warning = "warning: measurement and simulation hardly look alike; check --map, signs and --delay"
-            parts.append(Text(warning, style="yellow"))
+            yield Text(warning, style="yellow")
     if out is not None:
-        parts.append(Text(f"comparison.html and comparison.json are in {out}"))
-    print_rich(*parts)
+        yield f"comparison.html and comparison.json are in {out}"
 
 
 def paper(
@@ -163,8 +159,6 @@ def _study(
     source: str | None, out: Path | None, families: Sequence[str], settings: Sequence[str], as_json: bool
 ) -> int:
     """Measure, write the results, and print them; the exit status."""
-    from rich.text import Text
-
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
@@ -186,12 +180,8 @@ def _study(
         show("pictures", None)
         save_figures(study, folder.path)
         folder.write("workprec.html", html(study))
-    # standard output
-    if as_json:
-        print_text(to_json(data(study)))
-    else:
-        print_rich(terminal_table(study), *(Text(note) for note in notes(study)))
-        print_text(f"workprec.json, workprec.md, workprec.html and pictures are in {folder.path}\n")
+    where = f"workprec.json, workprec.md, workprec.html and pictures are in {folder.path}"
+    print_result(as_json, data(study), terminal_table(study), *notes(study), where)
     return 0
 
 
@@ -199,8 +189,6 @@ def _hard_cases(
     source: str | None, out: Path | None, names: Sequence[str], settings: Sequence[str], as_json: bool
 ) -> int:
     """Run the hard cases, write what happened, and print it; the exit status."""
-    from rich.text import Text
-
     from flexfmu.benchmarks.hard_cases.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
 
     if source is not None:
@@ -213,13 +201,8 @@ def _hard_cases(
     folder.prepare()
     with progress() as show:
         results = run_cases(cases, lambda text: show(text, None))
-    text = to_json(data(results))
-    folder.write(f"{HARD_CASES}.json", text)
+    folder.write(f"{HARD_CASES}.json", to_json(data(results)))
     folder.write(f"{HARD_CASES}.md", markdown(results))
-    # standard output
-    if as_json:
-        print_text(text)
-    else:
-        print_rich(terminal_table(results), Text(conclusion(results)))
-        print_text(f"{HARD_CASES}.json and {HARD_CASES}.md are in {folder.path}\n")
+    where = f"{HARD_CASES}.json and {HARD_CASES}.md are in {folder.path}"
+    print_result(as_json, data(results), terminal_table(results), conclusion(results), where)
     return 0 if all(result.report.passed for result in results) else FAILURE

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note, usual_folder
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_result, progress, show_note, usual_folder
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.reports.text import to_json
-from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from flexfmu.cosim.studies.sweep.cases import Cases
     from flexfmu.cosim.studies.sweep.result import SweepResult
+    from flexfmu.model.scene.schema import Scene
 
 
 def sweep(
@@ -70,10 +71,21 @@ def sweep(
     selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
     names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
     folder = out or usual_folder(robot.name, settings, "-sweep")
-    done = [0, 0]
+    done, start = [0, 0], list[tuple[float, int]]()
     try:
         with progress() as show:
-            report = _reporter(show, done)
+
+            def report(finished: int, total: int) -> None:
+                """Show how much is finished and how long the rest takes, at the pace since the start."""
+                done[:], left = (finished, total), ""
+                start[:] = start or [(monotonic(), finished)]
+                since, before = start[0]
+                if finished > before:
+                    seconds = (monotonic() - since) * (total - finished) / (finished - before)
+                    minutes, hours = f"{seconds / 60.0:.0f} min", f"{seconds / 3600.0:.1f} h"
+                    left = f", {f'{seconds:.0f} s' if seconds < 90.0 else minutes if seconds < 5400.0 else hours} left"
+                show(f"{finished} of {total} cases{left}", finished / total if total else 1.0)
+
             result = sweep_scene(
                 robot,
                 wanted,
@@ -90,7 +102,14 @@ def sweep(
     except KeyboardInterrupt:
         show_note(f"interrupted: {done[0]} of {done[1]} cases are in {folder}; the same command continues")
         return FAILURE
-    _print(result, files, as_json=json)
+    data = {
+        "scene": result.name,
+        "cases": len(result),
+        "failed": [{"case": row["case"], "message": row["message"]} for row in result.failed],
+        "metrics": result.summary(),
+        "files": [str(path) for path in files],
+    }
+    print_result(json, data, *_shown(result, files))
     return FAILURE if len(result.messages) == len(result) else 0
 
 
@@ -117,53 +136,14 @@ def _cases(robot: Scene, vary: list[str], sample: str | None, seed: int, path: P
     return found
 
 
-def _reporter(show: Callable[[str, float | None], None], done: list[int]) -> Callable[[int, int], None]:
-    """Shows how much is finished and how long the rest takes, at the pace since the start."""
-    start: list[tuple[float, int]] = []
-
-    def report(finished: int, total: int) -> None:
-        done[:] = finished, total
-        if not start:
-            start.append((monotonic(), finished))
-        since, before = start[0]
-        left = ""
-        if finished > before:
-            left = f", {_duration((monotonic() - since) * (total - finished) / (finished - before))} left"
-        show(f"{finished} of {total} cases{left}", finished / total if total else 1.0)
-
-    return report
-
-
-def _duration(seconds: float) -> str:
-    """A duration for people."""
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
-
-
-def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
+def _shown(result: SweepResult, files: list[Path]) -> Iterator[RenderableType]:
     """The extremes of each metric, failed cases and files."""
     from rich.table import Column
-    from rich.text import Text
 
     from flexfmu.cosim.engine.showing import shown_unit
     from flexfmu.cosim.metrics.metric_table import ALL_METRICS
     from flexfmu.cosim.reports.terminal import titled_table
 
-    summary, failed = result.summary(), result.failed
-    if as_json:
-        print_text(
-            to_json(
-                {
-                    "scene": result.name,
-                    "cases": len(result),
-                    "failed": [{"case": row["case"], "message": row["message"]} for row in failed],
-                    "metrics": summary,
-                    "files": [str(path) for path in files],
-                }
-            )
-        )
-        return
     heads = ("smallest", "at", "median", "largest", "at")
     table = titled_table(
         f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}",
@@ -173,14 +153,12 @@ def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
         *(each if each == "at" else Column(each, justify="right") for each in heads),
         stacks=True,
     )
-    for name, each in summary.items():
+    for name, each in result.summary().items():
         low, median, high = (f"{each[part]:.4g}" for part in ("min", "median", "max"))
         at_low, at_high = (result.case_text(each[part]) for part in ("min_case", "max_case"))
         label = ALL_METRICS[name].label if name in ALL_METRICS else ""
         table.add_row(label, name, shown_unit(each["unit"]), low, at_low, median, high, at_high)
-    print_rich(table)
-    if failed:
-        print_rich(
-            Text(f"{len(failed)} failed, the first with {result.case_text(failed[0]['case'])}: {failed[0]['message']}")
-        )
-    print_rich(Text(f"results: {', '.join(str(path) for path in files)}"))
+    yield table
+    if failed := result.failed:
+        yield f"{len(failed)} failed, the first with {result.case_text(failed[0]['case'])}: {failed[0]['message']}"
+    yield f"results: {', '.join(map(str, files))}"

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from flexfmu.cosim.cli import run_scene as run_module
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.master.simulator import Outcome
@@ -43,7 +42,7 @@ def simulated(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> Callable[..
                 raise error
             return make_run(**options)
 
-        monkeypatch.setattr(run_module, "run_scene", run_scene)
+        monkeypatch.setattr("flexfmu.cosim.experiment.prepared_scene.run_scene", run_scene)
 
     return replace
 
@@ -131,7 +130,7 @@ def test_metrics_that_cannot_be_computed_do_not_lose_the_recording(
         raise EquilibriumError("no static equilibrium")
 
     simulated()
-    monkeypatch.setattr(run_module, "settings_for", no_equilibrium)
+    monkeypatch.setattr("flexfmu.cosim.metrics.metrics.settings_for", no_equilibrium)
     result = flexfmu("run", SCENE, "--out", str(tmp_path))
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert (tmp_path / "summary.json").is_file()

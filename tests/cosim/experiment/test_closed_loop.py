@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import flexfmu
-from flexfmu.cosim.cli import run_scene as command
+from flexfmu.cosim.cli import run as command
 from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.simulator import Outcome
@@ -243,7 +243,7 @@ def test_a_slave_that_ends_the_process_leaves_results(
     (tmp_path / "quitter.py").write_text(QUITTER)
     section = {"kind": "python", "source": "quitter:Quitter", "folder": str(tmp_path)}
     monkeypatch.setattr(command, "load_changed", lambda source, changes: robot.replace({"controller": [section]}))
-    assert command.run_command("quitter.toml", tmp_path, True, {}) == 1
+    assert command.run("quitter.toml", tmp_path, json=True) == 1
     assert "quitter failed at 0.01 s: it ended its process with exit status 0" in capsys.readouterr().err
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["health"]["outcome"], summary["health"]["end_time"]) == ("step failed", pytest.approx(0.01))

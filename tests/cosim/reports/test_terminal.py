@@ -14,9 +14,9 @@ from rich.table import Column, Table
 
 from flexfmu.benchmarks.hard_cases.suite import terminal_table as hard_table
 from flexfmu.cosim.cli.export import _table as fmus_table
-from flexfmu.cosim.cli.run_ssp import _ranges as ranges_table
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
 from flexfmu.cosim.cli.run_summary import _motors_table as motors_table
+from flexfmu.cosim.cli.run_summary import _ranges as ranges_table
 from flexfmu.cosim.cli.scenes import _table as scenes_table
 from flexfmu.cosim.design.effects.study import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.design.shapers.examination import terminal_table as shaper_table
@@ -97,7 +97,7 @@ def ssp_ranges() -> Table:
     values = np.array([-1.23456e-11, 9.87654e11])
     column = SimpleNamespace(values=values, texts=None, unit="kg.m2/s2")
     names = "robot.end_effector.acceleration.x", "robot.link11.bending[1]"
-    return ranges_table("system", SimpleNamespace(recording=SimpleNamespace(columns=dict.fromkeys(names, column))))  # type: ignore[arg-type]
+    return ranges_table("system", SimpleNamespace(columns=dict.fromkeys(names, column)))  # type: ignore[arg-type]
 
 
 def motors() -> Table:
