@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -147,13 +147,14 @@ def _run_scene(
         files = write_results(folder, run.recording, formats, run.about)
         # metrics and report are of all signals with two derivatives
         is_whole = record.names is None and record.order == EVERYTHING.order
-        measurements, settings = dict.fromkeys(COMMON_METRICS, Metric(None)), None
+        measurements: Mapping[str, Metric] = dict.fromkeys(COMMON_METRICS, Metric(None))
+        settings = None
         problem = run.message if run.outcome.is_failure else None
         if is_whole and run.completed:
             try:
                 settings = settings_for(run)
                 own = measure(run.recording, settings)
-                measurements = {**with_errors(run, own, settings, companions, partial(show, "estimating the errors"))}
+                measurements = with_errors(run, own, settings, companions, partial(show, "estimating the errors"))
             except (EquilibriumError, ResultsError) as error:
                 settings, problem = None, str(error)
         summary = summarise(run, measurements)
