@@ -17,8 +17,7 @@ from flexfmu.benchmarks.hard_cases.extremes import motion_cases, parameter_cases
 from flexfmu.benchmarks.hard_cases.steps import gain_cases, step_cases
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.terminal import titled_table
-from flexfmu.cosim.reports.text import markdown_table
+from flexfmu.cosim.reports.terminal import markdown_table, titled_table
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.errors import TrajectoryError
 

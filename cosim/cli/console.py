@@ -71,7 +71,7 @@ def print_rich(*parts: RenderableType) -> None:
 def print_result(as_json: bool, data: Any, *parts: RenderableType) -> None:
     """Write a result to standard output: its data as JSON, or else these tables and texts."""
     if as_json:
-        from flexfmu.cosim.reports.text import to_json
+        from flexfmu.cosim.reports.terminal import to_json
 
         print_text(to_json(data))
     else:

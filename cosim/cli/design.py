@@ -20,7 +20,7 @@ from flexfmu.cosim.cli.console import (
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
-from flexfmu.cosim.reports.text import to_json
+from flexfmu.cosim.reports.terminal import to_json
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

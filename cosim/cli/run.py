@@ -119,7 +119,7 @@ def _run_scene(
     from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
     from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
     from flexfmu.cosim.reports.summary import summarise
-    from flexfmu.cosim.reports.text import to_json
+    from flexfmu.cosim.reports.terminal import to_json
     from flexfmu.model.scene.errors import EquilibriumError
 
     end_loading()
@@ -212,7 +212,7 @@ def _run_ssp(
     from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
     from flexfmu.cosim.experiment.recording import slave_facts
-    from flexfmu.cosim.reports.text import to_json
+    from flexfmu.cosim.reports.terminal import to_json
 
     end_loading()
     for name in formats:

@@ -15,8 +15,7 @@ from flexfmu.cosim.cli.console import files_sentence, print_rich
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display, display_error
-from flexfmu.cosim.reports.motors import motor_rows, stress_rows
-from flexfmu.cosim.reports.summary import title_of
+from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.terminal import titled_table
 
 TEXT_WIDTH = 40

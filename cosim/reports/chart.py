@@ -2,7 +2,7 @@
 
 The layout follows matplotlib's: limits 1 % and 5 % beyond the curves. Lengths are points, y downwards. A chart is complete without
 scripts; with them it zooms and shows values (`templates/page.js`): each panel has its axes in ``data-axes``, each curve its values
-in ``data-xy`` (`flexfmu.cosim.reports.curve_data`), and what moves with the axes is a group with ``data-at``.
+in ``data-xy`` (see `packed`), and what moves with the axes is a group with ``data-at``.
 
 Axes of charts: positions, ticks and their labels, as matplotlib has them: ticks at multiples of 1, 2, 2.5, 5 and 10 times a
 power of ten, at most nine intervals. `templates/page.js` has the same rules for charts that are zoomed.
@@ -10,6 +10,7 @@ power of ten, at most nine intervals. `templates/page.js` has the same rules for
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,11 +20,20 @@ from html import escape
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.reports import svg
-from flexfmu.cosim.reports.curve_data import packed, spread, thinned
-from flexfmu.cosim.reports.svg import FIRST, GREY, INK, PALE
+
+INK, GREY, PALE = "var(--ink)", "var(--grey)", "var(--line)"
+FIRST, SECOND = "var(--first)", "var(--second)"
+PALETTE = (FIRST, SECOND, *(f"var(--{name})" for name in ("third", "fourth", "fifth", "sixth", "seventh", "eighth")))
+"""Colours: variables that the page defines (``templates/page.css``)."""
+
+RESOLUTION = 0.1
+"""To which points of curves are rounded."""
+
+MOST_POINTS = 2000
+"""Largest number of points of a curve that a page has."""
 
 MOST_TICKS, STEPS = 9, (1.0, 2.0, 2.5, 5.0, 10.0)
 """Largest number of intervals between ticks, and their lengths."""
@@ -247,7 +257,7 @@ class _Box:
         )
         verticals = "".join(f"M{x:.2f} {bottom:.2f}V{top:.2f}" for x in self.x.at(self.x.ticks))
         horizontals = "".join(f"M{left:.2f} {y:.2f}H{right:.2f}" for y in self.y.at(self.y.ticks))
-        yield svg.line(verticals + horizontals, PALE, 0.8, extra=' class="grid"')
+        yield stroke(verticals + horizontals, PALE, 0.8, extra=' class="grid"')
         # curves and markers within the box
         yield f'<g clip-path="url(#{key})">'
         for each in panel.curves:
@@ -259,7 +269,7 @@ class _Box:
         # axes with ticks
         ticks = "".join(f"M{x:.2f} {bottom:.2f}v3.5" for x in self.x.at(self.x.ticks))
         ticks += "".join(f"M{left:.2f} {y:.2f}h-3.5" for y in self.y.at(self.y.ticks))
-        yield svg.line(f"M{left:.2f} {top:.2f}V{bottom:.2f}H{right:.2f}{ticks}", GREY, 0.8, extra=' class="frame"')
+        yield stroke(f"M{left:.2f} {top:.2f}V{bottom:.2f}H{right:.2f}{ticks}", GREY, 0.8, extra=' class="frame"')
         yield from self._texts(panel, x_label if is_last else None)
         yield "</g>"
 
@@ -276,7 +286,7 @@ class _Box:
             "flags": " ".join(name for name, is_set in flags.items() if is_set),
             **panel.data,
         }
-        return f'<g class="panel"{svg.attributes(data)}>'
+        return f'<g class="panel"{attributes(data)}>'
 
     def _curve(self, curve: Curve, panel: Panel) -> Iterator[str]:
         """Yield the line and the signs of a curve, with its values; of a long curve as many points as a page has."""
@@ -289,11 +299,11 @@ class _Box:
         # line, then signs
         x, y, colour = self.x.at(given_x), self.y.at(given_y), curve.colour
         kind = f"{'curve' if curve.is_read else 'shape'} {curve.group}".strip()
-        extra, path = f' class="{kind}"{svg.attributes(data)}', svg.path(x, y) if curve.width else ""
-        yield svg.line(path, colour, curve.width, curve.opacity, cap="round", dashes=curve.dashes, extra=extra)
+        extra, path = f' class="{kind}"{attributes(data)}', line_path(x, y) if curve.width else ""
+        yield stroke(path, colour, curve.width, curve.opacity, cap="round", dashes=curve.dashes, extra=extra)
         if curve.dot:
             width, extra = 1.4 if curve.dot == "cross" else 4.5, f' class="{curve.dot}"'
-            yield svg.line(svg.signs(x, y, curve.dot), colour, width, cap="round", extra=extra)
+            yield stroke(signs(x, y, curve.dot), colour, width, cap="round", extra=extra)
 
     def _at(self, x: float | None, y: float | None, content: str, group: str = "") -> str:
         """Return elements about a point that moves with the axes, or about an axis where a coordinate is None."""
@@ -305,26 +315,26 @@ class _Box:
     def _marks(self, panel: Panel) -> Iterator[str]:
         """Yield the dashed lines within the box, and the texts above."""
         if panel.level is not None and self.y.low < panel.level < self.y.high:
-            line = svg.line(f"M{self.x.begin:.2f} 0H{self.x.end:.2f}", GREY, 0.9, dashes=DASHES)
+            line = stroke(f"M{self.x.begin:.2f} 0H{self.x.end:.2f}", GREY, 0.9, dashes=DASHES)
             yield self._at(None, panel.level, line)
         for place, text in panel.marks:
-            line = svg.line(f"M0 {self.y.begin:.2f}V{self.y.end:.2f}", GREY, 0.9, dashes=DASHES)
-            yield self._at(place, None, line + svg.text(text, 0.0, self.y.end - PADDING, SMALLEST, "middle", GREY))
+            line = stroke(f"M0 {self.y.begin:.2f}V{self.y.end:.2f}", GREY, 0.9, dashes=DASHES)
+            yield self._at(place, None, line + text_at(text, 0.0, self.y.end - PADDING, SMALLEST, "middle", GREY))
 
     def _texts(self, panel: Panel, x_label: str | None) -> Iterator[str]:
         """Yield the labels of ticks and axes."""
         left, bottom = self.x.begin, self.y.begin
         yield '<g class="ticks">'
         for y, text in zip(self.y.at(self.y.ticks), self.y.labels, strict=True):
-            yield svg.text(text, left - 7.0, y + 3.42, FONT, "end")
+            yield text_at(text, left - 7.0, y + 3.42, FONT, "end")
         if x_label is not None:
             for x, text in zip(self.x.at(self.x.ticks), self.x.labels, strict=True):
-                yield svg.text(text, x, bottom + 13.84, FONT, "middle")
+                yield text_at(text, x, bottom + 13.84, FONT, "middle")
         yield "</g>"
         if x_label is not None:
-            yield svg.text(x_label, 0.5 * (left + self.x.end), bottom + 26.84, FONT, "middle")
+            yield text_at(x_label, 0.5 * (left + self.x.end), bottom + 26.84, FONT, "middle")
         for row, text in enumerate(panel.label.split("\n")):
-            yield svg.text(text, 9.84 + ROW * row, 0.5 * (bottom + self.y.end), FONT, "middle", upright=False)
+            yield text_at(text, 9.84 + ROW * row, 0.5 * (bottom + self.y.end), FONT, "middle", upright=False)
 
 
 def _boxes(size: tuple[float, float], panels: Sequence[Panel]) -> Iterator[_Box]:
@@ -363,7 +373,7 @@ def _marker(marker: Marker) -> str:
     elif marker.size:
         parts += f'<rect x="{-half:g}" y="{-half:g}" width="{marker.size:g}" height="{marker.size:g}" {style}/>'
     if marker.text:
-        parts += svg.text(marker.text, *marker.offset, SMALL, marker.anchor)
+        parts += text_at(marker.text, *marker.offset, SMALL, marker.anchor)
     return parts
 
 
@@ -388,9 +398,88 @@ def _legend(panel: Panel, width: float) -> Iterator[str]:
         x, y = width - PADDING - 4.6, ROW * row
         for curve in reversed(curves):
             x -= LETTER * ON_PHONES * len(curve.label)
-            line = svg.line(
-                f"M{x - 23.8:.2f} {11.13 + y:.2f}h17", curve.colour, curve.width or 1.4, dashes=curve.dashes
-            )
-            text = svg.text(curve.label, x, 14.11 + y, SMALL, "start")
+            line = stroke(f"M{x - 23.8:.2f} {11.13 + y:.2f}h17", curve.colour, curve.width or 1.4, dashes=curve.dashes)
+            text = text_at(curve.label, x, 14.11 + y, SMALL, "start")
             yield f'<g class="key" data-label="{escape(curve.label)}">{text}{line}</g>'
             x -= 40.8
+
+
+def line_path(x: RealArray, y: RealArray) -> str:
+    """Return a path through points (N,), rounded, without those that change nothing, in one piece for each finite stretch."""
+    finite = np.isfinite(x) & np.isfinite(y)
+    edges = np.flatnonzero(np.diff(finite, prepend=False, append=False))
+    pieces = []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        points = np.rint(np.clip(np.stack([x[begin:end], y[begin:end]], axis=1), -1e4, 1e4) / RESOLUTION)
+        # repeated points, then those on the straight line between their neighbours
+        points = points[np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])]
+        steps = np.diff(points, axis=0)
+        turns = steps[:-1, 0] * steps[1:, 1] != steps[:-1, 1] * steps[1:, 0]
+        backwards = np.sum(steps[:-1] * steps[1:], axis=1) < 0.0
+        points = points[np.concatenate([[True], turns | backwards, [True]])[: len(points)]] * RESOLUTION
+        pieces.append("M" + " ".join(["%.1f %.1f"] * len(points)) % tuple(points.ravel().tolist()))
+    return "".join(pieces)
+
+
+def signs(x: RealArray, y: RealArray, dot: str) -> str:
+    """Return the path of a disc (drawn by a round line without length) or a cross at each of the points (N,)."""
+    sign = "h0" if dot == "disc" else "m-2.5-2.5l5 5m0-5l-5 5"
+    points = np.stack([x, y], axis=1)[np.isfinite(x) & np.isfinite(y)]
+    return "".join(f"M{left:.1f} {down:.1f}{sign}" for left, down in points.tolist())
+
+
+def stroke(
+    d: str, colour: str, width: float, opacity: float = 1.0, *, cap: str = "butt", dashes: str = "", extra: str = ""
+) -> str:
+    """Return a path without filling; ``extra`` attributes start with a space."""
+    style = f'stroke="{colour}" stroke-width="{width:g}" stroke-linecap="{cap}" stroke-linejoin="round"'
+    dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
+    faint = f' stroke-opacity="{opacity:g}"' if opacity < 1.0 else ""
+    return f'<path{extra} d="{d}" fill="none" {style}{dashed}{faint}/>'
+
+
+def attributes(data: Mapping[str, str]) -> str:
+    """Return attributes ``data-name``."""
+    return "".join(f' data-{name}="{escape(value)}"' for name, value in data.items())
+
+
+def text_at(
+    content: str, x: float, y: float, size: float, anchor: str, colour: str = INK, *, upright: bool = True
+) -> str:
+    """Return a text with its baseline's start, middle or end at a point."""
+    turned = "" if upright else f' transform="rotate(-90 {x:.2f} {y:.2f})"'
+    place = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:g}" text-anchor="{anchor}" fill="{colour}"{turned}'
+    return f"<text {place}>{escape(content)}</text>"
+
+
+def thinned(y: RealArray, most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Return the indices of at most ``most`` of the values (N,), four at least: all, or the smallest and largest of equal pieces.
+
+    First and last value are among them, and so are the smallest and largest of all.
+    """
+    if y.size <= most:
+        return np.arange(y.size)
+    # NaN breaks a curve; it is neither smallest nor largest
+    size = -(-y.size // (most // 2 - 1))
+    padded = np.append(y, np.full(-y.size % size, np.nan)).reshape(-1, size)
+    starts = size * np.arange(len(padded))
+    least = np.where(np.isfinite(padded), padded, np.inf).argmin(axis=1)
+    most = np.where(np.isfinite(padded), padded, -np.inf).argmax(axis=1)
+    found = np.concatenate([[0], starts + least, starts + most, [y.size - 1]])
+    found = np.sort(found[found < y.size])
+    return np.asarray(found[np.diff(found, prepend=-1) > 0])  # `np.unique` would load numpy.ma
+
+
+def spread(count: int) -> NDArray[np.intp]:
+    """Return at most `MOST_POINTS` equally spaced indices of ``count`` values, first and last included."""
+    return np.arange(count) if count <= MOST_POINTS else np.linspace(0, count - 1, MOST_POINTS).astype(np.intp)
+
+
+def packed(*channels: RealArray) -> str:
+    """Return arrays one after the other as base64 of little-endian 32-bit numbers, 24 significant bits each: for zooming and reading."""
+    return base64.b64encode(np.concatenate([np.ravel(each) for each in channels]).astype("<f4").tobytes()).decode()
+
+
+def unpacked(text: str, channels: int) -> RealArray:
+    """Return the arrays (channels, N) of `packed`."""
+    return np.frombuffer(base64.b64decode(text), dtype="<f4").astype(np.float64).reshape(channels, -1)

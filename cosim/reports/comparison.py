@@ -11,11 +11,9 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
-from flexfmu.cosim.reports.chart import Curve, Panel
-from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
+from flexfmu.cosim.reports.chart import MOST_POINTS, PALETTE, Curve, Panel, thinned
 from flexfmu.cosim.reports.page import Plot, Table, render_page
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
-from flexfmu.cosim.reports.svg import PALETTE
 
 SIGNALS: Mapping[str, tuple[str, float, Mapping[str, str]]] = {
     "Motor torques": ("N·m", 1.0, {"joint1.torque": "joint 1", "joint2.torque": "joint 2"}),

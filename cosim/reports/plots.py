@@ -24,6 +24,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.metrics.motors import MotorLoad, motor_loads
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
@@ -38,12 +39,9 @@ from flexfmu.cosim.metrics.signals import (
     sample,
     segments,
 )
-from flexfmu.cosim.reports.chart import Curve, Marker, Panel
-from flexfmu.cosim.reports.curve_data import packed
-from flexfmu.cosim.reports.motors import motor_plots
+from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, SECOND, Curve, Marker, Panel, packed
 from flexfmu.cosim.reports.page import WIDTH, Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
-from flexfmu.cosim.reports.svg import FIRST, GREY, INK, SECOND
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.trajectories.curves import Point
@@ -404,3 +402,36 @@ def _marks(time: RealArray, run: Run) -> list[tuple[float, str]]:
     """Return the mark at the end of the motion, if it lies between the times (N,) [s]."""
     end = run.plan.duration
     return [(end, "end of motion")] if time[0] < end < time[-1] else []
+
+
+def motor_plots(run: Run) -> Iterator[Plot]:
+    """Yield torque over speed of each motor with its limits, and power over time; nothing for a scene without motors."""
+    loads = motor_loads(run)
+    if not loads:
+        return
+    caption = "At the shaft, with the limits of the motor: peak torque and speed, and dashed the continuous torque."
+    for load in loads:
+        yield Plot(
+            f"motor-{load.joint}", f"Torque over speed, {load.label}", caption, (_over_speed(load),), "speed [rad/s]"
+        )
+    curves = [
+        Curve(load.time, load.power, load.label, colour) for load, colour in zip(loads, (FIRST, SECOND), strict=True)
+    ]
+    panel = Panel(label="power [W]", curves=curves)
+    yield Plot("motor-power", "Mechanical power of the motors", "At the shaft; negative: regenerated.", (panel,))
+
+
+def _over_speed(load: MotorLoad) -> Panel:
+    """Return the path of speed and torque within the rectangles of the limits."""
+    motor = load.motor
+    corners = np.array([[-1.0, 1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0, -1.0]])
+    limits = [
+        Curve(motor.maximum_speed * corners[0], torque * corners[1], name, GREY, dashes=dashes, is_read=False)
+        for torque, name, dashes in (
+            (motor.peak_torque, "peak torque, speed", ""),
+            (motor.continuous_torque, "continuous torque", DASHES),
+        )
+    ]
+    colour = FIRST if load.joint == 1 else SECOND
+    path = Curve(load.speed, load.torque, load.label, colour, more={"time [s]": load.time})
+    return Panel(label="torque [N·m]", curves=[*limits, path], is_function=False)

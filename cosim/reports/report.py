@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display, display_error
-from flexfmu.cosim.reports.motors import motor_rows, stress_rows
 from flexfmu.cosim.reports.page import Plot, render
-from flexfmu.cosim.reports.summary import title_of
+from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 

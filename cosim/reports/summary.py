@@ -8,7 +8,7 @@ from __future__ import annotations
 import platform
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -385,3 +385,33 @@ def _package(name: str) -> str | None:
         return version(name)
     except PackageNotFoundError:
         return None
+
+
+def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
+    """Return name of a quantity → its text for each motor: value, limit and use."""
+    rows = {}
+    for margins in zip(*(motor["margins"] for motor in motors), strict=True):
+        texts = (
+            f"{each['value']:.4g} of {each['limit']:g} {shown_unit(each['unit'])}, {100 * each['use']:.0f} %"
+            for each in margins
+        )
+        rows[margins[0]["name"]] = tuple(texts)
+    for key, name, unit in MOTOR_VALUES:
+        values = [motor[key] for motor in motors]
+        if any(value is not None for value in values):
+            rows[name] = tuple("–" if value is None else f"{value:.4g} {shown_unit(unit)}".rstrip() for value in values)
+    return rows
+
+
+def stress_rows(links: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return name of a link → its peak stress, where and when it is, and the safety factor."""
+    return {each["link"]: _stress_text(each) for each in links}
+
+
+def _stress_text(link: Mapping[str, Any]) -> str:
+    peak = link["combined"]
+    if peak is None:
+        return "no modes, stress not known"
+    change = "" if link["change"] is None else f", last mode {100.0 * link['change']:.2g} %"
+    safety = "" if link["safety"] is None else f", safety {link['safety']:.3g}"
+    return f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s{change}{safety}"

@@ -1,13 +1,14 @@
-"""Tables that fit the terminal: no number is ever cut or broken.
+"""Results as text: JSON, tables in Markdown, and tables that fit the terminal: no number is ever cut or broken.
 
 Texts wrap between words. Where even that is too wide, the columns go on below, beside the first ones again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -30,6 +31,22 @@ NARROW = 80
 
 UNLIMITED = 10_000
 """A width that holds everything."""
+
+
+def to_json(data: Mapping[str, Any]) -> str:
+    """Return JSON text with a final line break; raise ValueError for NaN and infinity, which JSON doesn't have."""
+    return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def markdown_table(head: Sequence[str], rule: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown, without a final line break.
+
+    Args:
+        head: headings of the columns.
+        rule: alignment of each column: ``---`` or ``:--`` for text, ``---:`` or ``--:`` for numbers.
+        rows: cells of each row, already escaped.
+    """
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, rule, *rows))
 
 
 def titled_table(

@@ -12,7 +12,7 @@ import tomlkit
 from flexfmu.cosim.design.gains.tuner import TuneResult
 from flexfmu.cosim.design.scene_files import changed_document, toml_item
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
-from flexfmu.cosim.reports.text import to_json
+from flexfmu.cosim.reports.terminal import to_json
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key, value_at
 

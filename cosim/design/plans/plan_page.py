@@ -13,10 +13,9 @@ from flexfmu.cosim.design.plans.goals import Goals
 from flexfmu.cosim.design.plans.planner import PlanResult
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.reports.chart import Curve, Marker, Panel
+from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, signal_plots
 from flexfmu.cosim.reports.page import WIDTH, Plot, Table, render_page
-from flexfmu.cosim.reports.svg import GREY, INK, PALETTE
 from flexfmu.trajectories.jets import RealArray
 
 NAMES, COLOURS = ("given", "planned"), (PALETTE[0], PALETTE[1])

@@ -18,7 +18,7 @@ from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
-from flexfmu.cosim.reports.chart import Curve, Panel
+from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
 from flexfmu.cosim.reports.comparison import (
     BAND_METRICS,
     ComparedRun,
@@ -27,11 +27,9 @@ from flexfmu.cosim.reports.comparison import (
     metrics_table,
     render_comparison,
 )
-from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
-from flexfmu.cosim.reports.svg import INK, PALETTE
-from flexfmu.cosim.reports.text import to_json
+from flexfmu.cosim.reports.terminal import to_json
 from flexfmu.cosim.studies.compare.alignment import (
     Delay,
     Difference,

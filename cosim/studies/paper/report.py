@@ -21,8 +21,7 @@ from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.page import render
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.terminal import titled_table
-from flexfmu.cosim.reports.text import markdown_table, to_json
+from flexfmu.cosim.reports.terminal import markdown_table, titled_table, to_json
 from flexfmu.cosim.studies.paper.figures import SIMULATED_FIGURES, TRAJECTORY_FIGURES, PaperFigure
 from flexfmu.cosim.studies.paper.tables import (
     TABLES,

@@ -16,10 +16,9 @@ from matplotlib.text import Annotation
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.reports.chart import Curve, Panel
+from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel
 from flexfmu.cosim.reports.figure_style import GREY, PlainNumbers, draw, save, style
 from flexfmu.cosim.reports.page import Plot, render_page
-from flexfmu.cosim.reports.svg import PALETTE
 from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 

@@ -15,8 +15,7 @@ from typing import Any
 from rich.table import Column, Table
 
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.terminal import titled_table
-from flexfmu.cosim.reports.text import markdown_table
+from flexfmu.cosim.reports.terminal import markdown_table, titled_table
 from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec.solver_trials import PAPER_LINE
 from flexfmu.cosim.studies.workprec.trial import (

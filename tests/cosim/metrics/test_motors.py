@@ -20,8 +20,8 @@ from flexfmu.cosim.metrics.bernstein import bernstein_basis
 from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.metrics.motors import MotorLoad, divided, largest_load_inertia, motor_loads, multiplied
-from flexfmu.cosim.reports.motors import motor_plots, motor_rows
-from flexfmu.cosim.reports.summary import summarise
+from flexfmu.cosim.reports.plots import motor_plots
+from flexfmu.cosim.reports.summary import motor_rows, summarise
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.file import load_scene

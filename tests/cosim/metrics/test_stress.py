@@ -12,7 +12,7 @@ import pytest
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.stress import LinkStress, link_stresses
-from flexfmu.cosim.reports.motors import stress_rows
+from flexfmu.cosim.reports.plots import stress_rows
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.beams import scene_shapes
 from flexfmu.model.finite_elements.motion import equilibrium

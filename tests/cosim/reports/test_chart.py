@@ -10,11 +10,21 @@ import pytest
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.reports.chart import Axis, Curve, Marker, Panel, draw_chart
-from flexfmu.cosim.reports.curve_data import MOST_POINTS, packed, spread, thinned, unpacked
+from flexfmu.cosim.reports.chart import (
+    MOST_POINTS,
+    Axis,
+    Curve,
+    Marker,
+    Panel,
+    draw_chart,
+    line_path,
+    packed,
+    spread,
+    thinned,
+    unpacked,
+)
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.spectrum import peak, spectrum, spectrum_panel
-from flexfmu.cosim.reports.svg import path
 from flexfmu.model.scene.file import load_scene
 
 
@@ -46,9 +56,9 @@ def test_a_path_has_every_turn_and_breaks_where_a_value_is_missing() -> None:
     """Points on a straight line between their neighbours are left out, peaks and isolated stretches are not."""
     x = np.arange(9.0)
     y = np.array([0.0, 1.0, 2.0, 1.0, 0.0, np.nan, 5.0, np.inf, 7.0])
-    assert path(x, y) == "M0.0 0.0 2.0 2.0 4.0 0.0M6.0 5.0M8.0 7.0"
-    assert path(np.zeros(0), np.zeros(0)) == ""
-    back = path(np.array([0.0, 2.0, 1.0]), np.zeros(3))
+    assert line_path(x, y) == "M0.0 0.0 2.0 2.0 4.0 0.0M6.0 5.0M8.0 7.0"
+    assert line_path(np.zeros(0), np.zeros(0)) == ""
+    back = line_path(np.array([0.0, 2.0, 1.0]), np.zeros(3))
     assert back == "M0.0 0.0 2.0 0.0 1.0 0.0"
 
 
@@ -56,7 +66,7 @@ def test_a_path_follows_its_points() -> None:
     """Dense or not, no point is further from the path than the rounding of its coordinates."""
     x = np.linspace(0.0, 330.0, 4001)
     y = 60.0 + 50.0 * np.sin(x / 3.0) * np.exp(-x / 200.0)
-    points = np.array([float(each) for each in re.findall(r"[\d.]+", path(x, y))]).reshape(-1, 2)
+    points = np.array([float(each) for each in re.findall(r"[\d.]+", line_path(x, y))]).reshape(-1, 2)
     assert len(points) < len(x)
     error = np.abs(np.interp(x, points[:, 0], points[:, 1]) - y)
     assert np.all(error < 0.06 * (1.0 + np.abs(np.gradient(y, x))))

@@ -10,8 +10,8 @@ import pytest
 
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, render_comparison
-from flexfmu.cosim.reports.curve_data import unpacked
 from flexfmu.cosim.reports.page import Table
 
 TIME = np.linspace(0.0, 0.6, 3001)

@@ -12,7 +12,7 @@ import pytest
 
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.reports.curve_data import unpacked
+from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.plots import LONGEST, _to_scale, bent_robot, path_panel, scene_panel
 from flexfmu.model.beams import scene_shapes

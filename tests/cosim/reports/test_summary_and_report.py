@@ -18,11 +18,11 @@ from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.reports.curve_data import unpacked
+from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import describe_effects, summarise
-from flexfmu.cosim.reports.text import to_json
+from flexfmu.cosim.reports.terminal import to_json
 
 MakeRun = Callable[..., Run]
 VOID = {"meta", "br", "hr", "img", "link", "input"}
