@@ -12,8 +12,7 @@ import pytest
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.stress import LinkStress, link_stresses
-from flexfmu.cosim.reports.plots import stress_rows
-from flexfmu.cosim.reports.summary import summarise
+from flexfmu.cosim.reports.summary import stress_rows, summarise
 from flexfmu.model.beams import scene_shapes
 from flexfmu.model.finite_elements.motion import equilibrium
 from flexfmu.model.finite_elements.robot import finite_element_robot
