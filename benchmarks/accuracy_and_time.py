@@ -19,8 +19,9 @@ import numpy as np
 from paper_scene import SCENE, best_times, whole_run
 
 from flexfmu import measure_run
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9)
 STEPS = (2e-4, 1e-3, 5e-3)

@@ -19,10 +19,10 @@ import flexfmu
 from flexfmu.cosim.control.blocks.equations import block
 from flexfmu.cosim.design.margins.linear_loop import Perturbation
 from flexfmu.cosim.design.margins.margins import ALL
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import inline_block
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 DRIVEN: dict[str, Any] = {

@@ -23,8 +23,8 @@ from flexfmu import load_scene
 from flexfmu.benchmarks.peers.exudyn_peer import simulate_exudyn
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.studies.workprec.trial import SAMPLING, SceneUnderTest, completed, subject_of
 from flexfmu.model.scene.schema import Scene
 

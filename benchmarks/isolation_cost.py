@@ -11,7 +11,7 @@ import numpy as np
 
 from flexfmu import load_scene
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 
 SCENE = load_scene("barnard2012-6kg").replace(
     {

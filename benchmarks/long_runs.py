@@ -14,7 +14,7 @@ from time import perf_counter
 
 from flexfmu import load_scene
 from flexfmu.cosim.engine.errors import CostWarning
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 
 LOOP = {
     "cosimulation.drive": "torque",

@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.studies.workprec.trial import completed
 from flexfmu.model.scene.schema import Scene
 

@@ -32,8 +32,8 @@ from formulations import (
 from flexfmu import load_scene
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.small_deflections import largest_deflection, path_errors
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot

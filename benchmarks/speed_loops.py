@@ -29,8 +29,8 @@ from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.numeric import inverse_dynamics
 

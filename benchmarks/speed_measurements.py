@@ -24,10 +24,10 @@ from formulations import SHAPES
 from flexfmu.benchmarks.peers.exudyn_trials import comparable
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.signals import segments
 from flexfmu.cosim.studies.workprec.solver_trials import scipy_run, system_of

@@ -9,8 +9,8 @@ import numpy as np
 from paper_scene import SCENES
 from speed_figure import SpeedFigure
 
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
 

@@ -17,9 +17,9 @@ from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
 
 SCENE = load_scene("barnard2012-6kg")

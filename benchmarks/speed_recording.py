@@ -18,7 +18,7 @@ from speed_figure import SpeedFigure
 from flexfmu import load_scene
 from flexfmu.cosim.engine.errors import CostWarning
 from flexfmu.cosim.engine.results import Recording, Selection
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 
 STEP = 1e-3
 """Interval of the recorded instants [s]."""

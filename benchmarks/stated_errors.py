@@ -8,7 +8,7 @@ median. Cost: processor time of a companion, preparing and measuring included, o
 
     python benchmarks/stated_errors.py [SCENE ...] [--companions 1] [--worst 0] [--list] [--json] [--drawn N --seed S]
 
-takes about ten minutes for all scenes. The shares of `flexfmu.cosim.experiment.convergence` were chosen on these scenes; with --drawn,
+takes about ten minutes for all scenes. The shares of `flexfmu.cosim.many.prepared_scene` were chosen on these scenes; with --drawn,
 N scenes are drawn instead, each with a step and a tolerance of its own, on which nothing was chosen if the seed is new.
 """
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from flexfmu import load_scene
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.schema import Scene
 

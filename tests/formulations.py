@@ -16,7 +16,7 @@ from flexfmu.benchmarks.peers.exudyn_trials import DAMPING_TIME
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.studies.workprec.trial import completed
 from flexfmu.model.finite_elements.motion import element_frequencies, equilibrium
 from flexfmu.model.finite_elements.robot import FiniteElementRobot

@@ -26,7 +26,6 @@ ROOMS = (
     "cosim.control",
     "cosim.experiment",
     "cosim.metrics",
-    "cosim.experiment.prepared_scene",
     "cosim.many",
     "cosim.reports",
     "cosim.design",
@@ -34,8 +33,7 @@ ROOMS = (
     "cosim.studies",
     "cosim.cli",
 )
-"""From the bottom up; a room in cosim may know all before it, but for what `UNKNOWN` says. `prepared_scene` puts runs together with
-their metrics."""
+"""From the bottom up; a room in cosim may know all before it, but for what `UNKNOWN` says."""
 
 UNKNOWN: Mapping[str, tuple[str, ...]] = {
     "trajectories": (),

@@ -20,8 +20,8 @@ import pytest
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene, read_scene_text
 
 ROOT = Path(__file__).parents[1]

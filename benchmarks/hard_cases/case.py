@@ -18,8 +18,9 @@ from flexfmu.benchmarks.hard_cases.scipy_solution import POSITION, Solver, posit
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.mechanism import Mechanism

@@ -23,8 +23,8 @@ from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.numeric import numeric_model
 
 CYCLES = 10_000

@@ -34,7 +34,7 @@ from flexfmu.benchmarks.hard_cases.scipy_solution import Phase, Solver, signals_
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene

@@ -115,7 +115,7 @@ def _run_scene(
     from flexfmu.cosim.engine.formats import check_format
     from flexfmu.cosim.engine.results import EVERYTHING, Selection
     from flexfmu.cosim.experiment.metric import Metric
-    from flexfmu.cosim.experiment.prepared_scene import run_scene
+    from flexfmu.cosim.many.prepared_scene import run_scene
     from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
     from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
     from flexfmu.cosim.reports.summary import summarise

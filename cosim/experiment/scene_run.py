@@ -21,7 +21,6 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Names, Recording
 from flexfmu.cosim.engine.showing import shorten
-from flexfmu.cosim.experiment.convergence import NO_ORDER
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.parameters import parameters_for, scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan
@@ -38,6 +37,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 END_EFFECTOR = ("end_effector.position.x", "end_effector.position.y")
+
+
+NO_ORDER = 4.0
+"""Error of a companion in terms of the change to it, where no order is known."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,2 @@
-"""Runs many: one executor of processes, one journal that survives a crash, variants side by side in vector registers."""
+"""Runs scenes, once or many times: prepared scenes with metrics, one executor of processes, one journal that survives a crash,
+variants side by side in vector registers."""

@@ -85,7 +85,7 @@ class SideBySide:
     Args:
         scene: the scene.
         fmu_path: its FMU.
-        communication_step, tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
+        communication_step, tolerance: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
         lanes: variants side by side, 1, 4 or 8; None for as many as the processor has.
 
     Raises:

@@ -12,11 +12,11 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.master.simulator import Progress
 from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.lockstep import PeakMeasure, SideBySide, SignalMeasure
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.scene.schema import Scene
 
 T = TypeVar("T")
@@ -96,8 +96,8 @@ def run_variants(
         scene: the scene.
         variants: changes of each variant.
         measure: function from a completed run to the result, `flexfmu.cosim.metrics.metrics.metrics_of` for example.
-        communication_step: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
-        tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
+        communication_step: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
+        tolerance: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
         record: signals that ``measure`` needs, how often, and with how many derivatives; fewer take less time. None for
             the scene's keys.
         progress: called now and then with the completed fraction, 0..1.

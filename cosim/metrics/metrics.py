@@ -5,7 +5,7 @@ tolerance. The change of the metric in the companion contains the errors of inte
 interpolation. One run alone can't show them: the integrator's local errors don't tell how a peak acceleration depends
 on the phase of a stiff mode. The companion's value is the more accurate one, and is the metric's where there is a
 companion; its error follows from the same change and from the order of convergence
-(`flexfmu.cosim.experiment.convergence`).
+(`flexfmu.cosim.many.prepared_scene`).
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.motors import MotorLoad, motor_loads
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (

@@ -34,7 +34,7 @@ from flexfmu.trajectories.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.delays import SignalDelay
-    from flexfmu.cosim.experiment.prepared_scene import Run
+    from flexfmu.cosim.experiment.scene_run import Run
     from flexfmu.model.scene.schema import Scene
 
 JERK_JUMP = 1e-3

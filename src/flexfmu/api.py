@@ -17,10 +17,10 @@ from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.planning import plan as plan_of
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.run_options import RunOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.reports.modes_table import ModesAlongPath, modes_along_path
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.model.scene.file import as_scene

@@ -12,7 +12,7 @@ import pytest
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.prepared_scene import Health, Run, Timing
+from flexfmu.cosim.experiment.scene_run import Health, Run, Timing
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import static_equilibrium

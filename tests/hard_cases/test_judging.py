@@ -31,7 +31,7 @@ from flexfmu.benchmarks.hard_cases.extremes import STIFF
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import natural_frequencies

@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.plants import build_model

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.master.simulator import Outcome
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.fmu_build.choices import INTEGRATOR
 from flexfmu.model.plants import build_model

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.cosim.engine.master.grid import time_grid
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import VariantError, run_variants
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import PeakMetrics, measuring, metrics_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
+from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene

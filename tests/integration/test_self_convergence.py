@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene

@@ -12,7 +12,7 @@ from fmpy.fmi2 import FMU2Slave
 from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene

@@ -38,7 +38,7 @@ def controller(
     name: str | None = None,
     symbolic: bool | None = None,
 ) -> Callable[[Callable[..., Any]], FunctionController]:
-    """Return a decorator that makes a controller of a function; it runs in `flexfmu.cosim.experiment.prepared_scene.run_loop`, and in scene
+    """Return a decorator that makes a controller of a function; it runs in `flexfmu.cosim.many.prepared_scene.run_loop`, and in scene
     files as ``kind = "python"``.
 
     The function has any of these arguments: ``t``, the instant of the sample [s], counted from the start; ``reference``, the inputs

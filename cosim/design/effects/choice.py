@@ -20,9 +20,9 @@ from flexfmu.cosim.engine.errors import CosimError, LearningWarning, ResultsErro
 from flexfmu.cosim.engine.results import EVERYTHING
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.enrichment import FOLLOWING
 from flexfmu.model.one_thread import one_blas_thread

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.comparison import OverBand

@@ -17,8 +17,8 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, fail
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.journal import Journal
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError

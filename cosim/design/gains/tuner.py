@@ -22,8 +22,8 @@ from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, TrialJourna
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.many.executor import mapping
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene

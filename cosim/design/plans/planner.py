@@ -18,8 +18,8 @@ from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene

@@ -17,8 +17,8 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, Variation, goals_of
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_loop import own_loop
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.effects import NoDampingSection

@@ -19,8 +19,9 @@ from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure, settings_for
 from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.model.scene.schema import Scene

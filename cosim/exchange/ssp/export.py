@@ -54,7 +54,7 @@ def export_ssp(
     """Export a scene as an SSP 1.0 file and return its path.
 
     Planned motion, robot, controllers, shapers and imperfections become FMUs in ``resources/``, connected as in
-    `flexfmu.cosim.experiment.prepared_scene.run_scene`. The same scene gives the same bytes.
+    `flexfmu.cosim.many.prepared_scene.run_scene`. The same scene gives the same bytes.
 
     Most importers exchange only values at the communication points: their results agree with `run_scene` to first order in the
     communication step. `flexfmu.cosim.exchange.ssp.loading.load_ssp` also passes derivatives, and agrees to the accuracy of the

@@ -84,7 +84,7 @@ class SspSystem:
         """Simulate the system with `flexfmu.cosim.engine.master.simulator.simulate`.
 
         Signals have the names of the file: ``inner.first.x`` for a component in a subsystem, ``inner.y`` for a system's connector.
-        Those of an exported scene have the names that they have in `flexfmu.cosim.experiment.prepared_scene.run_scene`, ``joint1.torque``
+        Those of an exported scene have the names that they have in `flexfmu.cosim.many.prepared_scene.run_scene`, ``joint1.torque``
         for example; the recording finds them by their names in the file, ``plant.joint1.torque``, too.
 
         Args:

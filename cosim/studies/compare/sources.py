@@ -15,8 +15,9 @@ from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun

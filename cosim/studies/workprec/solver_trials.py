@@ -22,9 +22,9 @@ from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import parameters_for
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.studies.workprec.equations import (
     NUMBERS,
     BoundFunction,

@@ -88,7 +88,7 @@ def run_study(
 
     Raises:
         RunError: the reference can't be calculated.
-        TrajectoryError, InputError, BuildError: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
+        TrajectoryError, InputError, BuildError: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
     """
     subject = subject_of(scene)
     # the reference, compared with one that shares neither integrator nor master where the scene has one

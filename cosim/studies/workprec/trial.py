@@ -16,9 +16,10 @@ import numpy as np
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest, fastest_in_turns
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.loop import SampledSection
 from flexfmu.model.scene.schema import Scene

@@ -16,7 +16,7 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.workprec.trial import RunError
 from flexfmu.fmu_build.errors import MissingCompilerError
@@ -42,7 +42,7 @@ def simulated(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> Callable[..
                 raise error
             return make_run(**options)
 
-        monkeypatch.setattr("flexfmu.cosim.experiment.prepared_scene.run_scene", run_scene)
+        monkeypatch.setattr("flexfmu.cosim.many.prepared_scene.run_scene", run_scene)
 
     return replace
 

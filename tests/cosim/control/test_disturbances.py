@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.regular_sampling import regular
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.errors import SceneError

@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.summary import _beyond_tolerance
 from flexfmu.model.choice_text import choice_sentence

@@ -17,7 +17,7 @@ from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.learning import LearningLoop, contraction_of
 from flexfmu.cosim.engine.errors import InputError, LearningWarning
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene

@@ -34,9 +34,9 @@ from flexfmu.cosim.design.shapers.study import (
 )
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

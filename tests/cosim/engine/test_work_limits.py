@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene
 
 Factory = Callable[..., Any]

@@ -13,8 +13,9 @@ from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.build import build_fmu

@@ -14,8 +14,9 @@ from typer.testing import CliRunner
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.engine.master.simulator import Outcome
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.run_checks import divergence
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.linear import linearize
 from flexfmu.model.scene.schema import Scene

@@ -9,8 +9,8 @@ from typing import Any, get_args
 
 import pytest
 
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.controllers import ControllerSection
 from flexfmu.model.scene.cosimulation import AndersonSection, FixedPointSection, StepControl
 from flexfmu.model.scene.disturbances import DisturbanceKind

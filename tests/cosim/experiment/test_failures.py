@@ -12,7 +12,7 @@ import flexfmu
 from flexfmu.cosim.control.controllers.own_function import controller
 from flexfmu.cosim.engine.errors import LoopWarning
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
+from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -7,9 +7,9 @@ import pytest
 
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import Loop, counted_twice, loop_of
 from flexfmu.cosim.experiment.wiring import wire
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.schema import Scene
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}

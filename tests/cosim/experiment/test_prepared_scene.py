@@ -13,8 +13,8 @@ import pytest
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
-from flexfmu.cosim.experiment.scene_run import rest_position
+from flexfmu.cosim.experiment.scene_run import Run, rest_position
+from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import natural_frequencies, static_equilibrium
 from flexfmu.trajectories.errors import TrajectoryError

@@ -9,7 +9,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Recording, Selection
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
+from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.many.variants import run_variants
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene

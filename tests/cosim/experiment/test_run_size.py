@@ -12,11 +12,10 @@ import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
-from flexfmu.cosim.experiment.convergence import companion_step
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.experiment.run_checks import LARGEST_SIZE, recorded_bytes
 from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
 from flexfmu.cosim.experiment.system import scene_system
+from flexfmu.cosim.many.prepared_scene import PreparedScene, companion_step, run_scene
 from flexfmu.model.scene.file import load_scene
 
 LOOP: dict[str, Any] = {

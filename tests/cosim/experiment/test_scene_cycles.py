@@ -13,7 +13,7 @@ import flexfmu
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.metrics import measure_run, measuring, metrics_of
 from flexfmu.cosim.reports.report import render_report

@@ -17,8 +17,8 @@ from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import coupling_of, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.many.prepared_scene import coupling_of, run_scene
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene

@@ -9,9 +9,9 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.many.variants import VariantError, run_variants
 from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.model.scene.file import load_scene

@@ -12,9 +12,9 @@ from formulations import compare_motions, full_scene, sample_instants, shapes_mo
 
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics import small_deflections
 from flexfmu.cosim.metrics.small_deflections import exceeded, kept_path_errors, path_errors
 from flexfmu.model.finite_elements.motion import equilibrium, simulate

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metric_table import display, display_error, printed
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import coarse_metrics

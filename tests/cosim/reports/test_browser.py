@@ -14,7 +14,7 @@ import pytest
 
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.reports.comparison import ComparedRun, render_comparison
 from flexfmu.cosim.reports.plots import bent_robot, draw_plots

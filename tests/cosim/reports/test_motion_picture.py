@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.results import Column
-from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.plots import LONGEST, _to_scale, bent_robot, path_panel, scene_panel

@@ -23,7 +23,7 @@ from flexfmu.cosim.engine.master.simulator import isolation
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.errors import SceneError

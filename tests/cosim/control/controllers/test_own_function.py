@@ -20,8 +20,8 @@ from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.controllers.python_slave import FunctionSlave
 from flexfmu.cosim.engine.errors import InputError, SlaveError
 from flexfmu.cosim.exchange.slave_export import export_slaves
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.user_slaves import as_slave
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.schema import Scene
 
 H = 1e-3

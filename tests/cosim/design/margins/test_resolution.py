@@ -11,8 +11,8 @@ import pytest
 import flexfmu
 from flexfmu.cosim.design.margins.loop_warnings import _steps, coarse_counts, torque_of_step
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.file import load_scene

@@ -23,10 +23,10 @@ from flexfmu.cosim.design.margins.margins import growth
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_loop import loop_of, own_loop
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import inline_block
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import Variable

@@ -24,8 +24,8 @@ from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
 from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, plan_scene
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.piecewise import PiecewisePolynomial

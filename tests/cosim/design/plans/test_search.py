@@ -29,10 +29,10 @@ from flexfmu.cosim.design.plans.sequential_programme import (
     improved,
 )
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.executor import mapping
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile

@@ -14,7 +14,7 @@ from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.exchange.ssp.export import PARAMETERS, export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
