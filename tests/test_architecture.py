@@ -106,7 +106,6 @@ ALONE = {
     "cosim.metrics.small_deflections": "limits of small deflections, which hard cases check too",
     "cosim.reports.plots": "drawing",
     "cosim.reports.report": "the page of a run",
-    "cosim.studies.compare.alignment": "delays of measurements",
     "cosim.studies.paper.figures": "drawing",
     "cosim.studies.paper.report": "a command",
     "cosim.studies.sweep.picture": "drawing",

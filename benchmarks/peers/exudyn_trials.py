@@ -7,15 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from flexfmu.cosim.studies.workprec.trial import (
-    Announce,
-    RunError,
-    SceneUnderTest,
-    WorkCurve,
-    WorkPrecisionTrial,
-    sweep,
-    trial_of,
-)
+from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, WorkCurve, WorkPrecisionTrial, sweep
 from flexfmu.model.scene.effects import ModalDampingSection
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
@@ -35,7 +27,7 @@ CONVERGED_ELEMENTS, CONVERGED_STEP = 4, 2.5e-5
 """Exudyn's own reference."""
 
 
-def exudyn_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def exudyn_trials(subject: SceneUnderTest, ours: WorkCurve) -> Iterator[WorkPrecisionTrial]:
     """The same mechanism by ANCF beam elements; errors are counted from Exudyn's own converged run, since all its links bend
     and stretch whatever the scene chooses, and it has no modal damping."""
     if find_spec("exudyn") is None:
@@ -49,7 +41,7 @@ def exudyn_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) 
     scene = comparable(subject.scene)
 
     def run(step: float, elements: int) -> ExudynMotion:
-        announce(f"{EXUDYN_LINE}, step {1e3 * step:g} ms")
+        subject.announce(f"{EXUDYN_LINE}, step {1e3 * step:g} ms")
         return simulate_exudyn(scene, subject.motion, subject.instants, step, elements)
 
     try:
@@ -66,7 +58,7 @@ def exudyn_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) 
             error = float(np.linalg.norm(motion.position - converged.position, axis=1).max()) / deviation
             return error, motion.time, f"{ELEMENTS} elements a link, from its own converged run"
 
-        return trial_of("tools", EXUDYN_LINE, f"{1e3 * step:g} ms", measure)
+        return subject.trial("tools", EXUDYN_LINE, f"{1e3 * step:g} ms", measure)
 
     yield from sweep(EXUDYN_STEPS, trial, ours)
 

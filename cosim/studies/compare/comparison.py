@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
@@ -22,7 +22,6 @@ from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel,
 from flexfmu.cosim.reports.comparison import (
     BAND_METRICS,
     ComparedRun,
-    OverBand,
     loop_tables,
     metrics_table,
     render_comparison,
@@ -30,16 +29,18 @@ from flexfmu.cosim.reports.comparison import (
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.terminal import to_json
-from flexfmu.cosim.studies.compare.alignment import (
+from flexfmu.cosim.studies.compare.measured import (
     Delay,
     Difference,
+    Log,
+    Mapped,
     Pair,
     TimedValues,
     correlation,
-    differences,
+    difference,
     estimate_delay,
+    read_log,
 )
-from flexfmu.cosim.studies.compare.measured import Log, Mapped, read_log
 
 POINTS, FEWEST = 12000, 40
 """Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""
@@ -97,43 +98,63 @@ class Comparison(Rows):
             measured: name, delay, delay_error [s], correlation, and under signals for each run and signal: rms, mean, largest
                 (magnitude), relative (rms to the measured range), unit, samples; only with a measurement.
         """
-        runs = [
-            {
-                "name": run.name,
-                "duration": run.duration,
-                "metrics": {name: each.value for name, each in run.metrics.items()},
-                "errors": {name: each.error for name, each in run.metrics.items()},
-                **({"loop": {name: each.value for name, each in run.loop.items()}} if run.loop else {}),
-                **({"failure": run.failure} if run.failure else {}),
-                **({} if run.band is None else {"payload_band": _band_data(run.band)}),
+        runs = []
+        for run in self.runs:
+            found: dict[str, Any] = {"name": run.name, "duration": run.duration}
+            found["metrics"] = {name: each.value for name, each in run.metrics.items()}
+            found["errors"] = {name: each.error for name, each in run.metrics.items()}
+            if run.loop:
+                found["loop"] = {name: each.value for name, each in run.loop.items()}
+            if run.failure:
+                found["failure"] = run.failure
+            if run.band is not None:
+                found["payload_band"] = {
+                    "masses": list(run.band.masses),
+                    "worst": {name: each.value for name, each in run.band.worst.items()},
+                    "failures": {f"{mass:g}": message for mass, message in run.band.failures.items()},
+                }
+            runs.append(found)
+        if self.measured is None:
+            return {"runs": runs}
+        delay = self.measured.delay
+        signals = {
+            run: {
+                name: {
+                    "rms": each.root_mean_square,
+                    **{key: getattr(each, key) for key in ("mean", "largest", "relative")},
+                    "unit": self.measured.recording[name].unit,
+                    "samples": each.time.size,
+                }
+                for name, each in found.items()
             }
-            for run in self.runs
-        ]
-        return {"runs": runs} if self.measured is None else {"runs": runs, "measured": _measured_data(self.measured)}
+            for run, found in self.measured.differences.items()
+        }
+        measured = {
+            "name": self.measured.name,
+            "delay": delay.seconds,
+            "delay_error": delay.error if np.isfinite(delay.error) else None,
+            "correlation": delay.correlation,
+            "signals": signals,
+        }
+        return {"runs": runs, "measured": measured}
 
     def rows(self) -> list[dict[str, Any]]:
         """The metrics, a row each with the value of every run, NaN for none.
 
         Below them ``cpu_time`` and margins of scenes that were run, and ``worst.<metric>`` over a band of payloads.
         """
-        none = Metric(None)
-        found = {name: [run.metrics.get(name, none).value for run in self.runs] for name in self.metric_names}
-        found |= {
-            name: [run.loop.get(name, none).value for run in self.runs]
-            for name in LOOP_FIGURES
-            if any(name in run.loop for run in self.runs)
-        }
-        worst = [run.band.worst if run.band else {} for run in self.runs]
-        found |= {
-            f"worst.{name}": [each.get(name, none).value for each in worst]
-            for name in BAND_METRICS
-            if any(name in each for each in worst)
-        }
-        names = [run.name for run in self.runs]
-        return [
-            {"metric": name} | {run: nan if value is None else value for run, value in zip(names, values, strict=True)}
-            for name, values in found.items()
-        ]
+        groups: tuple[tuple[str, Iterable[str], list[Mapping[str, Metric]]], ...] = (
+            ("", ALL_METRICS, [run.metrics for run in self.runs]),
+            ("", LOOP_FIGURES, [run.loop for run in self.runs]),
+            ("worst.", BAND_METRICS, [run.band.worst if run.band else {} for run in self.runs]),
+        )
+        found = []
+        for prefix, names, of_runs in groups:
+            for name in (each for each in names if any(each in metrics for metrics in of_runs)):
+                values = [metrics.get(name, Metric(None)).value for metrics in of_runs]
+                row = {run.name: nan if value is None else value for run, value in zip(self.runs, values, strict=True)}
+                found.append({"metric": f"{prefix}{name}", **row})
+        return found
 
     def row_units(self) -> Mapping[str, str]:
         """Metric → unit."""
@@ -181,26 +202,21 @@ class Comparison(Rows):
         """Torques, end-effector positions and tip deflections of all runs over each other, and of the measurement."""
         from flexfmu.cosim.reports.figure_style import draw, style
 
-        found = {run.name: run.recording for run in self.runs}
-        names = [name for name in USUAL if any(name in each.columns for each in found.values())]
+        shown: list[tuple[str, RealArray, Recording, dict[str, Any]]] = [
+            (run.name, run.recording.time, run.recording, {"linewidth": 1.2}) for run in self.runs
+        ]
+        names = [name for name in USUAL if any(name in run.recording.columns for run in self.runs)]
+        if self.measured is not None:
+            time = self.measured.recording.time - self.measured.delay.seconds
+            shown.append((self.measured.name, time, self.measured.recording, {"linewidth": 0.8, "color": "black"}))
         with style():
             figure = draw(8.0, 0.8 + 1.5 * max(len(names), 1))
             panels = figure.subplots(max(len(names), 1), 1, sharex=True, squeeze=False)[:, 0]
             for axes, name in zip(panels, names, strict=False):
-                for run, recording in found.items():
-                    if name in recording.columns:
-                        axes.plot(recording.time, recording[name].values, label=run, linewidth=1.2)
-                if self.measured is not None and name in self.measured.recording.columns:
-                    time = self.measured.recording.time - self.measured.delay.seconds
-                    axes.plot(
-                        time,
-                        self.measured.recording[name].values,
-                        color="black",
-                        linewidth=0.8,
-                        label=self.measured.name,
-                    )
-                unit = next(each[name].unit for each in found.values() if name in each.columns)
-                axes.set_title(f"{name} [{shown_unit(unit)}]", fontsize=8.5)
+                there = [each for each in shown if name in each[2].columns]
+                for label, time, recording, look in there:
+                    axes.plot(time, recording[name].values, label=label, **look)
+                axes.set_title(f"{name} [{shown_unit(there[0][2][name].unit)}]", fontsize=8.5)
             panels[-1].set_xlabel("time [s]")
             if panels[0].lines:
                 panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
@@ -242,7 +258,8 @@ def compare_runs(
         raise InputError(f"no signal of {name} was recorded in {runs[0].name}: {', '.join(measured)}")
     found = estimate_delay(pairs) if delay is None else Delay(delay, 0.0, correlation(pairs, delay))
     differing = {
-        run.name: differences(measured, each, found.seconds) for run, each in zip(runs, simulated, strict=True)
+        run.name: {signal: difference(measured[signal], each, found.seconds) for signal, each in signals.items()}
+        for run, signals in zip(runs, simulated, strict=True)
     }
     return Comparison(tuple(runs), Measured(name, recording, found, differing))
 
@@ -281,89 +298,38 @@ def _sampled(recording: Recording, name: str) -> TimedValues:
     return TimedValues(recording.time[known], values[known])
 
 
-def _band_data(band: OverBand) -> dict[str, Any]:
-    return {
-        "masses": list(band.masses),
-        "worst": {name: each.value for name, each in band.worst.items()},
-        "failures": {f"{mass:g}": message for mass, message in band.failures.items()},
-    }
-
-
-def _measured_data(measured: Measured) -> dict[str, Any]:
-    return {
-        "name": measured.name,
-        "delay": measured.delay.seconds,
-        "delay_error": measured.delay.error if np.isfinite(measured.delay.error) else None,
-        "correlation": measured.delay.correlation,
-        "signals": {
-            run: {
-                name: {
-                    "rms": each.root_mean_square,
-                    "mean": each.mean,
-                    "largest": each.largest,
-                    "relative": each.relative,
-                    "unit": measured.recording[name].unit,
-                    "samples": each.time.size,
-                }
-                for name, each in signals.items()
-            }
-            for run, signals in measured.differences.items()
-        },
-    }
-
-
 def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator[Plot]:
     """Yield measured and simulated values, and their difference, of each signal; then the spectra."""
     spectra = []
-    most = max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST)
+    most = min(max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST), MOST_POINTS)
+
+    def curve(x: RealArray, y: RealArray, label: str, colour: str) -> Curve:
+        chosen = thinned(y, most)
+        return Curve(x[chosen], y[chosen], label, colour)
+
     for number, name in enumerate(measured.recording.columns):
         unit = shown_unit(measured.recording[name].unit)
-        values, differing, amplitudes = list[Curve](), list[Curve](), list[Curve]()
-        for run, colour in zip(runs, _colours(len(runs)), strict=True):
-            each = measured.differences[run.name].get(name)
-            if each is None:
-                continue
-            if not values:
-                values.append(_curve(each.time, each.measured, measured.name, INK, most))
-                amplitudes += _spectrum(each.time, each.measured, measured.name, INK, most)
-            values.append(_curve(each.time, each.simulated, run.name, colour, most))
-            differing.append(_curve(each.time, each.values, run.name, colour, most))
-            amplitudes += _spectrum(each.time, each.simulated, run.name, colour, most)
-        if values:
-            panels = (
-                Panel(label=f"{name}\n[{unit}]", curves=values),
-                Panel(label=f"difference\n[{unit}]", curves=differing),
-            )
-            yield Plot(
-                f"measured-{number}",
-                name,
-                f"{measured.name}, {delay_text(measured.delay)}, and simulated.",
-                panels,
-                height=260.0,
-            )
-            spectra += [spectrum_panel(f"{name}\n[{unit}]", amplitudes)] if amplitudes else []
-    if spectra:
-        caption = spectrum_caption("Measured and simulated signals")
-        yield Plot(
-            "measured-spectra",
-            "Spectra of measured signals",
-            caption,
-            tuple(spectra),
-            "frequency [Hz]",
-            90.0 + 100.0 * len(spectra),
+        compared = [(run.name, measured.differences[run.name].get(name)) for run in runs]
+        coloured = [
+            (run, each, PALETTE[i % len(PALETTE)]) for i, (run, each) in enumerate(compared) if each is not None
+        ]
+        if not coloured:
+            continue
+        first = coloured[0][1]
+        lines = [(first.time, first.measured, measured.name, INK)]
+        lines += [(each.time, each.simulated, run, colour) for run, each, colour in coloured]
+        differing = [curve(each.time, each.values, run, colour) for run, each, colour in coloured]
+        panels = (
+            Panel(label=f"{name}\n[{unit}]", curves=[curve(*line) for line in lines]),
+            Panel(label=f"difference\n[{unit}]", curves=differing),
         )
-
-
-def _colours(count: int) -> list[str]:
-    return [PALETTE[i % len(PALETTE)] for i in range(count)]
-
-
-def _curve(x: RealArray, y: RealArray, label: str, colour: str, most: int) -> Curve:
-    chosen = thinned(y, min(most, MOST_POINTS))
-    return Curve(x[chosen], y[chosen], label, colour)
-
-
-def _spectrum(time: RealArray, values: RealArray, label: str, colour: str, most: int) -> list[Curve]:
-    """Return the spectrum of a signal; nothing where it is too short."""
-    found = spectrum(time, values, float(time[0]))
-    return [] if found is None else [_curve(*found, label, colour, most)]
+        text = f"{measured.name}, {delay_text(measured.delay)}, and simulated."
+        yield Plot(f"measured-{number}", name, text, panels, height=260.0)
+        # nothing where a signal is too short
+        found = [(spectrum(time, values, float(time[0])), *rest) for time, values, *rest in lines]
+        amplitudes = [curve(*each, *rest) for each, *rest in found if each is not None]
+        spectra += [spectrum_panel(f"{name}\n[{unit}]", amplitudes)] if amplitudes else []
+    if spectra:
+        title, text = "Spectra of measured signals", spectrum_caption("Measured and simulated signals")
+        height = 90.0 + 100.0 * len(spectra)
+        yield Plot("measured-spectra", title, text, tuple(spectra), "frequency [Hz]", height)

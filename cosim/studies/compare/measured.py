@@ -1,4 +1,11 @@
-"""Measured signals from a log: a CSV file with a header, whose columns are given the names and units of simulated signals."""
+"""Measured signals: read from a log, a CSV file with a header, whose columns are given the names and units of simulated signals; their
+delay to the simulation, and what differs once it is removed.
+
+The delay is the lag of the largest cross-correlation of all signals together, each without its mean and in units of its standard
+deviation (C. Knapp, G. Carter, The generalized correlation method for estimation of time delay, IEEE Trans. ASSP 24, 1976). Around
+it the sum of the squared differences is minimised over a continuous delay, which is the maximum-likelihood estimate for white noise
+and resolves far less than a sample.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +13,7 @@ import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Union
 
@@ -15,6 +22,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import UNITS
+from flexfmu.cosim.engine.slave import RealArray
 
 if TYPE_CHECKING:
     import pandas
@@ -134,42 +142,29 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     separator = max(",;\t", key=lines[0].count)
     header, *rows = csv.reader(lines, delimiter=separator)
     # a second line of units
-    own = [cell.strip().strip("[]") for cell in rows[0]] if not any(map(_is_number, rows[0])) else []
-    rows = rows[1:] if own else rows
+    has_units = all(math.isnan(_number_in(cell.replace(",", "."))) for cell in rows[0])
+    own = [cell.strip().strip("[]") for cell in rows.pop(0)] if has_units else []
     names, units = list[str](), dict[str, str]()
     for i, cell in enumerate(header):
-        found = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", cell.strip())
         # brackets with a number belong to the name: link11.bending[1]
-        name, unit = (
-            found.groups()
-            if found and not found[2].strip().isdigit()
-            else (cell.strip(), own[i] if i < len(own) else "")
-        )
-        name = name.replace(";", ",")  # as `Recording.write_csv` has it
-        names.append(name)
-        units[name] = unit.strip()
-    values = [_numbers(path, names, number, row, separator) for number, row in enumerate(rows, start=1)]
+        found = re.fullmatch(r"(.*?)\s*[\[(](?!\s*\d+\s*[\])])([^\])]*)[\])]\s*", cell.strip())
+        name, unit = found.groups() if found else (cell.strip(), own[i] if i < len(own) else "")
+        names.append(name.replace(";", ","))  # as `Recording.write_csv` has it
+        units[names[-1]] = unit.strip()
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(header):
+            raise ResultsError(f"{path}, row {number}: {len(row)} cells for the {len(header)} columns of the header")
+    # NaN for empty cells and texts
+    values = [[_number_in(cell if separator == "," else cell.replace(",", ".")) for cell in row] for row in rows]
     return dict(zip(names, np.array(values, dtype=np.float64).T, strict=True)), units
 
 
-def _is_number(cell: str) -> bool:
+def _number_in(cell: str) -> float:
+    """The number in a cell, NaN for none."""
     try:
-        float(cell.replace(",", "."))
+        return float(cell)
     except ValueError:
-        return False
-    return True
-
-
-def _numbers(path: Path, names: Sequence[str], number: int, row: Sequence[str], separator: str) -> list[float]:
-    """Return a row's numbers; NaN for empty cells and texts.
-
-    Raises:
-        ResultsError: the row has another number of cells than the header.
-    """
-    if len(row) != len(names):
-        raise ResultsError(f"{path}, row {number}: {len(row)} cells for the {len(names)} columns of the header")
-    cells = row if separator == "," else [cell.replace(",", ".") for cell in row]
-    return [float(cell) if _is_number(cell) else math.nan for cell in cells]
+        return math.nan
 
 
 def _meaning(
@@ -223,3 +218,241 @@ def _converted(table: Mapping[str, np.ndarray], units: Mapping[str, str], name: 
             )
         factor = UNITS[unit][1] if unit else 1.0
     return np.asarray(factor * table[name] + each.offset, dtype=np.float64)
+
+
+MOST = 1 << 21
+"""Largest number of equally spaced samples of a signal that is correlated."""
+
+LEAST = 8
+"""Smallest number of common samples."""
+
+REFINED, PARTS = 0.05, 20
+"""Interval around the correlation's peak that is searched again, relative to the simulation's length; its parts at each level."""
+
+
+@dataclass(frozen=True)
+class TimedValues:
+    """A signal at instants.
+
+    Attributes:
+        time: (N,) instants [s], not decreasing.
+        values: (N,) finite values.
+    """
+
+    time: RealArray = field(repr=False)
+    values: RealArray = field(repr=False)
+
+    def at(self, time: RealArray) -> RealArray:
+        """Return the values at other instants, interpolated linearly."""
+        return np.interp(time, self.time, self.values)
+
+
+Pair = tuple[TimedValues, TimedValues]
+"""A measured signal, and the simulated one that it belongs to."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """Time of an event in the measurement minus its time in the simulation.
+
+    Attributes:
+        seconds: the delay [s].
+        error: its standard error [s] from the differences that remain, be they correlated in time or not; it doesn't contain a
+            shift that a wrong model causes. 0 for a delay that was given.
+        correlation: correlation coefficient of all signals after alignment, -1 to 1.
+    """
+
+    seconds: float
+    error: float
+    correlation: float
+
+
+@dataclass(frozen=True, repr=False)
+class Difference:
+    """Measured minus simulated signal, over the time that both have.
+
+    Attributes:
+        time: (N,) instants of the measurement in the simulation's time [s].
+        measured, simulated: (N,) values.
+    """
+
+    time: RealArray
+    measured: RealArray
+    simulated: RealArray
+
+    def __repr__(self) -> str:
+        """Return a line with RMS, mean and largest magnitude."""
+        figures = f"{self.root_mean_square:.6g} RMS, {self.mean:.6g} mean, {self.largest:.6g} largest"
+        return f"Difference at {self.time.size} instants: {figures}"
+
+    @property
+    def values(self) -> RealArray:
+        """Measured minus simulated values (N,)."""
+        return self.measured - self.simulated
+
+    @property
+    def root_mean_square(self) -> float:
+        """Root mean square over time of the difference, by the trapezoidal rule."""
+        return float(np.sqrt(self._mean(self.values**2)))
+
+    @property
+    def mean(self) -> float:
+        """Mean over time of the difference."""
+        return self._mean(self.values)
+
+    @property
+    def largest(self) -> float:
+        """Largest magnitude of the difference."""
+        return float(np.abs(self.values).max())
+
+    @property
+    def relative(self) -> float | None:
+        """Root mean square relative to the range of the measured values; None for a constant."""
+        span = float(np.ptp(self.measured))
+        return self.root_mean_square / span if span else None
+
+    def _mean(self, values: RealArray) -> float:
+        steps = np.diff(self.time)
+        return float(0.5 * (values[1:] + values[:-1]) @ steps / steps.sum())
+
+
+def difference(measured: TimedValues, simulated: TimedValues, delay: float) -> Difference:
+    """Return the difference of signals at the measured instants that the simulation covers.
+
+    Raises:
+        InputError: there are fewer than `LEAST` of them.
+    """
+    time = measured.time - delay
+    inside = (time >= simulated.time[0]) & (time <= simulated.time[-1])
+    if np.count_nonzero(inside) < LEAST:
+        raise InputError(
+            f"measurement and simulation overlap in {np.count_nonzero(inside)} samples only: with a delay of {delay:g} s the "
+            f"measurement goes from {time[0]:g} to {time[-1]:g} s of the simulation, which goes from {simulated.time[0]:g} to "
+            f"{simulated.time[-1]:g} s; check the delay and the unit of the time"
+        )
+    return Difference(time[inside], measured.values[inside], simulated.at(time[inside]))
+
+
+def estimate_delay(pairs: Sequence[Pair]) -> Delay:
+    """Return the delay of measured signals, from all of them together.
+
+    Args:
+        pairs: at least one; signals of which one side is constant are ignored.
+
+    Raises:
+        InputError: no signal changes in both, or measurement and simulation hardly overlap.
+    """
+    moving = [pair for pair in pairs if all(np.ptp(each.values) > 0.0 and np.ptp(each.time) > 0.0 for each in pair)]
+    if not moving:
+        raise InputError("the delay can't be estimated: no signal changes in both measurement and simulation; give it")
+    centre, step = _correlated(moving)
+    length = min(float(np.ptp(simulated.time)) for _, simulated in moving)
+    # ever narrower intervals around the least difference, as long as a part is longer than a sample
+    sample = min(float(np.ptp(measured.time)) / measured.time.size for measured, _ in moving)
+    width = max(REFINED * length, 2.0 * step)
+    while width > sample:
+        lags = centre + np.linspace(-width, width, 2 * PARTS + 1)
+        costs = _Cost(moving, centre, width)
+        centre = float(min(lags, key=costs))
+        width *= 2.0 / PARTS
+    # then over a continuous delay
+    from scipy.optimize import minimize_scalar
+
+    cost = _Cost(moving, centre, sample)
+    bounds = centre - sample, centre + sample
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6 * sample})
+    seconds = float(found.x)
+    return Delay(seconds, cost.standard_error(seconds), correlation(moving, seconds))
+
+
+def correlation(pairs: Sequence[Pair], delay: float) -> float:
+    """Return the correlation coefficient of signals, each without its mean and in units of its own size, after alignment."""
+    products = squares = others = 0.0
+    for measured, simulated in pairs:
+        found = difference(measured, simulated, delay)
+        one, other = (each - each.mean() for each in (found.measured, found.simulated))
+        weight = 1.0 / max(float(other @ other), np.finfo(float).tiny)
+        products, squares = products + weight * float(one @ other), squares + weight * float(one @ one)
+        others += weight * float(other @ other)
+    return products / np.sqrt(squares * others) if squares * others > 0.0 else 0.0
+
+
+def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
+    """Return the lag of the largest cross-correlation and its resolution [s]."""
+    start, end = (min(float(pair[side].time[0]) for pair in pairs) for side in (0, 1))
+    spans = [float(np.ptp(each.time)) for pair in pairs for each in pair]
+    steps = [float(np.median(taken[taken > 0.0])) for measured, _ in pairs for taken in [np.diff(measured.time)]]
+    step = max(min(steps), max(spans) / MOST)
+    series = [
+        [_standardised(each, begin, step) for each, begin in zip(pair, (start, end), strict=True)] for pair in pairs
+    ]
+    # by fast Fourier transforms with zeros appended, so that nothing wraps around
+    count = max(one.size for one, _ in series), max(other.size for _, other in series)
+    length = 1 << (sum(count) - 1).bit_length()
+    product = sum(np.fft.rfft(one, length) * np.fft.rfft(other, length).conj() for one, other in series)
+    total = np.fft.irfft(product, length)
+    lag = int(np.argmax(total))
+    return float(start - end + step * (lag if lag < count[0] else lag - length)), step
+
+
+def _standardised(signal: TimedValues, begin: float, step: float) -> RealArray:
+    """Return a signal at equal steps from a time on, without its mean and in units of its standard deviation."""
+    grid = begin + step * np.arange(int((signal.time[-1] - begin) / step) + 1, dtype=np.float64)
+    values = signal.at(grid)
+    spread = float(values.std())
+    return np.asarray((values - values.mean()) / (spread or 1.0))
+
+
+class _Cost:
+    """Sum of the squared differences without their means over the delay, at those samples that all delays of an interval share.
+
+    Args:
+        pairs: the signals.
+        centre, width: delays from centre - width to centre + width [s].
+
+    Raises:
+        InputError: there are fewer than `LEAST` such samples.
+    """
+
+    def __init__(self, pairs: Sequence[Pair], centre: float, width: float) -> None:
+        self._pairs: list[Pair] = []
+        for measured, simulated in pairs:
+            inside = measured.time - centre - width >= simulated.time[0]
+            inside &= measured.time - centre + width <= simulated.time[-1]
+            if np.count_nonzero(inside) < LEAST:
+                difference(measured, simulated, centre)  # its error has the figures
+                raise InputError("measurement and simulation hardly overlap where they agree best; give the delay")
+            self._pairs.append((TimedValues(measured.time[inside], measured.values[inside]), simulated))
+        self._weights = [1.0 / float(simulated.values.var()) for _, simulated in self._pairs]
+
+    def __call__(self, delay: float) -> float:
+        """Return the sum of the squared differences, each signal in units of its standard deviation."""
+        parts = (
+            weight * (measured.values - simulated.at(measured.time - delay)).var() * measured.time.size
+            for weight, (measured, simulated) in zip(self._weights, self._pairs, strict=True)
+        )
+        return float(sum(parts))
+
+    def standard_error(self, delay: float) -> float:
+        """Return the standard error of the delay [s] that follows from the differences and the signals' slopes."""
+        information = noise = 0.0
+        for weight, (measured, simulated) in zip(self._weights, self._pairs, strict=True):
+            shift = 0.5 * float(np.ptp(measured.time)) / measured.time.size
+            ends = (simulated.at(measured.time - delay + side * shift) for side in (1.0, -1.0))
+            slope = np.subtract(*ends) / (2.0 * shift)
+            slope -= slope.mean()
+            remaining = measured.values - simulated.at(measured.time - delay)
+            information += weight * float(slope @ slope)
+            noise += weight**2 * _variance_of_sum(slope * (remaining - remaining.mean()))
+        return float(np.sqrt(noise) / information) if information else float("inf")
+
+
+def _variance_of_sum(terms: RealArray) -> float:
+    """Return the variance of a sum of terms (N,) of mean zero that are correlated over at most the root of N of them, not negatively.
+
+    W. Newey, K. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix,
+    Econometrica 55, 1987.
+    """
+    most = int(np.sqrt(terms.size))
+    lags = (2.0 * (1.0 - lag / (most + 1.0)) * float(terms[lag:] @ terms[:-lag]) for lag in range(1, most + 1))
+    return float(terms @ terms) + max(sum(lags), 0.0)

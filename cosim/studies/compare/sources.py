@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, count
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -71,12 +72,8 @@ def compared_runs(
     found = list[ComparedRun]()
     for each in chosen:
         run = _simulated(each, show, payload_band) if isinstance(each, Scene) else each
-        names = [other.name for other in found]
-        number, name = 1, run.name
-        while name in names:
-            number += 1
-            name = f"{run.name} ({number})"
-        found.append(replace(run, name=name))
+        names = chain([run.name], (f"{run.name} ({number})" for number in count(2)))
+        found.append(replace(run, name=next(name for name in names if name not in {each.name for each in found})))
     failed = [run for run in found if run.failure and not run.metrics]
     if len(failed) == len(found):
         raise ResultsError(f"{failed[0].name} can't be compared, since its run failed: {failed[0].failure}")
@@ -128,14 +125,12 @@ def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
     if not isinstance(source, Scene):
         path = Path(source)
         if path.is_dir():
-            file = next(
-                (path / f"results{suffix}" for suffix in READABLE if (path / f"results{suffix}").is_file()), None
-            )
-            if file is None:
+            there = [file for suffix in READABLE if (file := path / f"results{suffix}").is_file()]
+            if not there:
                 raise InputError(
                     f"{path} has no results.csv, results.parquet or results.mat; write them with flexfmu run --out {path}"
                 )
-            return _read(file, path.resolve().name)
+            return _read(there[0], path.resolve().name)
         if path.suffix in READABLE and path.is_file():
             return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem)
         source = load_scene(source)
@@ -200,7 +195,12 @@ def _measured(run: Run) -> ComparedRun:
 
 def _read(file: Path, name: str) -> ComparedRun:
     """Return the run of a file, with metrics and units from ``summary.json`` beside it, if there is one."""
-    recording, summary = Recording.read(file), _summary(file.with_name("summary.json"))
+    recording, path = Recording.read(file), file.with_name("summary.json")
+    summary: Mapping[str, Any] = {}
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"can't read {path}: {error}") from error
     units: Mapping[str, str] = summary.get("units", {})
     if any(name in units for name in recording.columns):
         columns = {
@@ -217,14 +217,3 @@ def _read(file: Path, name: str) -> ComparedRun:
     stop, scene = summary.get("health", {}).get("stop_time"), summary.get("scene", {})
     duration = None if stop is None or "trajectory" not in scene else stop - scene["trajectory"].get("dwell", 0.0)
     return ComparedRun(name, recording, metrics, duration)
-
-
-def _summary(path: Path) -> Mapping[str, Any]:
-    """Return the content of ``summary.json``; empty if there is none."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"can't read {path}: {error}") from error
-    return found if isinstance(found, dict) else {}

@@ -107,10 +107,6 @@ class InitialValueProblem:
     position: casadi.Function
     start: RealArray
 
-    def bound(self, piece: RealArray) -> BoundFunction:
-        """The rate on one piece."""
-        return BoundFunction(self.rate, piece)
-
     def bound_jacobian(self, piece: RealArray) -> Callable[[float, RealArray], RealArray]:
         """(t, z) → exact Jacobian of the rate (2 n, 2 n) on one piece."""
         flat, shape = BoundFunction(self.jacobian, piece, output=1), (2 * self.n, 2 * self.n)

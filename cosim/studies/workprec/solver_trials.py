@@ -10,6 +10,7 @@ Differential Equations II, sec. IV.8; DOP853: the same, I, sec. II.5); SUNDIALS:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Literal
 
 import casadi
@@ -36,14 +37,12 @@ from flexfmu.cosim.studies.workprec.equations import (
 )
 from flexfmu.cosim.studies.workprec.trial import (
     SAMPLING,
-    Announce,
     RunError,
     SceneUnderTest,
     WorkCurve,
     WorkPrecisionTrial,
     completed,
     sweep,
-    trial_of,
 )
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
@@ -62,27 +61,33 @@ ABSOLUTE = 1e-4
 of this size bend."""
 
 
-def scipy_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def scipy_trials(subject: SceneUnderTest, ours: WorkCurve) -> Iterator[WorkPrecisionTrial]:
     """SciPy's solvers with the exact Jacobian, restarted at every breakpoint, positions at the instants of comparison."""
-    system, parts = system_of(subject)
     for method in SCIPY:
 
-        def trial(tolerance: float, method: ScipyMethod = method) -> WorkPrecisionTrial:
-            announce(f"SciPy {method}, tolerance {tolerance:.0e}")
-            run = scipy_run(subject, system, parts, method, tolerance)
-            return solver_trial(subject, f"SciPy {method}", f"{tolerance:.0e}", run)
+        def run(tolerance: float, method: ScipyMethod = method) -> Callable[[], RealArray]:
+            return scipy_run(subject, *system_of(subject), method, tolerance)
 
-        yield from sweep(TOLERANCES, trial, ours)
+        yield from _solver_trials(subject, ours, f"SciPy {method}", run)
 
 
-def sundials_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def sundials_trials(subject: SceneUnderTest, ours: WorkCurve) -> Iterator[WorkPrecisionTrial]:
     """CVODES through CasADi, rate and exact Jacobian compiled, restarted at every breakpoint."""
-    system, parts = system_of(subject)
+    yield from _solver_trials(subject, ours, "CasADi cvodes", partial(_sundials_run, subject))
+
+
+def _solver_trials(
+    subject: SceneUnderTest, ours: WorkCurve, line: str, run: Callable[[float], Callable[[], RealArray]]
+) -> Iterator[WorkPrecisionTrial]:
+    """Trials of a solver over tolerances, whose ``run`` gives (N, 2) positions at the instants of comparison."""
 
     def trial(tolerance: float) -> WorkPrecisionTrial:
-        announce(f"CasADi cvodes, tolerance {tolerance:.0e}")
-        run = _sundials(subject, system, parts, "cvodes", tolerance)
-        return solver_trial(subject, "CasADi cvodes", f"{tolerance:.0e}", run)
+        simulate = run(tolerance)
+
+        def measure() -> tuple[float, float, str]:
+            return subject.error(simulate()), fastest(simulate), ""
+
+        return subject.trial("tools", line, f"{tolerance:.0e}", measure, RuntimeError, ValueError)
 
     yield from sweep(TOLERANCES, trial, ours)
 
@@ -91,11 +96,6 @@ def system_of(subject: SceneUnderTest) -> tuple[InitialValueProblem, tuple[Motio
     """Equations and motion of a motion-driven scene."""
     q1, q2 = subject.motion.joints.evaluate(0.0, 0)[0, 0]
     return equations(subject.scene, (float(q1), float(q2))), motion_polynomials(subject.motion.joints, subject.stop)
-
-
-def solver_trial(subject: SceneUnderTest, line: str, label: str, run: Callable[[], RealArray]) -> WorkPrecisionTrial:
-    """One run of a solver: (N, 2) positions at the instants of comparison."""
-    return trial_of("tools", line, label, lambda: (subject.error(run()), fastest(run), ""), RuntimeError, ValueError)
 
 
 def independent_reference(subject: SceneUnderTest, tolerance: float = 1e-11) -> RealArray:
@@ -166,33 +166,56 @@ def scipy_run(
         tolerance: relative tolerance.
         exact_jacobian: False for SciPy's own finite differences.
     """
+    jacobian = system.bound_jacobian if exact_jacobian and method in IMPLICIT else None
+
+    def position(piece: RealArray) -> BoundFunction:
+        return BoundFunction(system.position, piece)
+
+    return _scipy_over_pieces(subject, parts, system.start, (system.rate, jacobian, position), method, tolerance)
+
+
+ByPiece = Callable[[RealArray], Callable[[float, RealArray], RealArray]]
+"""Numbers of a piece → function of time and state."""
+
+
+def _scipy_over_pieces(
+    subject: SceneUnderTest,
+    parts: tuple[MotionPolynomial, ...],
+    start: RealArray,
+    functions: tuple[casadi.Function, ByPiece | None, ByPiece],
+    method: ScipyMethod,
+    tolerance: float,
+) -> Callable[[], RealArray]:
+    """A run from ``start``; ``functions`` are the rate, its Jacobian, if known, and what is wanted at the instants of comparison."""
+    rate, jacobian, observe = functions
     # functions of each piece, bound once
-    rates = [system.bound(piece.numbers) for piece in parts]
-    has_jacobian = exact_jacobian and method in IMPLICIT
-    extra: list[dict[str, Any]] = [
-        {"jac": system.bound_jacobian(piece.numbers)} if has_jacobian else {} for piece in parts
+    pieces = [
+        (
+            piece,
+            compared(subject, piece),
+            BoundFunction(rate, piece.numbers),
+            observe(piece.numbers),
+            {} if jacobian is None else {"jac": jacobian(piece.numbers)},
+        )
+        for piece in parts
     ]
-    positions = [BoundFunction(system.position, piece.numbers) for piece in parts]
 
     def run() -> RealArray:
-        state, found = system.start, []
+        state, found = start, []
         # the solver starts anew at each piece, where derivatives of the motion jump
-        for piece, rate, position, options in zip(parts, rates, positions, extra, strict=True):
-            span, instants = (piece.begin, piece.end), compared(subject, piece)
-            states, state = solve_piece(rate, span, state, instants, method, tolerance, ABSOLUTE * tolerance, **options)
-            found += [position(t, z) for t, z in zip(instants, states, strict=True)]
+        for piece, instants, rate, observed, options in pieces:
+            span, absolute = (piece.begin, piece.end), ABSOLUTE * tolerance
+            # SciPy's finite difference by a coordinate without influence grows without bound
+            with np.errstate(over="ignore"):
+                states, state = solve_piece(rate, span, state, instants, method, tolerance, absolute, **options)
+            found += [observed(t, z) for t, z in zip(instants, states, strict=True)]
         return np.array(found)
 
     return run
 
 
-def _sundials(
-    subject: SceneUnderTest,
-    system: InitialValueProblem,
-    parts: tuple[MotionPolynomial, ...],
-    plugin: str,
-    tolerance: float,
-) -> Callable[[], RealArray]:
+def _sundials_run(subject: SceneUnderTest, tolerance: float) -> Callable[[], RealArray]:
+    system, parts = system_of(subject)
     t, z, p = casadi.MX.sym("t"), casadi.MX.sym("z", 2 * system.n), casadi.MX.sym("p", NUMBERS)
     problem = {"t": t, "x": z, "p": p, "ode": system.rate(t, z, p)}
     options = {"reltol": tolerance, "abstol": ABSOLUTE * tolerance, "max_num_steps": 1_000_000}
@@ -200,9 +223,8 @@ def _sundials(
     solvers = []
     for piece in parts:
         instants = compared(subject, piece)
-        solver = casadi.integrator("run", plugin, problem, piece.begin, ends(instants, piece.end).tolist(), options)
-        position = BoundFunction(system.position, piece.numbers)
-        solvers.append((piece.numbers, instants, solver, position))
+        solver = casadi.integrator("run", "cvodes", problem, piece.begin, ends(instants, piece.end).tolist(), options)
+        solvers.append((piece.numbers, instants, solver, BoundFunction(system.position, piece.numbers)))
 
     def run() -> RealArray:
         state, found = system.start, []
@@ -222,20 +244,33 @@ RATES = {"index 1": 0.0, "index 1, Baumgarte 100/s": 100.0}
 """Line → rate of the stabilisation [1/s]."""
 
 
-def formulation_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[WorkPrecisionTrial]:
-    """SciPy's Radau on every formulation; notes have the largest violation of the constraints."""
+def formulation_trials(subject: SceneUnderTest) -> Iterator[WorkPrecisionTrial]:
+    """SciPy's Radau on every formulation, without exact Jacobians; notes have the largest violation of the constraints."""
     system, parts = system_of(subject)
     for tolerance in FORMULATION_TOLERANCES:
-        announce(f"minimal coordinates, {SOLVER}, tolerance {tolerance:.0e}")
-        run = scipy_run(subject, system, parts, SOLVER, tolerance, exact_jacobian=False)  # nor have the others one
-        found = subject.error(run()), fastest(run), "no constraints"
-        yield WorkPrecisionTrial("formulations", "minimal coordinates", f"{tolerance:.0e}", *found)
+        run = scipy_run(subject, system, parts, SOLVER, tolerance, exact_jacobian=False)
+
+        def minimal(run: Callable[[], RealArray] = run) -> tuple[float, float, str]:
+            return subject.error(run()), fastest(run), "no constraints"
+
+        yield subject.trial("formulations", "minimal coordinates", f"{tolerance:.0e}", minimal)
+    # all coordinates: from static equilibrium, or undeformed, with the passive ones that assemble the mechanism
     model = constrained_model(subject.scene)
+    size, joints = 10 + model.n, subject.motion.joints.evaluate(0.0, 0)[0, 0]
+    assembled = model.assembled(joints, system.start[: model.n], np.zeros(2), np.zeros(model.n))
+    start = np.concatenate([part.full().ravel() for part in assembled])
     for line, rate in RATES.items():
-        function = compile_function(index_one(model, rate))
+        functions = compile_function(index_one(model, rate)), None, lambda piece: lambda t, z: z
         for tolerance in FORMULATION_TOLERANCES:
-            announce(f"{line}, {SOLVER}, tolerance {tolerance:.0e}")
-            yield _index_one_trial(subject, model, function, parts, line, tolerance)
+            run = _scipy_over_pieces(subject, parts, start, functions, SOLVER, tolerance)
+
+            def index_1(run: Callable[[], RealArray] = run) -> tuple[float, float, str]:
+                states = run()
+                violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
+                note = f"constraints violated by up to {violation:.1e} m"
+                return subject.error(states[:, size - 2 : size]), fastest(run), note
+
+            yield subject.trial("formulations", line, f"{tolerance:.0e}", index_1, ValueError)
 
 
 def index_one(model: ConstrainedModel, rate: float) -> casadi.Function:
@@ -255,41 +290,6 @@ def index_one(model: ConstrainedModel, rate: float) -> casadi.Function:
     return casadi.Function("index_one", [t, z, piece], [casadi.densify(casadi.vertcat(v, acceleration))])
 
 
-def _index_one_trial(
-    subject: SceneUnderTest,
-    model: ConstrainedModel,
-    function: casadi.Function,
-    parts: tuple[MotionPolynomial, ...],
-    line: str,
-    tolerance: float,
-) -> WorkPrecisionTrial:
-    """A run of all coordinates with multipliers, its error, and by how much it violates the constraints."""
-    # start in static equilibrium, or undeformed, with the passive coordinates that assemble the mechanism
-    rates = [BoundFunction(function, piece.numbers) for piece in parts]
-    joints = subject.motion.joints.evaluate(0.0, 0)[0, 0]
-    elastic, still = system_of(subject)[0].start[: model.n], np.zeros(model.n)
-    start = np.concatenate([part.full().ravel() for part in model.assembled(joints, elastic, np.zeros(2), still)])
-
-    def run() -> RealArray:
-        """(N, 2 (10 + n)) states at the instants of comparison."""
-        state, found = start, []
-        for piece, rate in zip(parts, rates, strict=True):
-            span, instants = (piece.begin, piece.end), compared(subject, piece)
-            # SciPy's finite difference by a coordinate without influence grows without bound
-            with np.errstate(over="ignore"):
-                states, state = solve_piece(rate, span, state, instants, SOLVER, tolerance, ABSOLUTE * tolerance)
-            found.append(states)
-        return np.concatenate(found)
-
-    def measure() -> tuple[float, float, str]:
-        states, size = run(), 10 + model.n
-        violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
-        note = f"constraints violated by up to {violation:.1e} m"
-        return subject.error(states[:, size - 2 : size]), fastest(run), note
-
-    return trial_of("formulations", line, f"{tolerance:.0e}", measure, ValueError)
-
-
 CVODE_SETTINGS = ((1e-3, 1e-4), (1e-3, 1e-5), (2.5e-4, 1e-5), (2.5e-4, 1e-6), (1e-4, 1e-6), (1e-4, 1e-7), (5e-5, 1e-8))
 """Output intervals [s] and relative tolerances. Inputs are constant over an interval, so that a smaller tolerance reduces the error
 only with a shorter interval."""
@@ -303,7 +303,7 @@ PAPER_SHARE = 50
 """Ratio of the whole time to the part simulated at 10 MHz; a whole run would take a minute."""
 
 
-def model_exchange_trials(subject: SceneUnderTest, ours: WorkCurve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def model_exchange_trials(subject: SceneUnderTest, ours: WorkCurve) -> Iterator[WorkPrecisionTrial]:
     """fmpy integrates the FMU with CVODE; the references are a table of values, as fmpy takes no derivatives.
 
     The trial measures fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
@@ -330,7 +330,6 @@ def model_exchange_trials(subject: SceneUnderTest, ours: WorkCurve, announce: An
     def trial(setting: tuple[float, float]) -> WorkPrecisionTrial:
         interval, tolerance = setting
         label = f"{1e3 * interval:g} ms, {tolerance:.0e}"
-        announce(f"fmpy, CVODE, {label}")
         chosen = {"output_interval": interval, "relative_tolerance": tolerance, "input": input_table(subject, interval)}
 
         def run() -> Any:
@@ -342,7 +341,7 @@ def model_exchange_trials(subject: SceneUnderTest, ours: WorkCurve, announce: An
             positions = np.stack([np.interp(subject.instants, result["time"], each) for each in columns], axis=1)
             return subject.error(positions), fastest(run), "inputs held over the output interval"
 
-        return trial_of("tools", "fmpy, CVODE", label, measure, Exception)
+        return subject.trial("tools", "fmpy, CVODE", label, measure, Exception)
 
     yield from sweep(CVODE_SETTINGS, trial, ours)
 
@@ -360,9 +359,8 @@ def input_table(subject: SceneUnderTest, spacing: float) -> Any:
     return table
 
 
-def paper_trial(subject: SceneUnderTest, announce: Announce) -> WorkPrecisionTrial:
+def paper_trial(subject: SceneUnderTest) -> WorkPrecisionTrial:
     """The classical Runge-Kutta method at 10 MHz over the beginning of the motion, its time scaled up."""
-    announce(PAPER_LINE)
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": PAPER_STEP}
     # the beginning alone, a whole number of sample instants
     share = SAMPLING * max(1, round(subject.stop / SAMPLING / PAPER_SHARE))
@@ -374,4 +372,4 @@ def paper_trial(subject: SceneUnderTest, announce: Announce) -> WorkPrecisionTri
         note = f"simulated to {1e3 * share:.0f} ms, the time multiplied by {subject.stop / share:.0f}"
         return error, fastest(prepared.run) * subject.stop / share, note
 
-    return trial_of("tools", PAPER_LINE, "0.1 µs", measure)
+    return subject.trial("tools", PAPER_LINE, "0.1 µs", measure)

@@ -23,10 +23,11 @@ from flexfmu.cosim.studies.workprec.trial import (
     SceneUnderTest,
     WorkCurve,
     WorkPrecisionTrial,
-    algorithm_trials,
-    coupling_trials,
+    algorithm_settings,
+    coupling_settings,
     effect_trials,
-    integrator_trials,
+    fmu_trials,
+    integrator_settings,
     subject_of,
 )
 from flexfmu.model.scene.schema import Scene
@@ -70,7 +71,7 @@ FAMILIES = ("integrators", "communication", "algorithms", "effects", "formulatio
 """Questions that can be asked, in this order."""
 
 
-Peer = Callable[[SceneUnderTest, WorkCurve, Announce], Iterator[WorkPrecisionTrial]]
+Peer = Callable[[SceneUnderTest, WorkCurve], Iterator[WorkPrecisionTrial]]
 """Trials of another program, as far as they compare with the curve of our best settings."""
 
 
@@ -90,7 +91,7 @@ def run_study(
         RunError: the reference can't be calculated.
         TrajectoryError, InputError, BuildError: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
     """
-    subject = subject_of(scene)
+    subject = subject_of(scene, announce)
     # the reference, compared with one that shares neither integrator nor master where the scene has one
     announce("reference")
     _ = subject.reference
@@ -99,50 +100,34 @@ def run_study(
         announce("second reference")
         agreement = subject.error(solver_trials.independent_reference(subject))
         references += "; SciPy's DOP853 at 1e-11"
-    # families in their order, since later ones use the trials of earlier ones
+    # families in their order, since later ones use the trials of earlier ones; some need one smooth equation
+    has_equations = is_differential_equation(scene)
     trials: list[WorkPrecisionTrial] = []
-    makers = _makers(subject, step, announce, trials, peers)
     for name in (each for each in FAMILIES if each in families):
-        trials += makers[name]()
+        if name == "integrators":
+            trials += fmu_trials(subject, name, integrator_settings(step))
+        elif name == "communication" and has_equations:
+            trials += fmu_trials(subject, name, coupling_settings())
+        elif name == "algorithms" and scene.controller:
+            trials += fmu_trials(subject, name, algorithm_settings(scene))
+        elif name == "effects":
+            trials += effect_trials(subject, step, LADDER_TOLERANCE)
+        elif name == "formulations" and has_equations:
+            trials += solver_trials.formulation_trials(subject)
+        elif name == "tools" and has_equations:
+            # our best settings stand among the tools, measured with the integrators or here
+            settings = (each for each in integrator_settings(step) if each[0] == "automatic")
+            measured = [each for each in trials if each.family == "integrators"]
+            ours = WorkCurve.of(measured or fmu_trials(subject, "integrators", settings))
+            trials += (replace(each, family=name, line=OURS, label=f"{each.line} {each.label}") for each in ours.trials)
+            # the same equations in other solvers, the same FMU in fmpy, the paper's setting, and other programs
+            trials += solver_trials.scipy_trials(subject, ours)
+            trials += solver_trials.sundials_trials(subject, ours)
+            trials += solver_trials.model_exchange_trials(subject, ours)
+            trials.append(solver_trials.paper_trial(subject))
+            for peer in peers:
+                trials += peer(subject, ours)
     return WorkPrecisionStudy(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
-
-
-def _makers(
-    subject: SceneUnderTest,
-    step: float,
-    announce: Announce,
-    known: Sequence[WorkPrecisionTrial],
-    peers: Sequence[Peer],
-) -> dict[str, Callable[[], Iterator[WorkPrecisionTrial]]]:
-    """Family → function that makes its trials; it may use those of the families before it."""
-    has_equations = is_differential_equation(subject.scene)
-
-    def nothing() -> Iterator[WorkPrecisionTrial]:
-        return iter(())
-
-    def tools() -> Iterator[WorkPrecisionTrial]:
-        # our best settings stand among the tools, measured with the integrators or here
-        measured = [each for each in known if each.family == "integrators"]
-        ours = WorkCurve.of(measured or integrator_trials(subject, step, announce, ("automatic",), ()))
-        for each in ours.trials:
-            yield replace(each, family="tools", line=OURS, label=f"{each.line} {each.label}")
-        # the same equations in other solvers
-        yield from solver_trials.scipy_trials(subject, ours, announce)
-        yield from solver_trials.sundials_trials(subject, ours, announce)
-        # the same FMU, the paper's setting, and other programs
-        yield from solver_trials.model_exchange_trials(subject, ours, announce)
-        yield solver_trials.paper_trial(subject, announce)
-        for peer in peers:
-            yield from peer(subject, ours, announce)
-
-    return {
-        "integrators": lambda: integrator_trials(subject, step, announce),
-        "communication": (lambda: coupling_trials(subject, announce)) if has_equations else nothing,
-        "algorithms": (lambda: algorithm_trials(subject, announce)) if subject.scene.controller else nothing,
-        "effects": (lambda: effect_trials(subject, step, LADDER_TOLERANCE, announce)),
-        "formulations": (lambda: solver_trials.formulation_trials(subject, announce)) if has_equations else nothing,
-        "tools": tools if has_equations else nothing,
-    }
 
 
 def is_differential_equation(scene: Scene) -> bool:
@@ -187,21 +172,11 @@ def sentence(study: WorkPrecisionStudy) -> str:
     return f"{text}; the cheapest setting for {ASKED[1]:.0e} is {cost}."
 
 
-@dataclass(frozen=True)
-class Advantage:
-    """Computing time of another tool relative to ours.
+def advantages(study: WorkPrecisionStudy) -> dict[str, tuple[float, float]]:
+    """Line of another tool → error, `COMPARED` or the nearest one that both have reached, and its processor time for it over ours.
 
-    Attributes:
-        error: error at which both are compared.
-        ratio: its time over ours, each interpolated on the curve of the best settings.
+    Times are interpolated on the curves of the best settings.
     """
-
-    error: float
-    ratio: float
-
-
-def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
-    """Line of another tool → what it takes for an error of `COMPARED`, or for the nearest one that it has reached."""
     tools = study.family("tools")
     # a curve of the best settings for each tool
     curves = {
@@ -215,7 +190,7 @@ def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
         error = min(max(COMPARED, curve.least, ours.least), curve.most)
         own, theirs = ours.time(error), curve.time(error)
         if own and theirs:
-            found[line] = Advantage(error, theirs / own)
+            found[line] = error, theirs / own
     return found
 
 
@@ -236,16 +211,8 @@ def row(study: WorkPrecisionStudy, trial: WorkPrecisionTrial) -> tuple[str, ...]
     """Cells of a trial's line."""
     if trial.error is None or trial.time is None:
         return (trial.family, trial.line, trial.label, "failed", "", "", trial.note)
-    factor = study.duration / trial.time
-    return (
-        trial.family,
-        trial.line,
-        trial.label,
-        f"{trial.error:.1e}",
-        f"{1e3 * trial.time:.1f}",
-        f"{factor:.3g}",
-        trial.note,
-    )
+    figures = f"{trial.error:.1e}", f"{1e3 * trial.time:.1f}", f"{study.duration / trial.time:.3g}"
+    return (trial.family, trial.line, trial.label, *figures, trial.note)
 
 
 def notes(study: WorkPrecisionStudy) -> list[str]:
@@ -254,8 +221,8 @@ def notes(study: WorkPrecisionStudy) -> list[str]:
     agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
     found.append(f"References: {study.references}{agreement}.")
     compared = advantages(study)
-    for error in sorted({each.error for each in compared.values()}):
-        ratios = [f"{line} {each.ratio:.0f} times" for line, each in compared.items() if each.error == error]
+    for error in sorted({error for error, _ in compared.values()}):
+        ratios = [f"{line} {ratio:.0f} times" for line, (at, ratio) in compared.items() if at == error]
         found.append(f"For an error of {error:.1e} other tools take longer than flexfmu: {', '.join(ratios)}.")
     return found
 
@@ -276,8 +243,8 @@ def data(study: WorkPrecisionStudy) -> dict[str, Any]:
         "references": study.references,
         "agreement": study.agreement,
         "sentence": sentence(study),
-        "advantages": {line: each.ratio for line, each in advantages(study).items()},
-        "advantage_errors": {line: each.error for line, each in advantages(study).items()},
+        "advantages": {line: ratio for line, (_, ratio) in advantages(study).items()},
+        "advantage_errors": {line: error for line, (error, _) in advantages(study).items()},
         "trials": [vars(trial) for trial in study.trials],
         "versions": versions(),
     }

@@ -6,7 +6,7 @@ ladder: what leaving effects out costs in accuracy, and saves in time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -31,6 +31,10 @@ REFERENCE_TOLERANCE = 1e-12
 REFERENCE_STEP = 2.5e-4
 
 
+Announce = Callable[[str], None]
+"""Function of a sentence on the current trial."""
+
+
 @dataclass(frozen=True, eq=False)
 class SceneUnderTest:
     """A scene under test.
@@ -38,10 +42,12 @@ class SceneUnderTest:
     Attributes:
         scene: the scene.
         motion: its planned motion.
+        announce: called with a sentence on each trial that begins.
     """
 
     scene: Scene
     motion: MotionPlan
+    announce: Announce = lambda text: None
 
     @property
     def stop(self) -> float:
@@ -81,10 +87,29 @@ class SceneUnderTest:
         distance = np.linalg.norm(positions - self.reference, axis=1)
         return float(np.nanmax(distance)) / self.scale
 
+    def trial(
+        self,
+        family: str,
+        line: str,
+        label: str,
+        measure: Callable[[], tuple[float, float | None, str]],
+        *failures: type[Exception],
+    ) -> WorkPrecisionTrial:
+        """One setting: error, processor time [s] and note as ``measure`` returns them, or why it failed.
 
-def subject_of(scene: Scene) -> SceneUnderTest:
+        ``failures`` are errors of other tools beside ours.
+        """
+        self.announce(f"{line}, {label}")
+        known: tuple[type[Exception], ...] = (CosimError, BuildError, *failures)
+        try:
+            return WorkPrecisionTrial(family, line, label, *measure())
+        except known as failure:
+            return WorkPrecisionTrial(family, line, label, None, None, " ".join(str(failure).split()))
+
+
+def subject_of(scene: Scene, announce: Announce = lambda text: None) -> SceneUnderTest:
     """A scene with its planned motion, shapers included."""
-    return SceneUnderTest(scene, loop_of(scene).motion)
+    return SceneUnderTest(scene, loop_of(scene).motion, announce)
 
 
 def completed(run: Run) -> Run:
@@ -135,24 +160,6 @@ class WorkPrecisionTrial:
     def failed(self) -> bool:
         """Whether there is no result."""
         return self.error is None
-
-
-def trial_of(
-    family: str,
-    line: str,
-    label: str,
-    measure: Callable[[], tuple[float, float | None, str]],
-    *failures: type[Exception],
-) -> WorkPrecisionTrial:
-    """One setting: error, processor time [s] and note as ``measure`` returns them, or why it failed.
-
-    ``failures`` are errors of other tools beside ours.
-    """
-    known: tuple[type[Exception], ...] = (CosimError, BuildError, *failures)
-    try:
-        return WorkPrecisionTrial(family, line, label, *measure())
-    except known as failure:
-        return WorkPrecisionTrial(family, line, label, None, None, " ".join(str(failure).split()))
 
 
 @dataclass(frozen=True)
@@ -209,9 +216,6 @@ def sweep(
             return
 
 
-Announce = Callable[[str], None]
-"""Function of a sentence on the current trial."""
-
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 
 CONTROLLED = ("automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5")
@@ -230,68 +234,52 @@ TIGHT = 1e-10
 """Relative tolerance of the integrator in coupling trials."""
 
 
-def integrator_trials(
-    subject: SceneUnderTest,
-    step: float,
-    announce: Announce,
-    controlled: Sequence[str] = CONTROLLED,
-    fixed_steps: Sequence[float] = FIXED_STEPS,
-) -> Iterator[WorkPrecisionTrial]:
-    """Integrators over tolerances, and the classical one over fixed steps [s], at one communication step [s]."""
-    for name in controlled:
+Setting = tuple[str, str, Mapping[str, object], Mapping[str, Any]]
+"""Line and label of a setting of our FMU, changes of the scene, and options of `PreparedScene`."""
+
+
+def integrator_settings(step: float) -> Iterator[Setting]:
+    """Integrators over tolerances, and the classical one over fixed steps, at one communication step [s]."""
+    for name in CONTROLLED:
         for tolerance in TOLERANCES:
-            announce(f"{name}, tolerance {tolerance:.0e}")
-            scene: dict[str, object] = {"cosimulation.integrator": name}
             options = {"communication_step": step, "tolerance": tolerance}
-            yield fmu_trial(subject, "integrators", name, f"{tolerance:.0e}", scene, options)
-    for fixed in fixed_steps:
-        announce(f"rk4, step {fixed:g} s")
+            yield name, f"{tolerance:.0e}", {"cosimulation.integrator": name}, options
+    for fixed in FIXED_STEPS:
         scene = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": fixed}
-        yield fmu_trial(subject, "integrators", "rk4", f"{1e6 * fixed:g} µs", scene, {"communication_step": step})
+        yield "rk4", f"{1e6 * fixed:g} µs", scene, {"communication_step": step}
 
 
-def coupling_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[WorkPrecisionTrial]:
+def coupling_settings() -> Iterator[Setting]:
     """Communication steps for each order of the input polynomials, with a tight tolerance of the integrator."""
     for order in ORDERS:
         for step in STEPS:
-            announce(f"communication step {1e3 * step:g} ms, inputs of degree {order}")
             options = {"communication_step": step, "tolerance": TIGHT, "input_order": order}
-            yield fmu_trial(subject, "communication", f"inputs of degree {order}", f"{1e3 * step:g} ms", {}, options)
+            yield f"inputs of degree {order}", f"{1e3 * step:g} ms", {}, options
 
 
-def algorithm_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[WorkPrecisionTrial]:
-    """Coupling algorithms of the master over communication steps, for scenes with something to couple."""
-    section = subject.scene.cosimulation
-    samples = [each.sample_time for each in subject.scene.controller if isinstance(each, SampledSection)]
+def algorithm_settings(scene: Scene) -> Iterator[Setting]:
+    """Coupling algorithms of the master over communication steps that divide the sample times."""
+    samples = [each.sample_time for each in scene.controller if isinstance(each, SampledSection)]
     for algorithm in ("gauss-seidel", "jacobi", "implicit"):
         for divisor in (1, 2, 4, 8):
-            # steps divide the sample times
-            step = min([section.communication_step, *samples]) / divisor
-            announce(f"{algorithm}, communication step {1e3 * step:g} ms")
-            scene: dict[str, object] = {"cosimulation.algorithm": algorithm}
+            step = min([scene.cosimulation.communication_step, *samples]) / divisor
             options = {"communication_step": step, "tolerance": 1e-9}
-            yield fmu_trial(subject, "algorithms", algorithm, f"{1e3 * step:g} ms", scene, options)
+            yield algorithm, f"{1e3 * step:g} ms", {"cosimulation.algorithm": algorithm}, options
 
 
-def fmu_trial(
-    subject: SceneUnderTest,
-    family: str,
-    line: str,
-    label: str,
-    changes: Mapping[str, object],
-    options: Mapping[str, Any],
-) -> WorkPrecisionTrial:
-    """One co-simulation: its error, and the time of master, FMU and recording once all is loaded."""
+def fmu_trials(subject: SceneUnderTest, family: str, settings: Iterable[Setting]) -> Iterator[WorkPrecisionTrial]:
+    """Co-simulations: the error of each, and the time of master, FMU and recording once all is loaded."""
+    for line, label, changes, options in settings:
 
-    def measure() -> tuple[float, float, str]:
-        scene = subject.scene.replace(dict(changes))
-        prepared = PreparedScene(scene, motion=None if scene.shaper else subject.motion, **options)
-        run = completed(prepared.run())
-        statistics = run.health.statistics
-        note = ", ".join(f"{statistics[key]} {key}" for key in ("steps", "evaluations") if key in statistics)
-        return subject.error(subject.positions(run)), fastest(prepared.run), note
+        def measure(changes: Any = changes, options: Any = options) -> tuple[float, float, str]:
+            scene = subject.scene.replace(dict(changes))
+            prepared = PreparedScene(scene, motion=None if scene.shaper else subject.motion, **options)
+            run = completed(prepared.run())
+            statistics = run.health.statistics
+            note = ", ".join(f"{statistics[key]} {key}" for key in ("steps", "evaluations") if key in statistics)
+            return subject.error(subject.positions(run)), fastest(prepared.run), note
 
-    return trial_of(family, line, label, measure)
+        yield subject.trial(family, line, label, measure)
 
 
 RIGID: Mapping[str, object] = {
@@ -313,74 +301,51 @@ RICH: Mapping[str, object] = {
 """The richest set, the reference of the ladder: all families, static and fixed-interface shapes until nothing changes any more."""
 
 
-@dataclass(frozen=True)
-class Rung:
-    """A set of effects.
+_STATIC = {"effects.basis": "craig-bampton", "effects.proximal_bending": 1, "effects.distal_axial": 1}
 
-    Attributes:
-        line: line of the diagram.
-        label: name of the set.
-        changes: changes of the rigid scene.
-    """
-
-    line: str
-    label: str
-    changes: Mapping[str, object]
-
-
-def ladder() -> tuple[Rung, ...]:
-    """Return the rungs of the fidelity ladder, from rigid links to more families of shapes."""
-    # assumed modes, one family after the other
-    bending = [{"effects.proximal_bending": k} for k in (1, 2, 3)]
-    axial = bending[2] | {"effects.distal_axial": 3}
-    both = axial | {"effects.distal_bending": 1}
-    # static shapes need fewer coordinates
-    static: dict[str, object] = {"effects.basis": "craig-bampton"}
-    one_each = static | {"effects.proximal_bending": 1, "effects.distal_axial": 1}
-    families = ["proximal_bending", "distal_axial"]
-    return (
-        Rung("assumed modes", "rigid", {}),
-        Rung("assumed modes", "1 bending", bending[0]),
-        Rung("assumed modes", "2 bending", bending[1]),
-        Rung("assumed modes", "3 bending", bending[2]),
-        Rung("assumed modes", "3 + 3 axial", axial),
-        Rung("assumed modes", "3 + 3 + 1 distal bending", both),
-        Rung("static shapes", "quasi-static 1 + 1", one_each | {"effects.quasi_static": families}),
-        Rung("static shapes", "1 + 1 axial", one_each),
-        Rung("static shapes", "1 + 1 + 1 distal bending", one_each | {"effects.distal_bending": 1}),
-    )
+LADDER: Mapping[tuple[str, str], Mapping[str, object]] = {
+    ("assumed modes", "rigid"): {},
+    **{("assumed modes", f"{modes} bending"): {"effects.proximal_bending": modes} for modes in (1, 2, 3)},
+    ("assumed modes", "3 + 3 axial"): {"effects.proximal_bending": 3, "effects.distal_axial": 3},
+    ("assumed modes", "3 + 3 + 1 distal bending"): {
+        "effects.proximal_bending": 3,
+        "effects.distal_axial": 3,
+        "effects.distal_bending": 1,
+    },
+    ("static shapes", "quasi-static 1 + 1"): _STATIC | {"effects.quasi_static": ["proximal_bending", "distal_axial"]},
+    ("static shapes", "1 + 1 axial"): _STATIC,
+    ("static shapes", "1 + 1 + 1 distal bending"): _STATIC | {"effects.distal_bending": 1},
+}
+"""The fidelity ladder, from rigid links to more families of shapes, of which static ones need fewer coordinates: line and label →
+changes of the rigid scene."""
 
 
-def effect_trials(
-    subject: SceneUnderTest, step: float, tolerance: float, announce: Announce
-) -> Iterator[WorkPrecisionTrial]:
-    """Every rung, its error against the richest set, its time in turns with the others; the scene's damping and loads stay."""
-    announce("richest set of effects")
-    options = {"communication_step": step, "tolerance": tolerance}
+def effect_trials(subject: SceneUnderTest, step: float, tolerance: float) -> Iterator[WorkPrecisionTrial]:
+    """Every rung of the ladder, its error against the richest set, its time in turns with the others; damping and loads stay."""
+    subject.announce("richest set of effects")
+    options: dict[str, Any] = {"communication_step": step, "tolerance": tolerance, "motion": subject.motion}
     # errors are relative to the richest set instead of the scene's own model
-    rich = PreparedScene(subject.scene.replace(dict(RICH)), motion=subject.motion, **options)  # type: ignore[arg-type]
     truth = replace(subject)
+    rich = PreparedScene(subject.scene.replace(dict(RICH)), **options)
     truth.__dict__["reference"] = subject.positions(completed(rich.run()))
     # errors first
     runs: list[tuple[WorkPrecisionTrial, PreparedScene]] = []
     ready: list[PreparedScene] = []
-    for rung in ladder():
-        announce(f"effects: {rung.line}, {rung.label}")
+    for (line, label), changes in LADDER.items():
 
-        def measure(rung: Rung = rung) -> tuple[float, None, str]:
-            scene = truth.scene.replace({**RIGID, **rung.changes})
-            ready.append(PreparedScene(scene, motion=truth.motion, **options))  # type: ignore[arg-type]
+        def measure(changes: Mapping[str, object] = changes) -> tuple[float, None, str]:
+            ready.append(PreparedScene(truth.scene.replace({**RIGID, **changes}), **options))
             positions = truth.positions(completed(ready[-1].run()))
             if np.isnan(positions).all():
                 raise RunError("no positions")
             return truth.error(positions), None, ""
 
-        trial = trial_of("effects", rung.line, rung.label, measure)
+        trial = subject.trial("effects", line, label, measure)
         if trial.failed:
             yield trial
         else:
             runs.append((trial, ready[-1]))
     # then times, in turns, so that load on the machine hits all rungs alike
-    announce("effects: times")
+    subject.announce("effects: times")
     times = fastest_in_turns([prepared.run for _, prepared in runs])
     yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.studies.compare.alignment import TimedValues, correlation, difference, differences, estimate_delay
+from flexfmu.cosim.studies.compare.measured import TimedValues, correlation, difference, estimate_delay
 
 SAMPLE = 1e-3
 
@@ -81,7 +81,7 @@ def test_differences_over_the_common_time() -> None:
     """RMS, mean and largest difference of a known one: an offset and a sine of whole periods."""
     time = np.linspace(-0.2, 1.2, 1401)
     log = TimedValues(time, signal(time, 0) + 0.5 + 0.2 * np.sin(2.0 * np.pi * 10.0 * time))
-    found = differences({"a": log, "b": log}, {"a": simulated()}, 0.0)["a"]
+    found = difference(log, simulated(), 0.0)
     assert (found.time[0], found.time[-1]) == pytest.approx((0.0, 0.7))
     assert found.mean == pytest.approx(0.5, abs=1e-4)
     assert found.root_mean_square == pytest.approx(np.hypot(0.5, 0.2 / np.sqrt(2.0)), abs=1e-4)

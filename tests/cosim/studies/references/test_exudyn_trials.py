@@ -15,7 +15,7 @@ SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 def trials(**changes: object) -> list[WorkPrecisionTrial]:
     """Exudyn's trials of the scene with changed keys."""
     scene = SCENE.replace({key.replace("__", "."): value for key, value in changes.items()})
-    return list(exudyn_trials.exudyn_trials(subject_of(scene), WorkCurve(()), lambda text: None))
+    return list(exudyn_trials.exudyn_trials(subject_of(scene), WorkCurve(())))
 
 
 @pytest.mark.slow
