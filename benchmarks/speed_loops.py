@@ -16,10 +16,7 @@ from paper_scene import SCENE, Timed, best_times, timed
 from speed_figure import SpeedFigure
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.c_function import c_function
-from flexfmu.cosim.control.controllers.computed_torque import computed_torque
 from flexfmu.cosim.control.controllers.own_function import controller
-from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.outcome import Outcome
@@ -30,9 +27,10 @@ from flexfmu.cosim.engine.slave import Indices, RealArray, Slave
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.symbolic import SymbolicBlock
 
 DRIVEN = SCENE.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
 
@@ -124,15 +122,25 @@ def sampled(controller: Slave | None, idle: Path) -> Timed:
     return timed(simulator.run)
 
 
+def built(**section: Any) -> SymbolicBlock:
+    """The block of a controller's section."""
+    (slave,) = loop_of(DRIVEN.replace({"controller": [section | {"sample_time": SAMPLE_TIME}]})).controllers
+    assert isinstance(slave, BlockSlave)
+    return slave.block
+
+
 def sample_figures(folder: Path) -> Iterator[SpeedFigure]:
     """A sample of each kind of controller: the run's time beyond that of the plant alone."""
     idle = idle_fmu(build_scene(DRIVEN).path, folder)
-    block = pd(1e3, 10.0, sample_time=SAMPLE_TIME)
+    c_pd = {"kind": "c-function", "source": str(C_PD), "function": "pd", "parameters": GAINS}
+    block, dynamic = (
+        built(kind=kind, proportional=gains[0], derivative=gains[1])
+        for kind, gains in (("pd", (1e3, 10.0)), ("computed-torque", (1e4, 200.0)))
+    )
     own = PdInPython(BlockSlave(block))
-    dynamic = computed_torque(inverse_dynamics(SCENE), 1e4, 200.0, sample_time=SAMPLE_TIME)
     names = [each.name for each in block.inputs if "feedforward" not in each.name]
     outputs = [each.name for each in block.outputs]
-    in_c = c_function(C_PD, "pd", inputs=names, outputs=outputs, parameters=GAINS, sample_time=SAMPLE_TIME)
+    in_c = built(**c_pd, inputs=names, outputs=outputs)
     traced, called = (
         controller(sample_time=SAMPLE_TIME, symbolic=symbolic)(pd_function).slave() for symbolic in (True, False)
     )

@@ -1,32 +1,29 @@
 """Disturbances of the robot: forces at the end effector, torques on the motors, and masses that are picked up and dropped.
 
-Each is a block without inputs, whose output is called like the input of the robot that it acts on. What is constant between
-instants is sampled at these instants alone, so that they are exact and cost a communication point each; sines, noise and files
-are held from sample to sample. What all share: ``signal`` is the output, ``force.x``, ``force.y`` [N], ``joint1.disturbance`` [N.m],
-``payload.change`` [kg] and so on, which has the unit of the values; ``sample_time`` is the time between samples [s], ``start`` the first
-sample [s], ``duration`` the time from there on after which the signal is zero [s], None for no end; ``name`` is the block's name.
-
-Raises:
-    InputError: a value isn't finite, or the sample time isn't positive.
+Each is a block without inputs, whose output is called like the input of the robot that it acts on: ``force.x``, ``force.y`` [N],
+``joint1.disturbance`` [N.m], ``payload.change`` [kg] and so on. What is constant between instants is sampled at these instants alone, so
+that they are exact and cost a communication point each; sines, noise and files are held from sample to sample, from the start of their
+section to the end of its duration. Where several act on one signal, or several controllers give a feedforward torque, a block adds them up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from hashlib import sha256
-from itertools import pairwise
-from math import ceil, inf, isfinite, pi, sqrt
-from typing import Required, TypedDict, Unpack
+from math import ceil, inf, pi, sqrt
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import Equations, Vector, block, rows_in_turn
-from flexfmu.cosim.control.controllers.named_signals import unit_of
+from flexfmu.cosim.control.blocks.equations import Equations, Vector, block, rows_in_turn, split
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.joints import unit_of
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import RealArray, check_sampling
-from flexfmu.fmu_build.regular_sampling import exact
+from flexfmu.cosim.engine.slave import Slave
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.regular_sampling import common_step, exact
 from flexfmu.model.scene.disturbances import (
     PAYLOAD,
     BandNoiseSection,
@@ -42,28 +39,32 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.table_file import read_signal
 
 
-class SampleTimes(TypedDict, total=False):
-    """What all sampled disturbances take beside their own arguments, see above."""
-
-    sample_time: Required[float]
-    start: float
-    duration: float | None
-    name: str
+def pulse(s: PulseSection | StepSection, context: LoopContext) -> SymbolicBlock:
+    """Build the block of a step, or of a pulse where there is a duration."""
+    end = {} if s.duration is None else {s.start + s.duration: 0.0}
+    return steps(s.signal, {s.start: s.amplitude, **end}, context.name)
 
 
-def steps(signal: str, instants: Sequence[float], values: Sequence[float], name: str = "step") -> SymbolicBlock:
-    """Build the block: zero, then each of the values from its instant on, exactly.
+builds(StepSection)(pulse)
+builds(PulseSection)(pulse)
 
-    Args:
-        instants: ascending [s], as many as values.
-        values: each is a tunable parameter, ``amplitude`` or ``amplitude[1]`` ...
+
+@builds(PayloadChangeSection)
+def payload_change(s: PayloadChangeSection, context: LoopContext) -> SymbolicBlock:
+    """Build the block of a mass that is picked up and dropped; dropped alone it is by default all of the robot's payload."""
+    if s.picked_up is None:
+        return steps(PAYLOAD, {s.dropped or 0.0: -(s.mass or context.scene.payload.mass)}, context.name)
+    end = {} if s.dropped is None else {s.dropped: 0.0}
+    return steps(PAYLOAD, {s.picked_up: s.mass or 0.0, **end}, context.name)
+
+
+def steps(signal: str, values: Mapping[float, float], name: str) -> SymbolicBlock:
+    """Build the block: zero, then each of the values from its instant [s] on, exactly; instants ascend from 0 s on.
+
+    Each value is a tunable parameter, ``amplitude`` or ``amplitude[1]`` ...
     """
-    _check_finite(name, "the instants [s]", instants)
-    _check_finite(name, "the values", values)
-    if len(instants) != len(values) or not values or any(b <= a for a, b in pairwise(instants)) or instants[0] < 0.0:
-        raise InputError(f"{name}: give ascending instants from 0 s on and as many values, got {list(instants)} s")
     # a sample of zero comes before the first instant, unless that is the start
-    times = [float(exact(each)) for each in instants]
+    times = [float(exact(each)) for each in values]
     before = [0.0] if times[0] > 0.0 else []
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
@@ -73,113 +74,93 @@ def steps(signal: str, instants: Sequence[float], values: Sequence[float], name:
             value = casadi.if_else(x >= k + len(before), p[k], value)
         return value, x + 1.0
 
-    several = len(values) > 1
+    names = [f"amplitude[{k}]" for k in range(1, len(values) + 1)] if len(values) > 1 else ["amplitude"]
     parameters = [
-        Variable(
-            f"amplitude[{k}]" if several else "amplitude",
-            unit_of(signal),
-            f"Value from {at!r} s on",
-            "parameter",
-            value,
-        )
-        for k, (at, value) in enumerate(zip(instants, values, strict=True), start=1)
+        Variable(each, unit_of(signal), f"Value from {at!r} s on", "parameter", value)
+        for each, (at, value) in zip(names, values.items(), strict=True)
     ]
-    return _source(name, "Disturbance in steps", signal, equations, inf, 0.0, parameters, instants=(*before, *times))
+    title = "Disturbance in steps"
+    return _source(name, title, signal, equations, inf, 0.0, parameters, instants=(*before, *times))
 
 
-def sine(
-    signal: str,
-    amplitude: float,
-    frequency: float,
-    *,
-    phase: float = 0.0,
-    **timing: Unpack[SampleTimes],
-) -> SymbolicBlock:
+@builds(SineSection)
+def sine(s: SineSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: amplitude sin(2 pi frequency (t - start) + phase), held between the samples.
 
     Amplitude, frequency [Hz] and phase [rad] are tunable parameters.
     """
-    _check_finite(timing.get("name", "sine"), "amplitude, frequency and phase", (amplitude, frequency, phase))
     parameters = [
-        Variable("amplitude", unit_of(signal), "Amplitude", "parameter", amplitude),
-        Variable("frequency", "Hz", "Frequency", "parameter", frequency),
-        Variable("phase", "rad", "Phase at the start", "parameter", phase),
+        Variable("amplitude", unit_of(s.signal), "Amplitude", "parameter", s.amplitude),
+        Variable("frequency", "Hz", "Frequency", "parameter", s.frequency),
+        Variable("phase", "rad", "Phase at the start", "parameter", s.phase),
     ]
 
     def law(t: Vector, p: Vector) -> Vector:
         return p[0] * casadi.sin(2.0 * pi * p[1] * t + p[2])
 
-    return _sampled("sine", "Sine disturbance", signal, law, parameters, **timing)
+    return _sampled("Sine disturbance", s, context, law, parameters)
 
 
-def band_noise(
-    signal: str,
-    standard_deviation: float,
-    band: tuple[float, float],
-    seed: int = 0,
-    *,
-    components: int = 50,
-    **timing: Unpack[SampleTimes],
-) -> SymbolicBlock:
+@builds(BandNoiseSection)
+def band_noise(s: BandNoiseSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: a sum of n sines with amplitudes sqrt(2/n) standard_deviation and random phases, held between samples.
 
     Their frequencies are the middles of n equal parts of the band. The spectral density is constant within the band and
     zero beyond, the values are nearly normal, and the mean square over a period, 2 n / (width of the band), is exactly that of
     the standard deviation if 2 n low / width is a whole number (M. Shinozuka, G. Deodatis, Simulation of stochastic
-    processes by spectral representation, Applied Mechanics Reviews 44(4), 1991, section 3).
+    processes by spectral representation, Applied Mechanics Reviews 44(4), 1991, section 3). The phases depend on the seed, on the
+    name of the block and on the signal; the standard deviation is a tunable parameter.
 
-    Args:
-        standard_deviation: a tunable parameter.
-        band: lowest and highest frequency [Hz], ascending, below half the sampling frequency.
-        seed: the phases depend on it, on the name of the block and on the signal.
-        components: n.
+    Raises:
+        InputError: the band reaches beyond half the sampling frequency.
     """
-    (low, high), name, h = band, timing.get("name", "noise"), timing["sample_time"]
-    _check_finite(name, "standard deviation and band", (standard_deviation, low, high))
-    if not 0.0 <= low < high or components < 1:
-        raise InputError(
-            f"{name}: the band must ascend from 0 Hz or more, with one component at least, got {list(band)} Hz"
-        )
+    (low, high), name, h, n = s.band, context.name, s.sample_time or context.sample_time, s.components
     if high * h > 0.5:
         raise InputError(
             f"{name}: the band reaches {high:g} Hz, above half the sampling frequency, {0.5 / h:g} Hz: reduce it, or "
             f"the sample_time of {h:g} s"
         )
-    rates = 2.0 * pi * (low + (high - low) * (np.arange(components) + 0.5) / components)
+    rates = 2.0 * pi * (low + (high - low) * (np.arange(n) + 0.5) / n)
     # random phases that depend on the text alone
-    digests = [sha256(f"{seed}/{name}/{signal}/{k}".encode()).digest() for k in range(components)]
+    digests = [sha256(f"{s.seed}/{name}/{s.signal}/{k}".encode()).digest() for k in range(n)]
     phases = [2.0 * pi * int.from_bytes(each[:6], "big") / 2**48 for each in digests]
     parameters = [
-        Variable("standard_deviation", unit_of(signal), "Standard deviation", "parameter", standard_deviation, 0.0)
+        Variable("standard_deviation", unit_of(s.signal), "Standard deviation", "parameter", s.standard_deviation, 0.0)
     ]
 
     def law(t: Vector, p: Vector) -> Vector:
         terms = [casadi.sin(rate * t + phase) for rate, phase in zip(rates.tolist(), phases, strict=True)]
-        return sqrt(2.0 / components) * p[0] * casadi.sum1(casadi.vertcat(*terms))
+        return sqrt(2.0 / n) * p[0] * casadi.sum1(casadi.vertcat(*terms))
 
-    return _sampled("noise", "Band-limited noise", signal, law, parameters, **timing)
+    return _sampled("Band-limited noise", s, context, law, parameters)
 
 
-def table(signal: str, times: RealArray, values: RealArray, **timing: Unpack[SampleTimes]) -> SymbolicBlock:
-    """Build the block: values (N,) at times (N,) [s] from the start on, linear between, held between samples, zero outside.
+@builds(CsvSection)
+def table(s: CsvSection, context: LoopContext) -> SymbolicBlock:
+    """Build the block of a column of a file: linear between its rows, held between samples, zero outside.
 
-    The times ascend from 0 s on.
+    Raises:
+        InputError: the file can't be read, its times don't ascend from 0 s on, or it begins before the first sample.
     """
-    name, h, duration = timing.get("name", "csv"), timing["sample_time"], timing.get("duration")
-    _check_finite(name, "times and values", (*times, *values))
-    if times.shape != values.shape or not times.size or (np.diff(times) <= 0.0).any() or times[0] < 0.0:
+    # scaled values may be in any unit
+    try:
+        times, values = read_signal(s.file, s.column or s.signal, unit_of(s.signal) if s.scale == 1.0 else "")
+    except TrajectoryError as error:
+        raise InputError(f"[[disturbance]] csv: {error}") from None
+    name, h = context.name, s.sample_time or context.sample_time
+    if not times.size or (np.diff(times) <= 0.0).any() or times[0] < 0.0:
         raise InputError(f"{name}: times must ascend from 0 s on, with a value each")
     # the values of all samples, then zero for ever
-    offset, first = _clock(name, h, timing.get("start", 0.0))
+    offset, first = _clock(name, h, s.start)
     count = int(times[-1] / h * (1.0 + 1e-12)) + 1
-    if duration is not None:
-        count = min(count, _samples(duration, h))
+    if s.duration is not None:
+        count = min(count, _samples(s.duration, h))
     instants, near = h * np.arange(count), 1e-9 * h
     inside = (instants >= times[0] - near) & (instants <= times[-1] + near)
-    sampled = np.where(inside, np.interp(instants, times, values), 0.0)
+    sampled = np.where(inside, np.interp(instants, times, s.scale * values), 0.0)
     rows = np.concatenate([np.zeros(first), sampled, np.zeros(1)])[:, None]
-    equations = rows_in_turn(rows, "values")
-    return _source(name, "Disturbance from a table", signal, equations, h, offset, symbol=casadi.MX)
+    title = "Disturbance from a table"
+    return _source(name, title, s.signal, rows_in_turn(rows, "values"), h, offset, symbol=casadi.MX)
 
 
 def _source(
@@ -215,7 +196,6 @@ def _clock(name: str, sample_time: float, start: float) -> tuple[float, int]:
     Raises:
         InputError: the start is before the first sample.
     """
-    check_sampling(sample_time, start, name)
     if 0.0 < start < sample_time:
         raise InputError(
             f"{name}: the start of {start:g} s must be 0 s, or the sample_time of {sample_time:g} s at least"
@@ -224,26 +204,22 @@ def _clock(name: str, sample_time: float, start: float) -> tuple[float, int]:
 
 
 def _sampled(
-    kind: str,
-    description: str,
-    signal: str,
+    title: str,
+    s: SampledDisturbanceSection,
+    context: LoopContext,
     law: Callable[[Vector, Vector], Vector],
     parameters: Sequence[Variable],
-    *,
-    sample_time: float,
-    start: float = 0.0,
-    duration: float | None = None,
-    name: str = "",
 ) -> SymbolicBlock:
     """A block of a law (time since the start, parameters) → value, until the end of the duration."""
-    offset, first = _clock(name or kind, sample_time, start)
+    sample_time, duration = s.sample_time or context.sample_time, s.duration
+    offset, first = _clock(context.name, sample_time, s.start)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         k = x - first
         acts = k >= 0.0 if duration is None else casadi.logic_and(k >= 0.0, k < _samples(duration, sample_time))
         return casadi.if_else(acts, law(k * sample_time, p), 0.0), x + 1.0
 
-    return _source(name or kind, description, signal, equations, sample_time, offset, parameters)
+    return _source(context.name, title, s.signal, equations, sample_time, offset, parameters)
 
 
 def _samples(duration: float, sample_time: float) -> int:
@@ -251,53 +227,71 @@ def _samples(duration: float, sample_time: float) -> int:
     return ceil(duration / sample_time * (1.0 - 1e-12))
 
 
-def _check_finite(name: str, what: str, values: Sequence[float]) -> None:
-    """Raise `InputError` if a value is NaN or infinite."""
-    for value in values:
-        if not isfinite(value):
-            raise InputError(f"{name}: {what} must be finite, got {value}")
+def sum_block(
+    name: str,
+    description: str,
+    sources: Mapping[str, Sequence[str]],
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    instants: Sequence[float] = (),
+) -> SymbolicBlock:
+    """Build the block: each output is the sum of the same output of several slaves, without states.
+
+    Inputs are called like the outputs that they take, ``feedforward.joint1.feedforward``; an output is ``joint1.feedforward``.
+
+    Args:
+        name, description, sample_time, offset, instants: as for `block`.
+        sources: output → names of the slaves that have it.
+    """
+    signals = [(output, slave) for output, slaves in sources.items() for slave in slaves]
+    sizes = [len(slaves) for slaves in sources.values()]
+    return block(
+        name,
+        description,
+        lambda x, u, p: (casadi.vertcat(*(casadi.sum1(each) for each in split(u, *sizes))), x),
+        sample_time=sample_time,
+        offset=offset,
+        instants=instants,
+        inputs=[
+            Variable(f"{who}.{what}", unit_of(what), f"Term of {what} from {who}", "input", 0.0)
+            for what, who in signals
+        ],
+        outputs=[Variable(each, unit_of(each), f"Sum of {each} of several slaves", "output") for each in sources],
+    )
 
 
-def _pulse(signal: str, value: float, start: float, end: float | None, name: str) -> SymbolicBlock:
-    """A step, back to zero at an end [s]."""
-    return steps(signal, [start], [value], name) if end is None else steps(signal, [start, end], [value, 0.0], name)
+def with_sums(disturbances: Sequence[Slave], unused: Callable[[str], str]) -> list[Slave]:
+    """The disturbances, and a sum for each signal of several: at the common step of their samples and at all of their instants.
 
+    Args:
+        disturbances: the slaves.
+        unused: assigns a unique name.
 
-def _held(s: SampledDisturbanceSection, context: LoopContext) -> SampleTimes:
-    """Times and name of a disturbance that is held from sample to sample."""
-    h = s.sample_time or context.sample_time
-    return SampleTimes(sample_time=h, start=s.start, duration=s.duration, name=context.name)
-
-
-def _from_step(section: PulseSection | StepSection, context: LoopContext) -> SymbolicBlock:
-    end = None if section.duration is None else section.start + section.duration
-    return _pulse(section.signal, section.amplitude, section.start, end, context.name)
-
-
-builds(StepSection)(_from_step)
-builds(PulseSection)(_from_step)
-
-
-@builds(PayloadChangeSection)
-def _from_payload(section: PayloadChangeSection, context: LoopContext) -> SymbolicBlock:
-    if section.picked_up is None:
-        mass = section.mass or context.scene.payload.mass
-        return steps(PAYLOAD, [section.dropped or 0.0], [-mass], context.name)
-    return _pulse(PAYLOAD, section.mass or 0.0, section.picked_up, section.dropped, context.name)
-
-
-builds(SineSection)(lambda s, c: sine(s.signal, s.amplitude, s.frequency, phase=s.phase, **_held(s, c)))
-builds(BandNoiseSection)(
-    lambda s, c: band_noise(s.signal, s.standard_deviation, s.band, s.seed, components=s.components, **_held(s, c))
-)
-
-
-@builds(CsvSection)
-def _from_csv(section: CsvSection, context: LoopContext) -> SymbolicBlock:
-    # scaled values may be in any unit
-    unit = unit_of(section.signal) if section.scale == 1.0 else ""
-    try:
-        times, values = read_signal(section.file, section.column or section.signal, unit)
-    except TrajectoryError as error:
-        raise InputError(f"[[disturbance]] csv: {error}") from None
-    return table(section.signal, times, section.scale * values, **_held(section, context))
+    Raises:
+        InputError: disturbances that add up aren't blocks, or their samples have no common step of 1 µs or more.
+    """
+    owners: dict[str, list[Slave]] = {}
+    for each in disturbances:
+        for variable in each.variables:
+            if variable.causality == "output":
+                owners.setdefault(variable.name, []).append(each)
+    sums = []
+    for signal, slaves in owners.items():
+        if len(slaves) == 1:
+            continue
+        clocks, instants = list[Fraction](), set[float]()
+        for each in slaves:
+            if not isinstance(each, BlockSlave):
+                raise InputError(f"{each.name} and another slave output {signal}: only blocks add up, leave one out")
+            instants.update(each.instants)
+            if each.sample_time < inf:
+                clocks += [exact(each.offset), exact(each.sample_time)]
+        try:
+            step = float(common_step(clocks, f"disturbances in {signal}")) if clocks else inf
+        except ModelError as error:
+            raise InputError(str(error)) from None
+        sources, name = {signal: [each.name for each in slaves]}, unused("disturbance_sum")
+        total = sum_block(name, "Sum of disturbances", sources, sample_time=step, instants=sorted(instants))
+        sums.append(BlockSlave(total))
+    return [*disturbances, *sums]

@@ -12,17 +12,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, isfinite, pi, tan
-from typing import Unpack
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, split
+from flexfmu.cosim.control.blocks.equations import Vector, split
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
-    Channel,
     channel_block,
-    sampling,
+    sample_time,
     section_channels,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
@@ -145,21 +143,14 @@ def _butterworth(w: float, order: int) -> list[tuple[float, float, float]]:
     return [*found, (0.0, 1.0, w)] if order % 2 else found
 
 
-def filter_block(
-    channels: Sequence[Channel], sections: Sequence[SecondOrder], **options: Unpack[BlockOptions]
-) -> SymbolicBlock:
-    """Build the block of a chain of sections, the same for each channel.
-
-    Args:
-        channels: signals to filter.
-        sections: second-order sections, one after the other.
-        options: ``sample_time`` [s], ``offset`` [s], ``name``.
+def filter_block(s: FilterSection, context: LoopContext, sections: Sequence[SecondOrder]) -> SymbolicBlock:
+    """Build the block of a chain of second-order sections, one after the other, the same for each signal of a section of the scene file.
 
     Raises:
-        InputError: a section's frequency isn't below half the sampling frequency, or the sample time isn't positive.
+        InputError: a section's frequency isn't below half the sampling frequency.
     """
-    n, h = len(channels), options["sample_time"]
-    chain = [each.discrete(h) for each in sections]
+    channels, h = section_channels(s, context, REFERENCE_KINDS), sample_time(s, context)
+    n, chain = len(channels), [each.discrete(h) for each in sections]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         started, *memory = split(x, 1, n)
@@ -174,15 +165,9 @@ def filter_block(
             u = y
         return u, casadi.vertcat(*following)
 
-    return channel_block(
-        "filter",
-        f"Filter {' · '.join(map(str, sections))}; s in rad/s, bilinear",
-        equations,
-        channels,
-        memory=2 * n * len(chain),
-        latency=dict.fromkeys((each.name for each in channels), _delay(sections, h)),
-        **options,
-    )
+    title = f"Filter {' · '.join(map(str, sections))}; s in rad/s, bilinear"
+    latency = dict.fromkeys((each.name for each in channels), _delay(sections, h))
+    return channel_block(s, context, title, equations, channels, memory=2 * n * len(chain), latency=latency)
 
 
 def _gain(b: tuple[float, float, float], a: tuple[float, float]) -> float:
@@ -233,14 +218,8 @@ def _frequencies(kind: str, context: LoopContext, position: tuple[float, float])
     return found[len(found) - elastic :] if 0 < elastic <= len(found) else []
 
 
-def _built(section: FilterSection, context: LoopContext, sections: list[SecondOrder]) -> SymbolicBlock:
-    return filter_block(
-        section_channels(section, context, REFERENCE_KINDS), sections, name=context.name, **sampling(section, context)
-    )
-
-
-builds(NotchSection)(lambda s, c: _built(s, c, notch(frequency_of(s, c), s.damping, s.depth)))
-builds(LowPassSection)(lambda s, c: _built(s, c, low_pass(frequency_of(s, c), s.order)))
-builds(HighPassSection)(lambda s, c: _built(s, c, high_pass(frequency_of(s, c), s.order)))
-builds(LeadLagSection)(lambda s, c: _built(s, c, lead_lag(s.zero, s.pole)))
-builds(BiquadSection)(lambda s, c: _built(s, c, biquad(s.numerator, s.denominator, s.prewarp)))
+builds(NotchSection)(lambda s, c: filter_block(s, c, notch(frequency_of(s, c), s.damping, s.depth)))
+builds(LowPassSection)(lambda s, c: filter_block(s, c, low_pass(frequency_of(s, c), s.order)))
+builds(HighPassSection)(lambda s, c: filter_block(s, c, high_pass(frequency_of(s, c), s.order)))
+builds(LeadLagSection)(lambda s, c: filter_block(s, c, lead_lag(s.zero, s.pole)))
+builds(BiquadSection)(lambda s, c: filter_block(s, c, biquad(s.numerator, s.denominator, s.prewarp)))

@@ -1,12 +1,12 @@
 """Builds the slaves and shapers of a loop from sections of the scene file.
 
-The file of a controller, a shaper or an imperfection registers the function that builds it from its section::
+A section describes a part of the loop; the function that makes its block from it stands in the part's file::
 
     @builds(PdSection)
-    def _from_section(section: PdSection, context: LoopContext) -> SymbolicBlock: ...
+    def pd(s: PdSection, context: LoopContext) -> SymbolicBlock: ...
 
 or, where one expression says it, ``builds(LeadLagSection)(lambda section, context: ...)``. A new kind needs such a
-function and a section in `flexfmu.model.scene`; every module of this package is imported.
+function and a section in `flexfmu.model.scene`, which checks its values; every module of this package is imported.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from math import isfinite
 from pkgutil import walk_packages
 from typing import Any, TypeVar
 
@@ -80,6 +81,14 @@ def builds(
     return register
 
 
+def block_of(section: Section, context: LoopContext) -> Any:
+    """What the builder of a section makes: a block, several of them, a slave, or a `Shaper`; errors as for `build`."""
+    _register_all()
+    if type(section) not in _BUILDERS:
+        raise InputError(f"no module of flexfmu.cosim.control builds a {type(section).__name__}: add one with @builds")
+    return _BUILDERS[type(section)](section, context)
+
+
 def build(section: Section, context: LoopContext) -> Any:
     """Build a section: a slave (a block becomes a `BlockSlave`), several of them, or a `Shaper`.
 
@@ -91,10 +100,7 @@ def build(section: Section, context: LoopContext) -> Any:
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
 
-    _register_all()
-    if type(section) not in _BUILDERS:
-        raise InputError(f"no module of flexfmu.cosim.control builds a {type(section).__name__}: add one with @builds")
-    built = _BUILDERS[type(section)](section, context)
+    built = block_of(section, context)
     if isinstance(built, tuple):
         return tuple(BlockSlave(each, f"{context.name}_{each.name}") for each in built)
     return BlockSlave(built, context.name) if isinstance(built, SymbolicBlock) else built
@@ -105,3 +111,26 @@ def _register_all() -> None:
     """Import every module of this package, which registers its builders."""
     for module in walk_packages(control.__path__, f"{control.__name__}."):
         import_module(module.name)
+
+
+def with_payload_error(scene: Scene, relative: float) -> Scene:
+    """Return the scene with (1 + relative) times its payload.
+
+    Build the plant from this scene, controllers and shapers from the original one, or the other way round.
+
+    Args:
+        scene: the scene.
+        relative: relative error of the mass, for example -0.3 for 30 % less.
+
+    Raises:
+        InputError: the error isn't finite or is below -1, or the scene has no payload.
+    """
+    mass = scene.payload.mass
+    if not (isfinite(relative) and relative >= -1.0):
+        raise InputError(f"the relative payload error must be finite and at least -1 (no payload), got {relative}")
+    if mass == 0.0 and relative:
+        raise InputError(
+            f"scene {scene.name} has no payload, so {relative:+.0%} of it changes nothing; "
+            "give the mass itself: scene.replace({'payload.mass': 0.1})"
+        )
+    return scene.replace({"payload.mass": mass * (1.0 + relative)})

@@ -2,7 +2,7 @@
 
 At a pose, the response from learned torques to measured angles is that of the scene's linear loop, cut at the controller that learns:
 what is fed in reaches the loop as its torques did, what comes back is what it measured. From the response follow the contraction (see
-`flexfmu.cosim.control.controllers.learning_laws`), the Q-filter's cut-off and the norm-optimal law.
+`flexfmu.cosim.control.controllers.iterative_learning`), the Q-filter's cut-off and the norm-optimal law.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.iterative_learning import PROBE, law_of, samples_in_a_cycle
-from flexfmu.cosim.control.controllers.learning_laws import LONGEST_RESPONSE
+from flexfmu.cosim.control.controllers.iterative_learning import LONGEST_RESPONSE, PROBE, law_of, samples_in_a_cycle
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock
 from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.python_slave import FunctionSlave
+from flexfmu.cosim.control.controllers.own_function import FunctionSlave
 from flexfmu.cosim.control.imperfections.lag import Lag
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu

@@ -93,7 +93,7 @@ def loop_of(
     inline_blocks = [inline_block(builder.imperfection(each, controllers)) for each in signals]
     disturbances = [builder.disturbance(each, shaped.motion.stop_time) for each in scene.disturbance]
     if disturbances:
-        from flexfmu.cosim.control.sums import with_sums
+        from flexfmu.cosim.control.disturbances import with_sums
 
         disturbances = with_sums(disturbances, names.unused)
     return replace(
@@ -210,9 +210,10 @@ def _with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: S
             f'one of them, connect = {{ "{signal}" = "{owners[0]}.{signal}" }} for example'
         )
     from flexfmu.cosim.control.blocks.slave import BlockSlave
-    from flexfmu.cosim.control.sums import feedforward_sum
+    from flexfmu.cosim.control.disturbances import sum_block
 
-    block = feedforward_sum(several, sample_time=clock[0], offset=clock[1], name=names.unused("feedforward_sum"))
+    name, (sample_time, offset) = names.unused("feedforward_sum"), clock
+    block = sum_block(name, "Sum of feedforward torques", several, sample_time=sample_time, offset=offset)
     return (*controllers, BlockSlave(block))
 
 
@@ -225,7 +226,7 @@ def _payload(scene: Scene) -> dict[str, float]:
     errors = [each.relative for each in scene.imperfection if isinstance(each, PayloadErrorSection)]
     if not errors:
         return {}
-    from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+    from flexfmu.cosim.control.sections import with_payload_error
 
     return {"payload.mass": with_payload_error(scene, errors[-1]).payload.mass}
 

@@ -73,7 +73,7 @@ def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = No
         InputError: the source is none of these, the name is taken, or the FMU can't be loaded.
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
-    from flexfmu.cosim.control.controllers.function_controller import FunctionController
+    from flexfmu.cosim.control.controllers.own_function import FunctionController
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
     from flexfmu.model.symbolic import SymbolicBlock
 
@@ -113,7 +113,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     Raises:
         InputError: the module or name doesn't exist, the import fails, or the call fails.
     """
-    from flexfmu.cosim.control.controllers.function_controller import FunctionController
+    from flexfmu.cosim.control.controllers.own_function import FunctionController
 
     # import the module from the folder or the installed ones
     module_name, _, name = source.partition(":")

@@ -14,18 +14,17 @@ from ctypes import CDLL, c_void_p
 from functools import lru_cache
 from pathlib import Path
 from time import monotonic
-from typing import Unpack
 
 import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import library
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block
-from flexfmu.cosim.control.controllers.named_signals import check_units, named_parameters, named_signals
+from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.controllers.joints import check_units, named_parameters, named_signals
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import RealArray, check_sampling
+from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.fmu_build.cache import content_hash
 from flexfmu.fmu_build.errors import CompileError
 from flexfmu.model.scene.controllers import CFunctionSection
@@ -98,51 +97,31 @@ EXPORT int {call}_work(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_
 """
 
 
-def c_function(
-    source: str | Path | Sequence[str | Path],
-    function: str = "",
-    *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    parameters: Mapping[str, float] | None = None,
-    states: Sequence[float] = (),
-    units: Mapping[str, str] | None = None,
-    **options: Unpack[BlockOptions],
-) -> SymbolicBlock:
+@builds(CFunctionSection)
+def c_function(s: CFunctionSection, context: LoopContext) -> SymbolicBlock:
     """Build the block of a function in C.
 
     Its signature is `SIGNATURE`: t is the instant of the sample [s], counted from the start; u, p and x have the inputs, parameters
     and states in their order; the function writes all of y and next_x. It must not keep values between calls: an importer may
     repeat a sample; `static` and global variables that aren't `const` are refused, and so is a function, of a shared library for
-    example, that gives other results for equal arguments when it is tried (on Linux). The file is C99.
-
-    Args:
-        source: the C file, or a list of C files and headers; on Linux a shared library (``.so``) too, which the FMU contains.
-        function: name of the function; by default that of the first file, without ``lib``.
-        inputs, outputs: names of the signals.
-        parameters: name → value; tunable.
-        states: start values.
-        units: name → unit of signals and parameters; by default those of the robot's signals of these names.
-        options: ``sample_time`` [s], ``offset`` [s], ``name``.
+    example, that gives other results for equal arguments when it is tried (on Linux). The file is C99; on Linux it may be a shared
+    library (``.so``), which the FMU contains. By default the function is called like its first file, without ``lib``.
 
     Raises:
-        InputError: a file can't be read or compiled, has no such function, or keeps values between calls; a name is repeated, a
-            number isn't finite, or the sample time isn't positive.
+        InputError: a file can't be read or compiled, has no such function, or keeps values between calls; or a name is repeated.
         MissingCompilerError: there is no C compiler.
     """
-    name, h, offset = options.get("name", "c_function"), options["sample_time"], options.get("offset", 0.0)
-    check_sampling(h, offset, name)
-    if not outputs:
+    name, units, states = context.name, s.units, s.states
+    if not s.outputs:
         raise InputError(f'{name}: a controller needs `outputs`, such as ["joint1.torque", "joint2.torque"]')
     # variables by their names
-    units = units or {}
-    taken, given = named_signals(inputs, "input", units), named_signals(outputs, "output", units)
-    values = named_parameters(parameters or {}, units)
+    taken, given = named_signals(s.inputs, "input", units), named_signals(s.outputs, "output", units)
+    values = named_parameters(s.parameters, units)
     check_units(units, [each.name for each in (*taken, *given, *values)], name)
     # the function's files, its call, and what describes the call to CasADi
-    paths = [Path(each) for each in ([source] if isinstance(source, (str, Path)) else source)]
+    paths = [Path(each) for each in s.source]
     first = paths[0]
-    function = function or (first.stem.removeprefix("lib") if first.suffix in LIBRARIES else first.stem)
+    function = s.function or (first.stem.removeprefix("lib") if first.suffix in LIBRARIES else first.stem)
     if not re.fullmatch(r"[A-Za-z_]\w*", function):
         raise InputError(f"{name}: {function!r} is no name of a C function; give `function`")
     facts = {
@@ -153,8 +132,8 @@ def c_function(
         "parameters": len(values),
         "outputs": len(given),
         "states": len(states),
-        "sample_time": float(h),
-        "offset": float(offset),
+        "sample_time": float(s.sample_time),
+        "offset": float(s.offset),
     }
     libraries = _shared_libraries([path for path in paths if path.suffix in LIBRARIES], function)
     files = _user_files([path for path in paths if path.suffix not in LIBRARIES], facts["prototype"])
@@ -166,7 +145,7 @@ def c_function(
         return y, following
 
     built = block(
-        "c_function",
+        name,
         f"The function {function} in C",
         equations,
         inputs=taken,
@@ -176,10 +155,10 @@ def c_function(
         symbol=casadi.MX,
         c_files={**files, f"{CALL}.c": caller},
         libraries=libraries,
-        **options,
+        **s.sampling,
     )
     sizes = len(taken), len(given), len(states)
-    if (unlike := _unlike(compiled, sizes, tuple((parameters or {}).values()), tuple(states))) is not None:
+    if (unlike := _unlike(compiled, sizes, tuple(s.parameters.values()), states)) is not None:
         place, one, other = unlike
         what = given[place].name if place < len(given) else f"next_x[{place - len(given)}]"
         raise InputError(
@@ -350,18 +329,3 @@ def _caller(
         return result.copy()
 
     return call
-
-
-@builds(CFunctionSection)
-def _from_section(s: CFunctionSection, context: LoopContext) -> SymbolicBlock:
-    return c_function(
-        s.source,
-        s.function,
-        inputs=s.inputs,
-        outputs=s.outputs,
-        parameters=s.parameters,
-        states=s.states,
-        units=s.units,
-        name=context.name,
-        **s.sampling,
-    )

@@ -15,62 +15,49 @@ there is none before (trapezoids, section 6.3.2).
 
 Anti-windup: I is the only integral of the cascade. The velocity loop knows the limits of the current loop and stops I at them; the velocity
 command is limited in a loop without an integral. So no limit winds up a loop outside it.
-
-Arguments that all loops share: `joints`.
 """
 
 from __future__ import annotations
-
-from typing import Unpack
 
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
 from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
-from flexfmu.cosim.control.controllers.joints import (
-    JOINTS,
-    SIGNALS,
-    TORQUE,
-    JointOptions,
-    PerJoint,
-    TorqueLimits,
-    joint_block,
-    limited,
-    per_joint,
-)
-from flexfmu.cosim.control.controllers.pid import CLAMPING, AntiWindup, limited_sum, rule_of
+from flexfmu.cosim.control.controllers.joints import JOINTS, SIGNALS, TORQUE, joint_block, limited
+from flexfmu.cosim.control.controllers.pid import limited_sum
 from flexfmu.cosim.control.imperfections.lag import lag_latency
 from flexfmu.cosim.control.sections import LoopContext, builds
-from flexfmu.cosim.engine.slave import check_sampling
-from flexfmu.model.scene.controllers import CascadeSection
+from flexfmu.model.scene.controllers import CascadeSection, CurrentLoopSection, PositionLoopSection
+from flexfmu.model.scene.loop import Sampling
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 VELOCITY_COMMAND, TORQUE_COMMAND = ((each, SIGNALS[each][1] + " {}") for each in ("command.velocity", "command.torque"))
 """Outputs of an outer loop for the one inside, ``joint1.command.velocity`` and so on."""
 
 
-def position_loop(
-    proportional: PerJoint,
-    *,
-    velocity_feedforward: PerJoint = 1.0,
-    velocity_limit: PerJoint | None = None,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+@builds(CascadeSection)
+def cascade(s: CascadeSection, context: LoopContext) -> tuple[SymbolicBlock, ...]:
+    """Build the blocks of the loops, the outermost first; without a current loop the torque is its command.
+
+    A scheduled factor on ``proportional`` is one on the loop's own gain.
+    """
+    position = with_schedule(position_loop(s.position, s.sampling_of(s.position)), s.position.schedule, context, GAIN)
+    velocity = with_schedule(velocity_loop(s), s.velocity.schedule, context)
+    current = [] if s.current is None else [current_loop(s, s.current, context)]
+    return position, velocity, *current
+
+
+GAIN = "position_gain"
+"""Gain of the position loop, a parameter of each joint."""
+
+
+def position_loop(s: PositionLoopSection, timing: Sampling) -> SymbolicBlock:
     """Build the outermost loop: velocity command = sat(K_v (q_r - q) + V w_r), without states.
 
     While a velocity is constant, and the loops inside have an integral, the angle lags behind by (1 - V) w_r / K_v.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``joint1.position``; output ``joint1.command.velocity``. Gains and limits are
     ``joint1.position_gain``, ``.velocity_feedforward``, ``.velocity_limit``.
-
-    Args:
-        proportional: K_v [1/s].
-        velocity_feedforward: V, the share of the reference velocity in the command.
-        velocity_limit: largest magnitude of the command [rad/s]; None for none.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: see `joints`.
     """
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
@@ -79,47 +66,24 @@ def position_loop(
         return limited(k_v * (q_r - q) + share * w_r, [sign * each for each in limit for sign in (-1.0, 1.0)]), x
 
     gains = {
-        "position_gain": (proportional, "1/s", "Gain of the position loop"),
-        "velocity_feedforward": (velocity_feedforward, "1", "Share of the reference velocity"),
+        GAIN: (s.proportional, "1/s", "Gain of the position loop"),
+        "velocity_feedforward": (s.velocity_feedforward, "1", "Share of the reference velocity"),
     }
-    if velocity_limit is not None:
-        gains["velocity_limit"] = velocity_limit, "rad/s", "Largest magnitude of the velocity command"
+    if s.velocity_limit is not None:
+        gains["velocity_limit"] = s.velocity_limit, "rad/s", "Largest magnitude of the velocity command"
     takes = "reference.position", "reference.velocity", "position"
-    return joint_block("position", "Position loop of a drive", law, takes, VELOCITY_COMMAND, gains, **options)
+    return joint_block("position", "Position loop of a drive", law, takes, VELOCITY_COMMAND, gains, **timing)
 
 
-def velocity_loop(
-    proportional: PerJoint,
-    integral: PerJoint,
-    *,
-    inertia: PerJoint = 0.0,
-    limits: TorqueLimits = None,
-    anti_windup: AntiWindup = CLAMPING,
-    initial_torque: PerJoint = 0.0,
-    commands_current: bool = True,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+def velocity_loop(s: CascadeSection) -> SymbolicBlock:
     """Build the middle loop: torque command = sat(K_p e + I + J a_r + feedforward), e = velocity command - velocity.
 
     Inputs: ``joint1.command.velocity``, ``joint1.velocity``, ``joint1.reference.acceleration``, ``joint1.feedforward``; output
     ``joint1.command.torque``, or ``joint1.torque`` without a current loop. Gains are ``joint1.proportional_gain``, ``.integral_gain``,
     ``.inertia``.
-
-    Args:
-        proportional: K_p [N.m.s/rad].
-        integral: K_i [N.m/rad]; K_p / K_i is the integral time.
-        inertia: J [kg.m2], of the torque feedforward from the reference acceleration.
-        limits: torque limits.
-        anti_windup: rule for the integral at the limits.
-        initial_torque: I at the start [N.m], for a bumpless start.
-        commands_current: whether a current loop follows.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: see `joints`.
     """
-    joints, h = options.get("joints", JOINTS), options["sample_time"]
-    n = len(joints)
+    own, timing, n = s.velocity, s.sampling_of(s.velocity), len(JOINTS)
+    h = timing["sample_time"]
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
         # states: a flag, 1 after the first sample, and the last I and e
@@ -132,7 +96,7 @@ def velocity_loop(
         rest = k_p * e + inertia * acceleration + feedforward
         if not bounds:
             return rest + (carried + increment), casadi.vertcat(1.0, carried + increment, e)
-        torque, carried = limited_sum(rest, carried, increment, bounds, anti_windup, h)
+        torque, carried = limited_sum(rest, carried, increment, bounds, s.anti_windup, h)
         return torque, casadi.vertcat(1.0, carried, e)
 
     return joint_block(
@@ -140,42 +104,26 @@ def velocity_loop(
         "Velocity loop of a drive",
         law,
         ("command.velocity", "velocity", "reference.acceleration", "feedforward"),
-        TORQUE_COMMAND if commands_current else TORQUE,
+        TORQUE if s.current is None else TORQUE_COMMAND,
         {
-            "proportional_gain": (proportional, "N.m.s/rad", "Proportional gain of the velocity loop"),
-            "integral_gain": (integral, "N.m/rad", "Integral gain of the velocity loop"),
-            "inertia": (inertia, "kg.m2", "Inertia of the torque feedforward"),
+            "proportional_gain": (own.proportional, "N.m.s/rad", "Proportional gain of the velocity loop"),
+            "integral_gain": (own.integral, "N.m/rad", "Integral gain of the velocity loop"),
+            "inertia": (own.inertia, "kg.m2", "Inertia of the torque feedforward"),
         },
-        limits=limits,
-        states=[0.0, *per_joint(joints, "initial_torque", initial_torque, "N.m"), *[0.0] * n],
-        **options,
+        limit=s.torque_limit,
+        states=[0.0, *own.initial_torque, *[0.0] * n],
+        **timing,
     )
 
 
-def current_loop(
-    time_constant: PerJoint,
-    *,
-    limits: TorqueLimits = None,
-    initial_torque: PerJoint = 0.0,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+def current_loop(s: CascadeSection, own: CurrentLoopSection, context: LoopContext) -> SymbolicBlock:
     """Build the innermost loop: the torque follows its limited command as a lag, exact for commands that its samples hold.
 
     Input: ``joint1.command.torque``; output ``joint1.torque``, without direct feedthrough. Time constants (zero: a delay of one sample) and
-    initial torques are parameters ``joint1.time_constant``, ``joint1.torque.initial``.
-
-    Args:
-        time_constant: T_e [s], 1 / (2 pi f) for a bandwidth f [Hz].
-        limits: torque limits.
-        initial_torque: torque before the first sample [N.m].
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: see `joints`.
+    torques before the first sample are parameters ``joint1.time_constant``, ``joint1.torque.initial``.
     """
-    joints, h = options.get("joints", JOINTS), options["sample_time"]
-    check_sampling(h, options.get("offset", 0.0), options.get("name", "current"))
-    n, times = len(joints), per_joint(joints, "time_constant", time_constant, "s", minimum=0.0)
+    timing, n = s.sampling_of(own), len(JOINTS)
+    h = timing["sample_time"]
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
         started, last = split(x, 1, n)
@@ -189,43 +137,13 @@ def current_loop(
         law,
         ("command.torque",),
         TORQUE,
-        {"time_constant": (time_constant, "s", "Time constant of the current loop")},
-        limits=limits,
+        {"time_constant": (own.time_constant, "s", "Time constant of the current loop")},
+        limit=s.torque_limit,
         further=[
             Variable(f"{joint}.torque.initial", "N.m", f"Torque of {joint} before the first sample", "parameter", start)
-            for joint, start in zip(joints, per_joint(joints, "initial_torque", initial_torque, "N.m"), strict=True)
+            for joint, start in zip(JOINTS, context.before("torque"), strict=True)
         ],
         states=[0.0] * (1 + n),
-        latency=[lag_latency(time, h) for time in times],
-        **options,
+        latency=[lag_latency(time, h) for time in own.time_constant],
+        **timing,
     )
-
-
-@builds(CascadeSection)
-def _from_section(s: CascadeSection, context: LoopContext) -> tuple[SymbolicBlock, ...]:
-    position, velocity, current = s.position, s.velocity, s.current
-    outer = position_loop(
-        position.proportional,
-        velocity_feedforward=position.velocity_feedforward,
-        velocity_limit=position.velocity_limit,
-        **s.sampling_of(position),
-    )
-    inner = velocity_loop(
-        velocity.proportional,
-        velocity.integral,
-        inertia=velocity.inertia,
-        limits=s.torque_limit,
-        anti_windup=rule_of(s.anti_windup),
-        initial_torque=velocity.initial_torque,
-        commands_current=current is not None,
-        **s.sampling_of(velocity),
-    )
-    blocks = (
-        with_schedule(outer, position.schedule, context, "position_gain"),
-        with_schedule(inner, velocity.schedule, context),
-    )
-    if current is None:
-        return blocks
-    before = context.before("torque")
-    lag = current_loop(current.time_constant, limits=s.torque_limit, initial_torque=before, **s.sampling_of(current))
-    return (*blocks, lag)

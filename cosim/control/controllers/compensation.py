@@ -1,4 +1,4 @@
-"""Feedforwards against friction and disturbances, added to the torque of another controller; shared arguments: `joints`.
+"""Feedforwards against friction and disturbances, added to the torque of another controller.
 
 The observer estimates the torque that the model lacks from the motion. At the instant k, with the torque T_k-1 that was held since the last
 instant, sample time h, the mean velocity w between both instants and the mean angle q, and the model's torque ID for the measured
@@ -15,80 +15,30 @@ C. Canudas de Wit, A survey of models, analysis tools and compensation methods f
 
 from __future__ import annotations
 
-from typing import Unpack
-
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
-from flexfmu.cosim.control.controllers.computed_torque import Motion, assumed_dynamics, check_dynamics, read
-from flexfmu.cosim.control.controllers.joints import (
-    JOINTS,
-    Gains,
-    JointOptions,
-    PerJoint,
-    TorqueLimits,
-    joint_block,
-    limited,
-    per_joint,
-)
+from flexfmu.cosim.control.controllers.computed_torque import assumed_dynamics, read
+from flexfmu.cosim.control.controllers.joints import JOINTS, Gains, joint_block, limited
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.controllers import DisturbanceObserverSection, FrictionCompensationSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 
-def friction_compensation(
-    viscous: PerJoint,
-    coulomb: PerJoint,
-    *,
-    velocity: float = 0.01,
-    motion: Motion = "reference",
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+@builds(FrictionCompensationSection)
+def friction_compensation(s: FrictionCompensationSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: feedforward = viscous w + coulomb w / sqrt(w² + velocity²), with the motor rate w; without states.
 
-    It is the law of the scene's smooth friction. A compensation from the measured velocity that is stronger than the friction feeds
-    energy into the loop: keep it below.
+    It is the law of the scene's smooth friction, whose coefficients it has where the section has none. A compensation from the
+    measured velocity that is stronger than the friction feeds energy into the loop: keep it below.
 
     Input: ``joint1.reference.velocity`` or ``joint1.velocity``; output ``joint1.feedforward``. Coefficients are tunable parameters
     ``joint1.viscous_friction``, ``joint1.coulomb_friction``.
 
-    Args:
-        viscous: coefficient [N.m.s/rad].
-        coulomb: dry friction [N.m].
-        velocity: rate [rad/s] that smooths the change of sign; 71 % of the dry friction at this rate.
-        motion: whether w is that of the reference or measured.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
     Raises:
-        InputError: the smoothing velocity isn't positive, or see `joints`.
+        InputError: neither the section nor the robot has friction.
     """
-    name = options.get("name", "friction_compensation")
-    (smoothing,) = per_joint(("the motors",), "velocity", velocity, "rad/s")
-    if smoothing <= 0.0:
-        raise InputError(f"{name}: the smoothing velocity must be above 0 rad/s, got {velocity}; try 0.01")
-
-    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
-        (w,), (d, c) = signals, gains
-        return d * w + c * w / casadi.sqrt(w**2 + smoothing**2), x
-
-    return joint_block(
-        "friction_compensation",
-        "Compensation of the motors' friction",
-        law,
-        [read("velocity", motion, name)],
-        ("feedforward", "Torque against the friction of {}"),
-        {
-            "viscous_friction": (viscous, "N.m.s/rad", "Viscous friction that is compensated"),
-            "coulomb_friction": (coulomb, "N.m", "Dry friction that is compensated"),
-        },
-        **options,
-    )
-
-
-@builds(FrictionCompensationSection)
-def _friction_of_section(s: FrictionCompensationSection, context: LoopContext) -> SymbolicBlock:
-    # the scene's own friction, unless the section has its own
     friction = context.scene.effects.joint_friction
     viscous = friction.viscous if s.viscous is None else s.viscous
     coulomb = friction.coulomb if s.coulomb is None else s.coulomb
@@ -98,42 +48,43 @@ def _friction_of_section(s: FrictionCompensationSection, context: LoopContext) -
             f"{context.name} has no friction to compensate: give it `viscous` [N.m.s/rad] or `coulomb` [N.m], or the robot "
             "`effects.joint_friction`"
         )
-    return friction_compensation(viscous, coulomb, velocity=smoothing, motion=s.motion, **s.sampling)
+
+    def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
+        (w,), (d, c) = signals, gains
+        return d * w + c * w / casadi.sqrt(w**2 + smoothing**2), x
+
+    return joint_block(
+        "friction_compensation",
+        "Compensation of the motors' friction",
+        law,
+        [read("velocity", s.motion)],
+        ("feedforward", "Torque against the friction of {}"),
+        {
+            "viscous_friction": (viscous, "N.m.s/rad", "Viscous friction that is compensated"),
+            "coulomb_friction": (coulomb, "N.m", "Dry friction that is compensated"),
+        },
+        **s.sampling,
+    )
 
 
-def disturbance_observer(
-    model: casadi.Function | PerJoint,
-    time_constant: PerJoint,
-    *,
-    limits: TorqueLimits = None,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+@builds(DisturbanceObserverSection)
+def disturbance_observer(s: DisturbanceObserverSection, context: LoopContext) -> SymbolicBlock:
     """Build the block of the observer at the top of this module; its output has no direct feedthrough of the torque.
 
-    It must sample at the instants at which the torque changes: a torque that changes in between isn't the one that it reads.
+    It must sample at the instants at which the torque changes: a torque that changes in between isn't the one that it reads. With
+    inertias in place of inverse dynamics, gravity and all other joints are disturbances of a joint.
 
     Inputs: ``joint1.position`` (with inverse dynamics), ``joint1.velocity``, ``joint1.torque``; output ``joint1.feedforward``, zero at the
     first sample. Inertias and time constants are tunable parameters ``joint1.inertia``, ``.time_constant``.
-
-    Args:
-        model: inverse dynamics (q, v, a) → torque [rad, rad/s, rad/s2 → N.m] of the robot without the disturbance, or the inertia of each
-            joint [kg.m2], of which then gravity and all other joints are disturbances.
-        time_constant: T [s], zero or positive: 1 / (2 pi f) for a bandwidth f [Hz].
-        limits: limits of the feedforward.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: the inverse dynamics don't fit the joints, or see `joints`.
     """
-    n, h = len(options.get("joints", JOINTS)), options["sample_time"]
-    dynamics: casadi.Function | None = None
+    n, h = len(JOINTS), s.sample_time
+    gains: Gains = {"time_constant": (s.time_constant, "s", "Time constant of the observer")}
     kinds: tuple[str, ...] = ("velocity",)
-    gains: Gains = {"time_constant": (time_constant, "s", "Time constant of the observer")}
-    if isinstance(model, casadi.Function):
-        check_dynamics(model, "disturbance_observer", options)
-        dynamics, kinds = model, ("position", "velocity")
+    dynamics: casadi.Function | None = None
+    if s.inertia is None:
+        dynamics, kinds = assumed_dynamics(context, s.payload), ("position", "velocity")
     else:
-        gains = {**gains, "inertia": (model, "kg.m2", "Inertia that the observer assumes")}
+        gains = {**gains, "inertia": (s.inertia, "kg.m2", "Inertia that the observer assumes")}
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
         started, feedforward, last_torque, *last = split(x, 1, n)
@@ -156,13 +107,7 @@ def disturbance_observer(
         (*kinds, "torque"),
         ("feedforward", "Torque against the observed disturbance of {}"),
         gains,
-        limits=limits,
+        limit=s.torque_limit,
         states=[0.0] * (1 + n * (2 + len(kinds))),
-        **options,
+        **s.sampling,
     )
-
-
-@builds(DisturbanceObserverSection)
-def _observer_of_section(s: DisturbanceObserverSection, context: LoopContext) -> SymbolicBlock:
-    model = assumed_dynamics(context, s.payload) if s.inertia is None else s.inertia
-    return disturbance_observer(model, s.time_constant, limits=s.torque_limit, **s.sampling)

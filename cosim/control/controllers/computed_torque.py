@@ -1,38 +1,24 @@
 """Torques of the robot's own dynamics: computed-torque control, and feedforwards of the rigid robot, of gravity and of the flexible robot.
 
-Inverse dynamics are functions (q, v, a) → torque [rad, rad/s, rad/s2 → N.m], for example that of `flexfmu.model.numeric.inverse_dynamics`.
-`BlockSlave` compiles large ones, such as those of a five-bar. Other shared arguments: `joints`.
+Inverse dynamics ID are those of the rigid robot, (q, v, a) → torque [rad, rad/s, rad/s2 → N.m], with the payload that the section assumes;
+`BlockSlave` compiles them.
 
 The torques of the flexible robot's motors in a known motion come from its elastic motion, integrated once from static equilibrium
 (`ElasticResponse`). The block holds the mean torque of each sample, so that the hold between samples moves the motors as the torques in
 continuous time would.
-
-Raises:
-    InputError: the inverse dynamics don't fit the joints, or see `joints`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import ceil
-from typing import Literal, Unpack
+from typing import Literal
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block, rows_in_turn
-from flexfmu.cosim.control.controllers.joints import (
-    JOINTS,
-    TORQUE,
-    JointOptions,
-    PerJoint,
-    TorqueLimits,
-    joint_block,
-    joint_outputs,
-    limited,
-)
+from flexfmu.cosim.control.blocks.equations import Vector, block, rows_in_turn
+from flexfmu.cosim.control.controllers.joints import TORQUE, joint_block, joint_outputs, limited
 from flexfmu.cosim.control.sections import LoopContext, builds
-from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model import numeric
 from flexfmu.model.radau import radau
@@ -48,45 +34,25 @@ MOTION = "reference.position", "reference.velocity", "reference.acceleration"
 STEP = 5e-4
 """Largest step of the integration [s]; it divides the sample time."""
 
-Motion = Literal["reference", "measured"]
-"""Which motion a feedforward reads."""
 
-
-def computed_torque(
-    inverse_dynamics: casadi.Function,
-    proportional: PerJoint,
-    derivative: PerJoint,
-    *,
-    limits: TorqueLimits = None,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+@builds(ComputedTorqueSection)
+def computed_torque(s: ComputedTorqueSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: torque = sat(ID(q, v, a_r + K_d (v_r - v) + K_p (q_r - q)) + feedforward).
 
-    ID is the rigid inverse dynamics. Unless saturated, on a rigid robot without feedforward the error e = q_r - q obeys
-    e'' + K_d e' + K_p e = 0 at the sample instants at every pose: natural frequency sqrt(K_p), damping ratio
-    K_d / (2 sqrt(K_p)). J. J. Craig, Introduction to
+    Unless saturated, on a rigid robot without feedforward the error e = q_r - q obeys e'' + K_d e' + K_p e = 0 at the sample
+    instants at every pose: natural frequency sqrt(K_p), damping ratio K_d / (2 sqrt(K_p)). J. J. Craig, Introduction to
     Robotics, 3rd ed. 2005, section 10.4; B. Siciliano et al., Robotics, 2009, section 8.5.2.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``, ``joint1.position``, ``joint1.velocity``,
     ``joint1.feedforward``; output ``joint1.torque``. Gains are ``joint1.proportional_gain``, ``joint1.derivative_gain``.
-
-    Args:
-        inverse_dynamics: ID.
-        proportional: K_p [1/s2].
-        derivative: K_d [1/s].
-        limits: torque limits.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: see above.
     """
-    check_dynamics(inverse_dynamics, "computed_torque", options)
+    dynamics = assumed_dynamics(context, s.payload)
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
         q_r, v_r, a_r, q, v, feedforward = signals
         k_p, k_d, *bounds = gains
         # inverse dynamics of the reference acceleration, corrected by PD feedback
-        torque = inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0]
+        torque = dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0]
         return limited(torque + feedforward, bounds), x
 
     return joint_block(
@@ -96,79 +62,62 @@ def computed_torque(
         (*MOTION, "position", "velocity", "feedforward"),
         TORQUE,
         {
-            "proportional_gain": (proportional, "1/s2", "Stiffness per inertia"),
-            "derivative_gain": (derivative, "1/s", "Damping per inertia"),
+            "proportional_gain": (s.proportional, "1/s2", "Stiffness per inertia"),
+            "derivative_gain": (s.derivative, "1/s", "Damping per inertia"),
         },
-        limits=limits,
-        **options,
+        limit=s.torque_limit,
+        **s.sampling,
     )
 
 
-@builds(ComputedTorqueSection)
-def _of_section(s: ComputedTorqueSection, context: LoopContext) -> SymbolicBlock:
-    dynamics = assumed_dynamics(context, s.payload)
-    return computed_torque(dynamics, s.proportional, s.derivative, limits=s.torque_limit, **s.sampling)
-
-
-def inverse_dynamics_feedforward(inverse_dynamics: casadi.Function, **options: Unpack[JointOptions]) -> SymbolicBlock:
-    """Build the block: feedforward = ID(q_r, v_r, a_r), the rigid torques of the reference motion; without states.
-
-    Connect it to the feedforward input of a PD or PID controller.
-
-    Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``; output ``joint1.feedforward``. Arguments
-    and errors as for `computed_torque`.
-    """
-    check_dynamics(inverse_dynamics, "feedforward", options)
-    gives = "feedforward", "Rigid torque of the reference motion of {}"
-    what = "Rigid inverse dynamics of the reference motion"
-    return joint_block(
-        "feedforward", what, lambda x, u, p: (inverse_dynamics.call(u)[0], x), MOTION, gives, {}, **options
-    )
-
-
-def gravity_feedforward(
-    inverse_dynamics: casadi.Function, *, motion: Motion = "reference", **options: Unpack[JointOptions]
-) -> SymbolicBlock:
+@builds(GravityFeedforwardSection)
+def gravity_feedforward(s: GravityFeedforwardSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: feedforward = ID(q, 0, 0), the torques that hold the rigid robot at rest in its pose q; without states.
 
     It reads the reference, which is known ahead and free of noise, or the measurement, which is there without a reference too
     (B. Siciliano et al., Robotics, 2009, section 8.5.1).
 
-    Input: ``joint1.reference.position`` or ``joint1.position``; output ``joint1.feedforward``. Arguments and errors as for
-    `computed_torque`; ``motion`` is whether q is that of the reference or measured.
+    Input: ``joint1.reference.position`` or ``joint1.position``; output ``joint1.feedforward``.
     """
-    check_dynamics(inverse_dynamics, "gravity_feedforward", options)
+    dynamics = assumed_dynamics(context, s.payload)
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
         rest = casadi.SX.zeros(signals[0].numel())
-        return inverse_dynamics.call([*signals, rest, rest])[0], x
+        return dynamics.call([*signals, rest, rest])[0], x
 
-    gives, takes = ("feedforward", "Torque against gravity of {}"), [read("position", motion, "gravity_feedforward")]
+    gives, takes = ("feedforward", "Torque against gravity of {}"), [read("position", s.motion)]
     what = "Torques that hold the rigid robot at rest"
-    return joint_block("gravity_feedforward", what, law, takes, gives, {}, **options)
+    return joint_block("gravity_feedforward", what, law, takes, gives, {}, **s.sampling)
 
 
-builds(GravityFeedforwardSection)(
-    lambda s, c: gravity_feedforward(assumed_dynamics(c, s.payload), motion=s.motion, **s.sampling)
-)
+@builds(FeedforwardSection)
+def feedforward(s: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
+    """Build the block of the torques in the reference motion, outputs ``joint1.feedforward``.
 
+    For the rigid robot they are ID(q_r, v_r, a_r) of its inputs ``joint1.reference.position``, ``.velocity``, ``.acceleration``; for
+    the flexible robot the mean torques of each sample in turn, without inputs.
 
-def tabulated_feedforward(
-    torques: RealArray, *, joints: Sequence[str] = JOINTS, **options: Unpack[BlockOptions]
-) -> SymbolicBlock:
-    """Build the block: the torques of each sample in turn, (N, n) [N m] for n joints; the last ones hold on.
-
-    It has no inputs; outputs ``joint1.feedforward``. Options and errors as for `computed_torque`.
+    Raises:
+        EquilibriumError: the links are too soft for the motion.
     """
+    if s.robot == "rigid":
+        dynamics = assumed_dynamics(context, s.payload)
+        gives = "feedforward", "Rigid torque of the reference motion of {}"
+        what = "Rigid inverse dynamics of the reference motion"
+        return joint_block(
+            "feedforward", what, lambda x, u, p: (dynamics.call(u)[0], x), MOTION, gives, {}, **s.sampling
+        )
+    scene, motion = _assumed(context, s.payload), context.shaped
+    torques = mean_torques(scene, motion, motion.duration + scene.trajectory.dwell, **s.sampling)
     return block(
         "feedforward",
         "Torques of the flexible robot in its motion",
         rows_in_turn(torques, "torques"),
         inputs=(),
-        outputs=joint_outputs(joints, "feedforward", "Torque of the flexible robot's motion of {}"),
+        outputs=joint_outputs("feedforward", "Torque of the flexible robot's motion of {}"),
         states=(0.0,),
         symbol=casadi.MX,
-        **options,
+        **s.sampling,
     )
 
 
@@ -200,15 +149,6 @@ def mean_torques(
     return np.asarray(means[before:])
 
 
-@builds(FeedforwardSection)
-def _feedforward_of_section(s: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
-    if s.robot == "rigid":
-        return inverse_dynamics_feedforward(assumed_dynamics(context, s.payload), **s.sampling)
-    scene, motion = _assumed(context, s.payload), context.shaped
-    torques = mean_torques(scene, motion, motion.duration + scene.trajectory.dwell, **s.sampling)
-    return tabulated_feedforward(torques, **s.sampling)
-
-
 def assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
     """Return the rigid inverse dynamics with the payload [kg] that a controller assumes; None for the scene's own."""
     return numeric.inverse_dynamics(_assumed(context, payload))
@@ -219,29 +159,6 @@ def _assumed(context: LoopContext, payload: float | None) -> Scene:
     return context.scene if payload is None else context.scene.replace({"payload.mass": payload})
 
 
-def check_dynamics(inverse_dynamics: casadi.Function, kind: str, options: JointOptions) -> None:
-    """Check that the inverse dynamics map three vectors to one, each with one element for each joint.
-
-    Raises:
-        InputError: they don't.
-    """
-    joints: Sequence[str] = options.get("joints", JOINTS)
-    found = [inverse_dynamics.numel_in(i) for i in range(inverse_dynamics.n_in())]
-    results = [inverse_dynamics.numel_out(i) for i in range(inverse_dynamics.n_out())]
-    n = len(joints)
-    if found != [n] * 3 or results != [n]:
-        raise InputError(
-            f"{options.get('name', kind)}: the inverse dynamics must take (q, v, a) of {n} each and give {n} torques for "
-            f"{', '.join(joints)}; {inverse_dynamics.name()} takes {found} and gives {results}"
-        )
-
-
-def read(kind: str, motion: Motion, name: str) -> str:
-    """Return the name of the signal that a feedforward reads: that of the reference, or the measured one.
-
-    Raises:
-        InputError: the motion is neither.
-    """
-    if motion not in ("reference", "measured"):
-        raise InputError(f"{name}: the motion is 'reference' or 'measured', got {motion!r}")
+def read(kind: str, motion: Literal["reference", "measured"]) -> str:
+    """Return the name of the signal that a feedforward reads: that of the reference, or the measured one."""
     return f"reference.{kind}" if motion == "reference" else kind

@@ -13,36 +13,24 @@ the sampled loop, not for an approximation of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Any, Unpack
+from typing import Any
 
 import casadi
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector
-from flexfmu.cosim.control.controllers.from_control import from_control
-from flexfmu.cosim.control.controllers.joints import (
-    JOINTS,
-    TORQUE,
-    JointOptions,
-    PerJoint,
-    TorqueLimits,
-    joint_block,
-    limited,
-    per_joint,
-)
-from flexfmu.cosim.control.controllers.linear_system import times
+from flexfmu.cosim.control.blocks.equations import Vector
+from flexfmu.cosim.control.controllers.from_control import from_control, times
+from flexfmu.cosim.control.controllers.joints import TORQUE, joint_block, limited
 from flexfmu.cosim.control.controllers.state_feedback import POSITIONS, TORQUES
-from flexfmu.cosim.control.sections import builds
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import RealArray, check_sampling
+from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.controllers import HInfinitySection
-from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 SUBOPTIMAL = 1.1
@@ -189,61 +177,35 @@ def _response(system: StateSpace, frequency: float) -> np.ndarray[tuple[int, ...
     return np.asarray(system.C @ resolvent + system.D, dtype=np.complex128)
 
 
+@builds(HInfinitySection)
 @one_blas_thread()
-def h_infinity(
-    scene: Scene,
-    position: tuple[float, float],
-    bandwidth: PerJoint,
-    integral_time: PerJoint | None = None,
-    *,
-    limits: TorqueLimits = None,
-    **options: Unpack[BlockOptions],
-) -> SymbolicBlock:
+def h_infinity(s: HInfinitySection, context: LoopContext) -> SymbolicBlock:
     """Build the block: torque = sat(u_0 + W(z) K(z) (q - q_r) + feedforward), from measured angles alone.
 
     At the limits the weights get what the motors give (R. Hanus, M. Kinnaert, J.-L. Henrotte, Automatica 23, 1987, 729-739), so that
     their integrals don't wind up. Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless
     connected); output ``joint1.torque``.
 
-    Args:
-        scene: the robot.
-        position: end-effector position of the rigid robot at the pose (2,) [m].
-        bandwidth: frequency at which each joint's loop crosses 1 [Hz], below half the sampling frequency.
-        integral_time: of each joint [s]; None for 5 / (2 pi bandwidth).
-        limits: torque limits; None for none.
-        options: ``sample_time`` [s], ``offset`` [s], ``name``.
-
     Raises:
-        InputError: a frequency or time isn't positive, or there is no stable loop.
+        InputError: the bandwidth isn't below half the sampling frequency, or there is no stable loop.
         EquilibriumError: there is no equilibrium at the pose.
     """
-    name, h = options.get("name", "h_infinity"), options["sample_time"]
-    check_sampling(h, options.get("offset", 0.0), name)
-    frequency = _positive(bandwidth, "bandwidth", "Hz", name)
+    frequency, h, position = np.array(s.bandwidth, dtype=float), s.sample_time, context.position(s.pose)
     if (frequency >= 0.5 / h).any():
         raise InputError(
-            f"{name}: bandwidth must be below half the sampling frequency, {0.5 / h:g} Hz, got {frequency.max():g} Hz"
+            f"h_infinity: bandwidth must be below half the sampling frequency, {0.5 / h:g} Hz, got {frequency.max():g} Hz"
         )
     rate = 2.0 * pi * frequency
-    times_i = INTEGRAL / rate if integral_time is None else _positive(integral_time, "integral_time", "s", name)
-    scene = without_coulomb_friction(scene)
+    integral_time = INTEGRAL / rate if s.integral_time is None else np.array(s.integral_time, dtype=float)
+    scene = without_coulomb_friction(context.scene)
     plant = linearize(scene, position, POSITIONS)[:, :2]
     robot = from_control(plant, method="zoh", sample_time=h, inputs=TORQUES, outputs=POSITIONS)
-    loop = shape_loop(StateSpace(robot.A, robot.B, robot.C, robot.D), h, rate, times_i)
-    return shaped_block(loop, operating_point(scene, position).inputs[:2], limits, **options)
+    loop = shape_loop(StateSpace(robot.A, robot.B, robot.C, robot.D), h, rate, integral_time)
+    return shaped_block(s, loop, operating_point(scene, position).inputs[:2])
 
 
-builds(HInfinitySection)(
-    lambda s, c: h_infinity(
-        c.scene, c.position(s.pose), s.bandwidth, s.integral_time, limits=s.torque_limit, **s.sampling
-    )
-)
-
-
-def shaped_block(
-    loop: ShapedLoop, holding: Sequence[float] | RealArray, limits: TorqueLimits = None, **options: Unpack[JointOptions]
-) -> SymbolicBlock:
-    """Build the block of a design; ``holding`` are the torques u_0 at the equilibrium [N.m], the rest as for `h_infinity`."""
+def shaped_block(s: HInfinitySection, loop: ShapedLoop, holding: RealArray) -> SymbolicBlock:
+    """Build the block of a design; ``holding`` are the torques u_0 at the equilibrium [N.m]."""
     W, K, u_0 = loop.weights, loop.controller, np.asarray(holding, dtype=float)
     order, size = len(K.A), len(K.A) + len(u_0)
 
@@ -262,17 +224,6 @@ def shaped_block(
         return torque, casadi.vertcat(*updated)
 
     what, takes = f"H-infinity loop shaping of order {size}", ("reference.position", "position", "feedforward")
-    return joint_block("h_infinity", what, law, takes, TORQUE, {}, limits=limits, states=[0.0] * size, **options)
-
-
-def _positive(values: PerJoint, what: str, unit: str, name: str) -> RealArray:
-    """Return one positive number for each joint.
-
-    Raises:
-        InputError: one isn't.
-    """
-    found = np.array(per_joint(JOINTS, f"{name}: {what}", values, unit), dtype=float)
-    for each in found.tolist():
-        if not each > 0.0:
-            raise InputError(f"{name}: {what} must be positive, got {each:g} {unit}")
-    return found
+    return joint_block(
+        "h_infinity", what, law, takes, TORQUE, {}, limit=s.torque_limit, states=[0.0] * size, **s.sampling
+    )

@@ -1,17 +1,32 @@
-"""Iterative learning: a feedforward torque that improves from cycle to cycle of a repeated motion; its laws: `learning_laws`."""
+"""Iterative learning: a feedforward torque that improves from cycle to cycle of a repeated motion, by a law of weights.
+
+With w_j(k) and e_j(k) the learned torque and the error of sample k in cycle j, all laws are ::
+
+    w_j+1(k) = sum_i W(i) w_j(k + i) + sum_i E(i) e_j(k + i),      w_0 = 0,      e = reference - measurement
+
+so that on a sampled loop with the response P from learned torques to angles the error of a frequency changes from cycle to cycle by
+T = W - P E, the contraction: it shrinks where the largest singular value of T is below 1.
+
+- P-type: W = 1 - forgetting, E a gain at i = shift (S. Arimoto, S. Kawamura, F. Miyazaki, Bettering operation of robots by
+  learning, J. Robotic Systems 1 (1984) 123; forgetting: S. Arimoto, Int. J. Control 52 (1990)).
+- Norm-optimal: E = (P* P + r)^-1 P*, with which w_j+1 minimises |e_j+1|^2 + r |w_j+1 - w_j|^2 (N. Amann, D. H. Owens, E. Rogers, Iterative
+  learning control for discrete-time systems with exponential rate of convergence, IEE Proc. D 143 (1996) 217). P changes along the path
+  more slowly than it decays, so E is that of places on the path, interpolated between them.
+- A Q-filter multiplies W and E by a low-pass Q without phase (D. A. Bristow, M. Tharayil, A. G. Alleyne, A survey of iterative learning
+  control, IEEE Control Systems Magazine 26 (2006) 96): it learns nothing where the model isn't known, and leaves the error there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import isfinite
-from typing import Unpack
+from dataclasses import dataclass
+from math import log2, pi
 
 import casadi
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.equations import Vector
-from flexfmu.cosim.control.controllers.joints import JOINTS, JointOptions, JointQuantity, PerJoint, joint_block
-from flexfmu.cosim.control.controllers.learning_laws import LearningLaw, norm_optimal_law, proportional_law, zero_phase
+from flexfmu.cosim.control.controllers.joints import JOINTS, joint_block
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
@@ -26,127 +41,146 @@ MAXIMUM_TABLE = 1_000_000
 PLACES = 1001
 """Number of places that are told apart on the path."""
 
-GAIN_UNITS: Mapping[JointQuantity, str] = {"position": "N.m/rad", "velocity": "N.m.s/rad", "acceleration": "N.m.s2/rad"}
-"""Quantity whose error is learned from → unit of the learning gain."""
-
-
 PROBE = "learning probe"
 """Name of the block that stands for a controller that learns in a loop about standstill."""
 
+ComplexArray = NDArray[np.complex128]
 
-def iterative_learning(
-    gain: PerJoint,
-    cycle: int,
-    *,
-    shift: int = 1,
-    forgetting: float = 0.0,
-    q_filter: float | None = None,
-    learn_from: JointQuantity = "position",
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
-    """Build the block whose output w is the learned feedforward: for each joint, cycle j and sample k = 0 .. N - 1 ::
+TAIL, FILTER_TAIL = 1e-3, 1e-4
+"""Weights of the norm-optimal law and of a Q-filter below this share of the largest one are left out."""
 
-        w_j+1(k) = Q ((1 - forgetting) w_j(k) + gain * e_j(k + shift)),      w_0 = 0,      e = reference - measurement
+LONGEST_RESPONSE = 1000
+"""Largest number of samples of a loop's response that counts."""
 
-    On a sampled plant with first Markov parameter g = y(shift) of a unit pulse, the error of a sample changes from cycle to cycle by the
-    factor 1 - forgetting - gain g, whose magnitude must be below 1; with `LearningLaw.contraction` below 1 the error of the whole
-    cycle shrinks. Without a Q-filter the errors of the last ``shift`` samples lie beyond the cycle, so those samples learn nothing.
 
-    Every cycle must start from the same state of the plant: repeat a motion that returns to its start. Inputs:
-    ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``, to be added
-    to a controller's torque, without direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
+@dataclass(frozen=True, eq=False)
+class LearningLaw:
+    """The weights of the law at the top of this module.
 
-    Args:
-        gain: learning gain [N.m/rad] (or [N.m.s/rad] for velocities).
-        cycle: N, samples in a cycle.
-        shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
-        forgetting: share that is forgotten in each cycle, from 0 to below 1; a few percent add robustness and leave an
-            error.
-        q_filter: cut-off of the low-pass without phase, `zero_phase` [Hz]; None for none.
-        learn_from: quantity whose error is learned from: ``position``, ``velocity`` or ``acceleration``.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: cycle, shift, forgetting, a gain, the cut-off or the sample time is out of range.
+    Attributes:
+        torque: W(i) for i = -m .. m, (2 m + 1,).
+        error: E(i) for i = ahead - V + 1 .. ahead at S places on the path, equally spaced from its start to its end, (S, V, n, n), for
+            learning gains of 1 that multiply its rows.
+        ahead: largest i.
+        stops: whether errors beyond a cycle's end count as zero; otherwise those of the next cycle follow.
     """
-    name, joints = _check_cycle(cycle, forgetting, options)
-    if shift != int(shift) or not 0 <= shift < cycle:
-        raise InputError(f"{name}: the shift must be 0 to {cycle - 1} samples, less than a cycle, got {shift}")
-    taps = zero_phase(q_filter, options["sample_time"], (cycle - 1 - shift) // 2)
-    law = proportional_law(shift, forgetting, taps, len(joints))
-    unit = GAIN_UNITS[learn_from]
-    return _block("P-type iterative learning", law, cycle, None, (gain, unit), learn_from, **options)
+
+    torque: RealArray
+    error: RealArray
+    ahead: int
+    stops: bool = False
+
+    @property
+    def behind(self) -> int:
+        """m."""
+        return len(self.torque) // 2
+
+    def effects(
+        self, response: RealArray, place: float, gain: RealArray, sample_time: float
+    ) -> tuple[ComplexArray, ComplexArray, RealArray]:
+        """W (F,) and P E (F, n, n) at a place, and frequencies (F,) [Hz], from 0 to half the sampling frequency.
+
+        Args:
+            response: P, angles (M, n, n) of the samples after a unit torque of one sample.
+            place: where on the path, 0 to 1.
+            gain: learning gains (n,).
+            sample_time: [s].
+        """
+        size = _transform_size(LONGEST_RESPONSE, self.error.shape[1], len(self.torque))
+        at = np.clip(1.0 - abs(place * (len(self.error) - 1) - np.arange(len(self.error))), 0.0, 1.0)
+        error = gain[:, np.newaxis] * np.tensordot(at, self.error, 1)
+        # weights are correlated with the future: conjugates, with the phase of their first index
+        frequency = np.fft.rfftfreq(size, sample_time)
+        turn = np.exp(2j * pi * sample_time * frequency)
+        w = np.fft.rfft(self.torque, size).conj() / turn**self.behind
+        e = np.fft.rfft(error, size, axis=0).conj() * (turn ** (self.ahead - len(error) + 1))[:, np.newaxis, np.newaxis]
+        return w, np.asarray(np.fft.rfft(response, size, axis=0) @ e), np.asarray(frequency)
 
 
-def norm_optimal_learning(
-    response: RealArray,
-    places: RealArray,
-    *,
-    regularisation: float = 1e-3,
-    forgetting: float = 0.0,
-    q_filter: float | None = None,
-    gain: PerJoint = 1.0,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
-    """Build the block that learns by the norm-optimal law of `learning_laws`; signals as for `iterative_learning`.
+def proportional_law(shift: int, forgetting: float, q: RealArray, joints: int) -> LearningLaw:
+    """The P-type law with a Q-filter's weights q (2 m + 1,), which are (1,) for none."""
+    error = q[:, np.newaxis, np.newaxis] * np.eye(joints)
+    return LearningLaw((1.0 - forgetting) * q, error[np.newaxis], shift + len(q) // 2, stops=len(q) == 1)
 
-    It learns from angles. With a right model the error falls in each cycle by r / (|P|^2 + r); a model with the phase of P is enough.
+
+def norm_optimal_law(
+    response: RealArray, regularisation: float, forgetting: float, q: RealArray, longest: int
+) -> LearningLaw:
+    """The norm-optimal law for a response P at S places, (S, M, n, n).
 
     Args:
-        response: P at S places on the path, equally spaced from its start to its end: angles [rad/(N.m)] of the samples after a torque
-            of 1 N.m of one sample, (S, M, n, n).
-        places: where on the path the robot is at each sample of a cycle, 0 to 1 (N,).
-        sample_time: time between samples [s].
-        offset: first sample instant [s].
+        response: angles of the samples after a unit torque of one sample.
         regularisation: r, relative to the largest squared gain of P.
-        forgetting, q_filter: as for `iterative_learning`.
-        gain: factor of what is learned from a cycle, ``joint1.learning_gain``.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
+        forgetting: share that is forgotten in each cycle.
+        q: weights of the Q-filter, (2 m + 1,).
+        longest: largest number of samples that the law looks ahead, and back.
+    """
+    size = _transform_size(8 * response.shape[1], len(q))
+    p = np.fft.rfft(response, size, axis=1)
+    r = regularisation * np.linalg.norm(p, 2, axis=(2, 3)).max() ** 2
+    adjoint = p.conj().swapaxes(2, 3)
+    inverse = np.linalg.solve(adjoint @ p + r * np.eye(p.shape[-1]), adjoint)
+    filtered = (
+        inverse
+        * (np.fft.rfft(q, size) * np.exp(2j * pi * np.arange(size // 2 + 1) / size * (len(q) // 2)))[
+            :, np.newaxis, np.newaxis
+        ]
+    )
+    # E(i) is the value at -i of the impulse response, kept as far as it matters
+    kernel = np.roll(np.fft.irfft(filtered, size, axis=1)[:, ::-1], 1 + size // 2, axis=1)
+    sizes = abs(kernel).max(axis=(0, 2, 3))
+    far = abs(np.flatnonzero(sizes > TAIL * sizes.max()) - size // 2).max()
+    reach = int(max(1, min(far, longest)))
+    return LearningLaw((1.0 - forgetting) * q, kernel[:, size // 2 - reach : size // 2 + reach + 1], reach)
+
+
+def _transform_size(*lengths: int) -> int:
+    """Number of samples of a Fourier transform, a power of 2 with eight frequencies within the width of a resonance."""
+    return int(max(4096, 2 ** int(np.ceil(log2(8 * max(lengths))))))
+
+
+def zero_phase(cut_off: float | None, sample_time: float, longest: int) -> RealArray:
+    """Weights (2 m + 1,) of a Butterworth low-pass of second order, forward and backward: 1 / (1 + (f / cut-off)^4) without phase.
+
+    Args:
+        cut_off: where half of the amplitude is left [Hz]; None for no filter.
+        sample_time: [s].
+        longest: largest m.
 
     Raises:
-        InputError: an argument is out of range, or the response has another shape or isn't finite.
+        InputError: the cut-off isn't below half the sampling frequency, or is too low for a cycle.
     """
-    cycle, shape = len(places), response.shape
-    name, joints = _check_cycle(cycle, forgetting, options)
-    n = len(joints)
-    fits = len(shape) == 4 and shape[1] > 0 and shape[2:] == (n, n)
-    if not (fits and np.isfinite(response).all() and response.any()):
+    if cut_off is None:
+        return np.ones(1)
+    if not 0.0 < cut_off * sample_time < 0.5:
         raise InputError(
-            f"{name}: the response must be finite angles of {n} joints after torques of {n} joints, (places, samples, {n}, {n}), got shape {shape}"
+            f"the Q-filter's cut-off must be below half the sampling frequency of {1.0 / sample_time:g} Hz, got {cut_off:g} Hz"
         )
-    if not (isfinite(regularisation) and regularisation > 0.0):
-        raise InputError(f"{name}: the regularisation must be above 0, got {regularisation}")
-    longest = max(1, (cycle - 1) // 2)
-    taps = zero_phase(q_filter, options["sample_time"], longest)
-    law = norm_optimal_law(response, regularisation, forgetting, taps, longest)
-    return _block("Norm-optimal iterative learning", law, cycle, places, (gain, "1"), "position", **options)
-
-
-def _check_cycle(cycle: int, forgetting: float, options: JointOptions) -> tuple[str, Sequence[str]]:
-    """Check number of samples and forgetting; return the block's name and its joints. Errors as above."""
-    name = options.get("name", "learning")
-    if cycle != int(cycle) or not 1 <= cycle <= MAXIMUM_TABLE:
-        raise InputError(f"{name}: a cycle must have 1 to {MAXIMUM_TABLE} samples, got {cycle}")
-    if not (isfinite(forgetting) and 0.0 <= forgetting < 1.0):
-        raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")
-    return name, options.get("joints", JOINTS)
+    size = 2 ** int(np.ceil(log2(max(4096.0, 16.0 / (cut_off * sample_time)))))
+    # bilinear transform with the cut-off in its place
+    with np.errstate(over="ignore"):
+        ratio = np.tan(pi * np.arange(size // 2) / size) / np.tan(pi * cut_off * sample_time)
+        gains = 1.0 / (1.0 + np.append(ratio, np.inf) ** 4)
+    kernel = np.fft.irfft(gains)
+    m = int(np.flatnonzero(abs(kernel[: size // 2]) > FILTER_TAIL * kernel[0]).max())
+    if m > longest:
+        raise InputError(
+            f"the Q-filter's cut-off of {cut_off:g} Hz needs {m} samples before and after each, and a cycle leaves {longest}: raise it"
+        )
+    taps = np.concatenate([kernel[m:0:-1], kernel[: m + 1]])
+    return np.asarray(taps / taps.sum())
 
 
 def _block(
-    what: str,
-    law: LearningLaw,
-    cycle: int,
-    places: RealArray | None,
-    gain: tuple[PerJoint, str],
-    learn_from: JointQuantity,
-    **options: Unpack[JointOptions],
+    s: LearningSection, kind: str, what: str, law: LearningLaw, cycle: int, places: RealArray | None
 ) -> SymbolicBlock:
     """Build the block of a law; places (N,) may be None with a law for one place. A sample's torque is learned ``ahead`` samples later.
 
     States are the number of the sample within the cycle, and of each joint: torques of the next N samples, of which the last ``ahead``
     haven't learned yet; torques of the m samples before those, as they were; the last V - 1 errors.
     """
-    n, ahead, m = len(options.get("joints", JOINTS)), max(law.ahead, law.behind), law.behind
+    n, ahead, m = len(JOINTS), max(law.ahead, law.behind), law.behind
+    gain, unit = (1.0, "1") if places is not None else (1.0 if kind == PROBE else s.gain or (0.0, 0.0), "N.m/rad")
     # errors in the order of time: the last one is the present one
     error = np.pad(law.error, ((0, 0), (0, ahead - law.ahead), (0, 0), (0, 0)))
     count = error.shape[1]
@@ -186,15 +220,15 @@ def _block(
 
     after = np.zeros(0) if places is None else np.roll(places, ahead)
     return joint_block(
-        "learning",
+        kind,
         f"{what} over cycles",
         equations,
-        (f"reference.{learn_from}", learn_from),
+        ("reference.position", "position"),
         ("feedforward", "Learned torque of {}"),
-        {"learning_gain": (*gain, "Learning gain")},
+        {"learning_gain": (gain, unit, "Learning gain")},
         states=[0.0] * int(ends[-1]),
         symbol=casadi.MX,
-        **options,
+        **s.sampling,
     )
 
 
@@ -214,6 +248,8 @@ def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
         )
     # the queue has one torque for each sample of a cycle
     samples = round(period / sample_time)
+    if not 1 <= samples <= MAXIMUM_TABLE:
+        raise InputError(f"learning: a cycle must have 1 to {MAXIMUM_TABLE} samples, got {samples}")
     if abs(samples * sample_time - period) > SAME_TIME * period:
         raise InputError(
             f"a cycle of {period} s isn't a whole number of samples of {sample_time} s; choose another dwell, or "
@@ -222,21 +258,40 @@ def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
     return samples
 
 
-def law_of(section: LearningSection, cycle: int) -> tuple[LearningLaw, tuple[float, float]]:
-    """The law of a section that leaves nothing open, and its gains, for a cycle of so many samples; errors as above."""
-    s, cut_off = section, None if section.cut_off == "auto" else section.cut_off
-    if s.response is None:
-        taps = zero_phase(cut_off, s.sample_time, (cycle - 1 - s.lead) // 2)
-        return proportional_law(s.lead, s.forgetting, taps, len(JOINTS)), s.gain or (1.0, 1.0)
-    longest = (cycle - 1) // 2
+def law_of(s: LearningSection, cycle: int) -> tuple[LearningLaw, tuple[float, float]]:
+    """The law of a section that leaves nothing open, and its gains, for a cycle of so many samples.
+
+    Raises:
+        InputError: the lead isn't less than a cycle, or the cut-off doesn't suit the cycle.
+    """
+    is_proportional, cut_off = s.response is None, None if s.cut_off == "auto" else s.cut_off
+    if is_proportional and s.lead >= cycle:
+        raise InputError(f"learning: the lead must be 0 to {cycle - 1} samples, less than a cycle, got {s.lead}")
+    longest = (cycle - 1 - s.lead) // 2 if is_proportional else max(1, (cycle - 1) // 2)
     taps = zero_phase(cut_off, s.sample_time, longest)
+    if is_proportional:
+        return proportional_law(s.lead, s.forgetting, taps, len(JOINTS)), s.gain or (1.0, 1.0)
     return norm_optimal_law(np.array(s.response), s.regularisation, s.forgetting, taps, longest), (1.0, 1.0)
 
 
 @builds(LearningSection)
-def _from_section(s: LearningSection, context: LoopContext) -> SymbolicBlock:
+def learning(s: LearningSection, context: LoopContext) -> SymbolicBlock:
+    """Build the block whose output w is the learned feedforward, by the law at the top of this module.
+
+    On a sampled plant with first Markov parameter g = y(lead) of a unit pulse, the P-type law changes the error of a sample from cycle
+    to cycle by the factor 1 - forgetting - gain g, whose magnitude must be below 1. Without a Q-filter the errors of the last ``lead``
+    samples lie beyond the cycle, so those samples learn nothing. With the norm-optimal law and a right model the error falls by
+    r / (|P|^2 + r); a model with the phase of P is enough.
+
+    Every cycle must start from the same state of the plant: repeat a motion that returns to its start. Inputs:
+    ``joint1.reference.position`` and ``joint1.position``; output ``joint1.feedforward``, to be added to a controller's torque, without
+    direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
+
+    Raises:
+        InputError: the motion isn't repeated, a cycle has no whole number of samples, too many or too few of them, or the law is open.
+    """
     if context.is_about_rest:
-        return iterative_learning(1.0, 1, shift=0, name=PROBE, **s.sampling)
+        return _block(s, PROBE, "P-type iterative learning", proportional_law(0, 0.0, np.ones(1), len(JOINTS)), 1, None)
     cycle = samples_in_a_cycle(context.period, s.sample_time)
     if s.cut_off == "auto" or (s.law == "norm-optimal" and s.response is None):
         what = "the cut-off of the Q-filter" if s.cut_off == "auto" else "the `response` of its law"
@@ -244,17 +299,11 @@ def _from_section(s: LearningSection, context: LoopContext) -> SymbolicBlock:
             f"{context.name} leaves {what} open: run the scene with `flexfmu.run`, or choose first, with "
             f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
         )
+    law, _ = law_of(s, cycle)
     if s.response is None:
-        gain, lost = s.gain or (0.0, 0.0), s.forgetting
-        return iterative_learning(gain, cycle, shift=s.lead, forgetting=lost, q_filter=s.cut_off, **s.sampling)
-    return norm_optimal_learning(
-        np.array(s.response),
-        places_of(context, np.asarray(s.offset + s.sample_time * np.arange(cycle), dtype=float)),
-        regularisation=s.regularisation,
-        forgetting=s.forgetting,
-        q_filter=s.cut_off,
-        **s.sampling,
-    )
+        return _block(s, "learning", "P-type iterative learning", law, cycle, None)
+    places = places_of(context, np.asarray(s.offset + s.sample_time * np.arange(cycle), dtype=float))
+    return _block(s, "learning", "Norm-optimal iterative learning", law, cycle, places)
 
 
 def places_of(context: LoopContext, instants: RealArray) -> RealArray:

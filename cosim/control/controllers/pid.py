@@ -1,4 +1,4 @@
-"""PD control of the joints from measured angles and rates, and PID control from measured angles alone; shared arguments: `joints`.
+"""PD control of the joints from measured angles and rates, and PID control from measured angles alone.
 
 The continuous PID controller I' = K_i (q_r - q), T_f D' + D = K_d (c q_r - q)' is discretised exactly for signals that are
 linear between the samples (triangle-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of
@@ -18,70 +18,39 @@ K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, sections 3.3 to 3.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import exp, isfinite
-from typing import Unpack
+from math import exp
 
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
 from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
-from flexfmu.cosim.control.controllers.joints import (
-    JOINTS,
-    TORQUE,
-    JointOptions,
-    PerJoint,
-    TorqueLimits,
-    joint_block,
-    limited,
-    per_joint,
-    saturate,
-)
+from flexfmu.cosim.control.controllers.joints import JOINTS, TORQUE, joint_block, limited, saturate
 from flexfmu.cosim.control.sections import LoopContext, builds
-from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene import controllers as scene
-from flexfmu.model.scene.controllers import FeedforwardSection, GravityFeedforwardSection, PdSection, PidSection
+from flexfmu.model.scene.controllers import (
+    AntiWindupSection,
+    BackCalculationSection,
+    ClampingSection,
+    FeedforwardSection,
+    GravityFeedforwardSection,
+    PdSection,
+    PidSection,
+)
 from flexfmu.model.symbolic import SymbolicBlock
 
 
-@dataclass(frozen=True)
-class Clamping:
-    """Conditional integration: leaves out an increment that would drive the output further into saturation."""
-
-
-@dataclass(frozen=True)
-class BackCalculation:
-    """Back-calculation: I' = K_i e + (sat(v) - v) / T_t, where v is the sum of all terms.
-
-    The second term is integrated exactly over a sample during which the other terms are constant: the excess
-    v - sat(v) shrinks by the factor exp(-h / T_t). With T_t = 0 it vanishes within one sample.
-
-    Attributes:
-        tracking_time: T_t [s], zero or positive; between derivative and integral time, usually sqrt(T_i T_d).
-
-    Raises:
-        InputError: the tracking time is negative or not finite.
-    """
-
-    tracking_time: float
-
-    def __post_init__(self) -> None:
-        if not (isfinite(self.tracking_time) and self.tracking_time >= 0.0):
-            raise InputError(f"the tracking time must be zero or positive, got {self.tracking_time} s")
-
-
-@dataclass(frozen=True)
-class Unprotected:
-    """No anti-windup: integrates whether or not the output is saturated."""
-
-
-AntiWindup = Clamping | BackCalculation | Unprotected
-
-
 def limited_sum(
-    rest: Vector, integral: Vector, increment: Vector, bounds: Sequence[Vector], rule: AntiWindup, sample_time: float
+    rest: Vector,
+    integral: Vector,
+    increment: Vector,
+    bounds: Sequence[Vector],
+    rule: AntiWindupSection,
+    sample_time: float,
 ) -> tuple[Vector, Vector]:
     """Return the limited sum of all terms of a controller, and the integral that the next sample starts from [N.m].
+
+    Back-calculation is I' = K_i e + (sat(v) - v) / T_t, where v is the sum of all terms. The second term is integrated exactly over
+    a sample during which the other terms are constant: the excess v - sat(v) shrinks by the factor exp(-h / T_t). With T_t = 0 it
+    vanishes within one sample.
 
     Args:
         rest: all terms but the integral [N.m].
@@ -94,7 +63,7 @@ def limited_sum(
     if not bounds:
         return rest + integral + increment, integral + increment
     lower, upper = bounds
-    if isinstance(rule, Clamping):
+    if isinstance(rule, ClampingSection):
         # leave the increment out where the sum is beyond a limit and the increment drives it further
         candidate = rest + integral + increment
         above = casadi.logic_and(candidate > upper, increment > 0.0)
@@ -103,39 +72,19 @@ def limited_sum(
     now = integral + increment
     total = rest + now
     torque = saturate(total, lower, upper)
-    if not isinstance(rule, BackCalculation):
+    if not isinstance(rule, BackCalculationSection):
         return torque, now
     # the next sample starts from the corrected integral
     share = 1.0 - exp(-sample_time / rule.tracking_time) if rule.tracking_time else 1.0
     return torque, now + share * (torque - total)
 
 
-def rule_of(section: scene.AntiWindupSection) -> AntiWindup:
-    """Return the rule of a section of the scene file."""
-    if isinstance(section, scene.BackCalculationSection):
-        return BackCalculation(section.tracking_time)
-    return Clamping() if isinstance(section, scene.ClampingSection) else Unprotected()
-
-
-CLAMPING = Clamping()
-
-
-def pd(
-    proportional: PerJoint, derivative: PerJoint, *, limits: TorqueLimits = None, **options: Unpack[JointOptions]
-) -> SymbolicBlock:
+@builds(PdSection)
+def pd(s: PdSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: torque = sat(K_p (q_r - q) + K_d (v_r - v) + feedforward) for each joint, without states.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``joint1.position``, ``joint1.velocity``, ``joint1.feedforward``; output
     ``joint1.torque``. The gains are ``joint1.proportional_gain`` and ``joint1.derivative_gain``.
-
-    Args:
-        proportional: K_p [N.m/rad].
-        derivative: K_d [N.m.s/rad].
-        limits: torque limits.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: see `joints`.
     """
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
@@ -143,67 +92,30 @@ def pd(
         k_p, k_d, *bounds = gains
         return limited(k_p * (q_r - q) + k_d * (v_r - v) + feedforward, bounds), x
 
-    return joint_block(
+    controller = joint_block(
         "pd",
         "PD control of the joints",
         law,
         ("reference.position", "reference.velocity", "position", "velocity", "feedforward"),
         TORQUE,
         {
-            "proportional_gain": (proportional, "N.m/rad", "Proportional gain"),
-            "derivative_gain": (derivative, "N.m.s/rad", "Derivative gain"),
+            "proportional_gain": (s.proportional, "N.m/rad", "Proportional gain"),
+            "derivative_gain": (s.derivative, "N.m.s/rad", "Derivative gain"),
         },
-        limits=limits,
-        **options,
+        limit=s.torque_limit,
+        **s.sampling,
     )
+    return with_schedule(controller, s.schedule, context)
 
 
-@builds(PdSection)
-def _pd_of_section(s: PdSection, context: LoopContext) -> SymbolicBlock:
-    return with_schedule(pd(s.proportional, s.derivative, limits=s.torque_limit, **s.sampling), s.schedule, context)
-
-
-def pid(
-    proportional: PerJoint,
-    integral: PerJoint,
-    derivative: PerJoint,
-    *,
-    filter_time: PerJoint = 0.0,
-    setpoint_weight: float = 1.0,
-    derivative_weight: float = 1.0,
-    limits: TorqueLimits = None,
-    anti_windup: AntiWindup = CLAMPING,
-    initial_torque: PerJoint = 0.0,
-    **options: Unpack[JointOptions],
-) -> SymbolicBlock:
+@builds(PidSection)
+def pid(s: PidSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: PID control of each joint by the law at the top of this module, plus a feedforward.
 
     Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward``; output ``joint1.torque``. Gains and filter times
     are ``joint1.proportional_gain``, ``.integral_gain``, ``.derivative_gain``, ``.filter_time``.
-
-    Args:
-        proportional: K_p [N.m/rad].
-        integral: K_i [N.m/(rad.s)].
-        derivative: K_d [N.m.s/rad].
-        filter_time: T_f [s] of the derivative.
-        setpoint_weight: b; below 1 it reduces the overshoot after a step of the reference. It counts from the first sample on.
-        derivative_weight: c; with 0 only the measurement is differentiated.
-        limits: torque limits.
-        anti_windup: rule for the integral at the limits.
-        initial_torque: torque at the first sample [N.m], without what an error there and the feedforward add: with that which
-            holds the robot nothing moves.
-        options: ``sample_time`` [s], ``offset`` [s], ``joints``, ``name``.
-
-    Raises:
-        InputError: a weight isn't finite, or see `joints`.
     """
-    # weights are constants, not parameters, so they are checked here
-    for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):
-        if not isfinite(weight):
-            name = options.get("name", "pid")
-            raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
-    joints, h, b, c = options.get("joints", JOINTS), options["sample_time"], setpoint_weight, derivative_weight
-    n = len(joints)
+    h, b, c, n = s.sample_time, s.setpoint_weight, s.derivative_weight, len(JOINTS)
 
     def law(x: Vector, signals: list[Vector], gains: list[Vector]) -> tuple[Vector, Vector]:
         # states: a flag, 1 after the first sample, and the last I, D, e and d
@@ -219,27 +131,27 @@ def pid(
         increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
         fading = casadi.exp(-h / t_f)
         slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
-        torque, carried = limited_sum(
-            k_p * (b * q_r - q) + slope + feedforward, carried, increment, bounds, anti_windup, h
-        )
+        rest = k_p * (b * q_r - q) + slope + feedforward
+        torque, carried = limited_sum(rest, carried, increment, bounds, s.anti_windup, h)
         return torque, casadi.vertcat(1.0, carried, slope, e, d)
 
-    return joint_block(
+    controller = joint_block(
         "pid",
         "PID control of the joints",
         law,
         ("reference.position", "position", "feedforward"),
         TORQUE,
         {
-            "proportional_gain": (proportional, "N.m/rad", "Proportional gain"),
-            "integral_gain": (integral, "N.m/rad/s", "Integral gain"),
-            "derivative_gain": (derivative, "N.m.s/rad", "Derivative gain"),
-            "filter_time": (filter_time, "s", "Time constant of the derivative filter"),
+            "proportional_gain": (s.proportional, "N.m/rad", "Proportional gain"),
+            "integral_gain": (s.integral, "N.m/rad/s", "Integral gain"),
+            "derivative_gain": (s.derivative, "N.m.s/rad", "Derivative gain"),
+            "filter_time": (s.filter_time, "s", "Time constant of the derivative filter"),
         },
-        limits=limits,
-        states=[0.0, *per_joint(joints, "initial_torque", initial_torque, "N.m"), *[0.0] * (3 * n)],
-        **options,
+        limit=s.torque_limit,
+        states=[0.0, *_initial_torque(s, context), *[0.0] * (3 * n)],
+        **s.sampling,
     )
+    return with_schedule(controller, s.schedule, context)
 
 
 def _initial_torque(section: PidSection, context: LoopContext) -> Sequence[float]:
@@ -254,20 +166,3 @@ def _initial_torque(section: PidSection, context: LoopContext) -> Sequence[float
     # without an integral it would stay for ever
     holding = context.before("torque")
     return [torque if gain else 0.0 for torque, gain in zip(holding, section.integral, strict=False)] or (0.0, 0.0)
-
-
-@builds(PidSection)
-def _pid_of_section(s: PidSection, context: LoopContext) -> SymbolicBlock:
-    controller = pid(
-        s.proportional,
-        s.integral,
-        s.derivative,
-        filter_time=s.filter_time,
-        setpoint_weight=s.setpoint_weight,
-        derivative_weight=s.derivative_weight,
-        limits=s.torque_limit,
-        anti_windup=rule_of(s.anti_windup),
-        initial_torque=_initial_torque(s, context),
-        **s.sampling,
-    )
-    return with_schedule(controller, s.schedule, context)

@@ -9,22 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, block
-from flexfmu.cosim.control.controllers.from_control import from_control
-from flexfmu.cosim.control.controllers.joints import TorqueLimits, bounds_of, limited
-from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, matrix, times, variables
-from flexfmu.cosim.control.sections import builds
+from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.controllers.from_control import LinearSystem, Signal, from_control, matrix, times, variables
+from flexfmu.cosim.control.controllers.joints import PerJoint, limited
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.linear import linearize, operating_point, without_coulomb_friction
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.controllers import StateFeedbackSection
-from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -53,6 +51,14 @@ class Equilibrium:
     outputs: Sequence[float]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Smallest and largest value of the plant's inputs: one number for all, or one for each."""
+
+    lower: PerJoint
+    upper: PerJoint
+
+
 def state_feedback(
     plant: LinearSystem,
     K: Any,
@@ -61,7 +67,7 @@ def state_feedback(
     offset: float = 0.0,
     reference: ReferenceFeedforward | None = None,
     equilibrium: Equilibrium | None = None,
-    limits: TorqueLimits = None,
+    limits: Limits | PerJoint | None = None,
     estimate: Sequence[float] | None = None,
     name: str = "state_feedback",
 ) -> SymbolicBlock:
@@ -85,7 +91,8 @@ def state_feedback(
         offset: first sample instant [s].
         reference: reference feedforward, for example `static_feedforward`; None regulates to the equilibrium.
         equilibrium: u_0 and y_0; zero when left out.
-        limits: limits of the plant's inputs, as absolute values, not deviations from the equilibrium; None for none.
+        limits: limits of the plant's inputs, as absolute values, not deviations from the equilibrium: `Limits`, a number or one for
+            each input for both ways, or None for none.
         estimate: x̂_0 (n,); zero when left out.
         name: name of the block.
 
@@ -102,7 +109,7 @@ def state_feedback(
     base = _values(given.base or None, count, f"{name}: base of the references")
     u_0 = _values(equilibrium.inputs if equilibrium else None, m, f"{name}: equilibrium.inputs")
     y_0 = _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs")
-    bounds = [np.array(each) for each in bounds_of(limits, [signal.name for signal in plant.inputs])]
+    bounds = _bounds(limits, [signal.name for signal in plant.inputs])
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # deviations of measurements and references from the equilibrium
@@ -167,6 +174,22 @@ def static_feedforward(
     return ReferenceFeedforward(signals, solution[:n], solution[n:], base)
 
 
+def _bounds(limits: Limits | PerJoint | None, names: Sequence[str]) -> list[RealArray]:
+    """Return lower and upper limits of each input; empty for none.
+
+    Raises:
+        InputError: a limit isn't finite, or the lower one isn't below the upper one.
+    """
+    if limits is None:
+        return []
+    ends = (limits.lower, limits.upper) if isinstance(limits, Limits) else (np.negative(limits), limits)
+    lower, upper = (np.broadcast_to(np.asarray(each, dtype=float), len(names)) for each in ends)
+    for name, low, high in zip(names, lower.tolist(), upper.tolist(), strict=True):
+        if not -np.inf < low < high < np.inf:
+            raise InputError(f"{name}: the lower limit {low} must be finite and below the upper one, {high}")
+    return [lower, upper]
+
+
 def reference_name(name: str) -> str:
     """Return the reference's name: ``joint1.position`` → ``joint1.reference.position``, ``y`` → ``reference.y``."""
     place, dot, kind = name.rpartition(".")
@@ -186,60 +209,35 @@ RATES = ("joint1.velocity", "joint2.velocity")
 TORQUES = ("joint1.torque", "joint2.torque")
 
 
-@dataclass(frozen=True)
-class LqgWeights:
-    """Deviations that cost one unit each (Bryson's rule), and the noise that the filter is designed for.
-
-    Attributes:
-        position_error: of each joint [rad].
-        velocity_error: of each joint [rad/s].
-        torque_deviation: of each motor, from its torque at the equilibrium [N.m].
-        torque_noise: standard deviation of a white disturbance torque [N.m].
-        measurement_noise: standard deviation of the measured angles [rad].
-    """
-
-    position_error: tuple[float, float] = (1e-3, 1e-3)
-    velocity_error: tuple[float, float] = (0.1, 0.1)
-    torque_deviation: tuple[float, float] = (10.0, 10.0)
-    torque_noise: float = 1.0
-    measurement_noise: float = 1e-5
-
-
+@builds(StateFeedbackSection)
 @one_blas_thread()
-def lqg(
-    scene: Scene,
-    position: tuple[float, float],
-    weights: LqgWeights | StateFeedbackSection | None = None,
-    *,
-    limits: TorqueLimits = None,
-    **options: Unpack[BlockOptions],
-) -> SymbolicBlock:
+def lqg(s: StateFeedbackSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: state feedback with a full-order observer, from measured angles alone.
 
     The robot is linearised about its equilibrium at a pose, without Coulomb friction, and discretised with a zero-order hold of
-    the torques; `control.dlqr` and `control.dlqe` calculate the gains. Constant references are tracked without static error in
-    the linearised robot.
-
-    Args:
-        scene: the robot.
-        position: end-effector position of the rigid robot at the pose (2,) [m].
-        weights: of cost and noise; `LqgWeights()` when left out.
-        limits: torque limits; None for none.
-        options: ``sample_time`` [s], ``offset`` [s], ``name``.
+    the torques; `control.dlqr` and `control.dlqe` calculate the gains. Deviations cost one unit each (Bryson's rule). Constant
+    references are tracked without static error in the linearised robot.
 
     Raises:
         EquilibriumError: there is no equilibrium at the pose.
     """
-    scene, h = without_coulomb_friction(scene), options["sample_time"]
+    import control
+
+    scene, position = without_coulomb_friction(context.scene), context.position(s.pose)
     # the plant: the linearised robot with zero-order hold; the cost needs the rates too
     robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
     units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")
     every = (*POSITIONS, *RATES)
-    full = from_control(robot, method="zoh", sample_time=h, inputs=TORQUES, outputs=every, units=units)
-    K, L = _gains(full, weights or LqgWeights())
+    full = from_control(robot, method="zoh", sample_time=s.sample_time, inputs=TORQUES, outputs=every, units=units)
+    cost = full.C.T @ np.diag(1.0 / np.square([*s.position_error, *s.velocity_error])) @ full.C
+    K, _, _ = control.dlqr(full.A, full.B, cost, np.diag(1.0 / np.square(s.torque_deviation)))
     # the observer measures positions alone
+    noise = s.torque_noise**2 * np.eye(2), s.measurement_noise**2 * np.eye(2)
+    L, _, _ = control.dlqe(full.A, full.B, full.C[: len(POSITIONS)], *noise)
     units = {name: unit for name, unit in units.items() if name not in RATES}
-    measured = from_control(robot[:2, :], method="zoh", sample_time=h, inputs=TORQUES, outputs=POSITIONS, units=units)
+    measured = from_control(
+        robot[:2, :], method="zoh", sample_time=s.sample_time, inputs=TORQUES, outputs=POSITIONS, units=units
+    )
     # feedforward of the steady state that belongs to each reference, about the equilibrium
     point = operating_point(scene, position)
     rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())
@@ -250,26 +248,9 @@ def lqg(
         measured,
         K,
         L,
-        offset=options.get("offset", 0.0),
+        offset=s.offset,
         reference=reference,
         equilibrium=rest,
-        limits=limits,
+        limits=s.torque_limit,
         estimate=estimate,
-        name=options.get("name", "state_feedback"),
     )
-
-
-def _gains(robot: LinearSystem, weights: LqgWeights | StateFeedbackSection) -> tuple[RealArray, RealArray]:
-    """Return feedback gains K and observer gains L for a robot whose outputs are angles, then rates."""
-    import control
-
-    # the regulator, by Bryson's rule: each deviation relative to its unit of cost
-    cost = robot.C.T @ np.diag(1.0 / np.square([*weights.position_error, *weights.velocity_error])) @ robot.C
-    K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(weights.torque_deviation)))
-    # the filter, from measured angles alone
-    noise = weights.torque_noise**2 * np.eye(2), weights.measurement_noise**2 * np.eye(2)
-    L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
-    return K, L
-
-
-builds(StateFeedbackSection)(lambda s, c: lqg(c.scene, c.position(s.pose), s, limits=s.torque_limit, **s.sampling))

@@ -6,29 +6,22 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from math import isfinite
-from numbers import Real
-from typing import Any, Unpack
+from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Equations, Vector, block
-from flexfmu.cosim.control.controllers.joints import JOINTS, UNITS, PerJoint, per_signal
+from flexfmu.cosim.control.blocks.equations import Equations, Vector, block
+from flexfmu.cosim.control.controllers.joints import JOINTS, UNITS, PerJoint
 from flexfmu.cosim.control.sections import LoopContext
-from flexfmu.cosim.engine.errors import InputError
-from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.units import unit_exponents
 from flexfmu.model.scene.imperfections import EncoderSection, SignalSection
-from flexfmu.model.scene.loop import Sampling
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
 """Kind of a joint's signal → unit."""
 
-PerChannel = PerJoint
-"""One number for all channels, or one for each."""
+REFERENCE_KINDS = ("position", "velocity", "acceleration")
+"""Kinds of a reference that a delaying imperfection acts on: all of them."""
 
 
 @dataclass(frozen=True)
@@ -37,62 +30,26 @@ class Channel:
 
     Attributes:
         name: the signal's name, for example ``joint1.position``.
-        unit: its unit, for example ``rad``; ``1`` for none.
+        unit: its unit, for example ``rad``.
         initial: value before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None takes the
-            value of the first sample, in blocks with direct feedthrough.
-
-    Raises:
-        InputError: the name is empty, the unit unknown, or the initial value not finite.
+            value of the first sample.
     """
 
     name: str
-    unit: str = "1"
+    unit: str
     initial: float | None = None
 
-    def __post_init__(self) -> None:
-        if not self.name:
-            raise InputError("a channel needs a name, for example joint1.position")
-        try:
-            unit_exponents(self.unit)
-        except ModelError as error:
-            raise InputError(f"channel {self.name}: {error}") from None
-        if self.initial is not None and not isfinite(self.initial):
-            raise InputError(f"channel {self.name}: the initial value must be finite, got {self.initial} {self.unit}")
 
-    @property
-    def input(self) -> str:
-        """Name of the block's input."""
-        return f"{self.name}.input"
-
-
-def joint_channels(
-    kind: str, initial: Sequence[float | None] | NDArray[np.float64] = (), joints: Sequence[str] = JOINTS
-) -> tuple[Channel, ...]:
-    """Return the joints' channels ``joint1.<kind>``, ``joint2.<kind>``.
+def joint_channels(kind: str, initial: Sequence[float] = (), prefix: str = "") -> tuple[Channel, ...]:
+    """Return the joints' channels ``joint1.<prefix><kind>``, ``joint2.<prefix><kind>``.
 
     Args:
         kind: position [rad], velocity [rad/s], acceleration [rad/s2] or torque [N.m].
         initial: value before the first sample for each joint (joints,); empty for none.
-        joints: names of the joints.
-
-    Raises:
-        InputError: the kind is unknown, or the values aren't one number for each joint.
+        prefix: of the kind.
     """
-    if kind not in JOINT_UNITS:
-        raise InputError(f"joints have {', '.join(JOINT_UNITS)}; got {kind!r}")
-    # one number for each joint, or none at all
-    starts = list(initial) if isinstance(initial, Sequence | np.ndarray) and np.ndim(np.asarray(initial)) == 1 else [""]
-    numbers = all(each is None or isinstance(each, Real) for each in starts)
-    if not numbers or len(starts) not in (0, len(joints)):
-        raise InputError(f"initial must be one number for each of {', '.join(joints)}, got {initial!r}")
-    # empty: channels without initial values
-    values = [None if each is None else float(each) for each in starts] or [None] * len(joints)
-    unit = JOINT_UNITS[kind]
-    return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))
-
-
-REFERENCE_KINDS = ("position", "velocity", "acceleration")
-"""Kinds of a reference that a delaying imperfection acts on: all of them."""
+    starts = zip(JOINTS, initial or (None, None), strict=True)
+    return tuple(Channel(f"{joint}.{prefix}{kind}", JOINT_UNITS[kind], start) for joint, start in starts)
 
 
 def section_channels(
@@ -107,25 +64,18 @@ def section_channels(
     """
     if section.signal != "reference":
         return joint_channels(section.signal, context.before(section.signal))
-    names = [f"{joint}.reference" for joint in JOINTS]
-    return tuple(channel for kind in kinds for channel in joint_channels(kind, context.before(kind), names))
+    return tuple(channel for kind in kinds for channel in joint_channels(kind, context.before(kind), "reference."))
 
 
-def sampling(section: SignalSection | EncoderSection, context: LoopContext) -> Sampling:
-    """Return sample time and offset [s] of a section's block."""
-    return Sampling(sample_time=section.sample_time or context.sample_time, offset=section.offset)
+def sample_time(section: SignalSection | EncoderSection, context: LoopContext) -> float:
+    """Return the time between samples of a section's block [s]."""
+    return section.sample_time or context.sample_time
 
 
 def inputs(channels: Sequence[Channel]) -> list[Variable]:
-    """Return the inputs of a block, one for each channel.
-
-    Raises:
-        InputError: there is no channel.
-    """
-    if not channels:
-        raise InputError("an imperfection needs at least one channel")
+    """Return the inputs of a block, one for each channel."""
     return [
-        Variable(each.input, each.unit, f"Signal {each.name} as it comes", "input", each.initial or 0.0)
+        Variable(f"{each.name}.input", each.unit, f"Signal {each.name} as it comes", "input", each.initial or 0.0)
         for each in channels
     ]
 
@@ -144,7 +94,7 @@ def per_second(unit: str) -> str:
 def parameters(
     channels: Sequence[Channel],
     key: str,
-    values: PerChannel,
+    values: PerJoint,
     what: str,
     *,
     minimum: float | None = None,
@@ -155,19 +105,15 @@ def parameters(
     Args:
         channels: the channels.
         key: last part of the parameters' names.
-        values: their start values.
-        what: the quantity in words, for descriptions and messages.
+        values: their start values, one for all channels or one for each.
+        what: the quantity in words, for descriptions.
         minimum: smallest admissible value; None for none.
         units: unit for each channel; None for the channels' own.
-
-    Raises:
-        InputError: as for `per_signal`.
     """
     units = [each.unit for each in channels] if units is None else units
-    numbers = per_signal([each.name for each in channels], what, values, units, minimum)
     return [
         Variable(f"{each.name}.{key}", unit, f"{what} of {each.name}", "parameter", value, minimum, tunable=True)
-        for each, value, unit in zip(channels, numbers, units, strict=True)
+        for each, value, unit in zip(channels, np.broadcast_to(values, len(channels)).tolist(), units, strict=True)
     ]
 
 
@@ -178,20 +124,6 @@ def initial_parameters(channels: Sequence[Channel]) -> list[Variable]:
         for each in channels
         if each.initial is not None
     ]
-
-
-def require_initial(channels: Sequence[Channel], block: str) -> None:
-    """Check that every channel has an initial value.
-
-    Raises:
-        InputError: one has none.
-    """
-    for each in channels:
-        if each.initial is None:
-            raise InputError(
-                f"{block}: its first output is the value of {each.name} [{each.unit}] before the first sample; give it, "
-                f"for example Channel({each.name!r}, {each.unit!r}, initial=0.0)"
-            )
 
 
 def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vector:
@@ -207,7 +139,8 @@ def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vec
 
 
 def channel_block(
-    kind: str,
+    section: SignalSection | EncoderSection,
+    context: LoopContext,
     description: str,
     law: Equations,
     channels: Sequence[Channel],
@@ -217,28 +150,30 @@ def channel_block(
     latency: Mapping[str, float] | None = None,
     further: Sequence[Channel] = (),
     symbol: Any = casadi.SX,
-    **options: Unpack[BlockOptions],
 ) -> SymbolicBlock:
     """Build the block of a law on channels; errors as for `block`.
 
     Args:
-        kind, description, law, latency, symbol, options: as for `block`.
+        section: has sample time and offset.
+        context: has the block's name, and the sample time where the section has none.
+        description, law, latency, symbol: as for `block`.
         channels: the signals that pass through it.
         numbers: its parameters.
         memory: size of its memory, which starts with a flag, 1 after the first sample.
         further: channels that are outputs alone.
     """
     return block(
-        kind,
+        context.name,
         description,
         law,
+        sample_time=sample_time(section, context),
+        offset=section.offset,
         inputs=inputs(channels),
         outputs=outputs([*channels, *further]),
         parameters=numbers,
         states=[0.0] * (1 + memory) if memory else (),
         latency=latency,
         symbol=symbol,
-        **options,
     )
 
 
@@ -265,22 +200,3 @@ def recall(x: Vector, start: Vector) -> Vector:
 def remember(*values: Vector) -> Vector:
     """Return the next states, which store these vectors until the next sample."""
     return casadi.vertcat(1.0, *values)
-
-
-def whole_number(what: str, value: int, lowest: int, highest: int | None = None, hint: str = "") -> int:
-    """Check a whole number and return it.
-
-    Args:
-        what: the quantity in words, for the message.
-        value: the number.
-        lowest, highest: admissible range; None for no upper limit.
-        hint: a remedy, for the message.
-
-    Raises:
-        InputError: it is no whole number or is out of range.
-    """
-    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not is_whole or value < lowest or (highest is not None and value > highest):
-        span = f"at least {lowest}" if highest is None else f"from {lowest} to {highest}"
-        raise InputError(f"{what} must be a whole number, {span}, got {value!r}{hint and f'; {hint}'}")
-    return int(value)

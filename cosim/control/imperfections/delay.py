@@ -1,47 +1,33 @@
 """Delay of signals: a line of whole samples, and behind it a digital filter that delays by a fraction of one.
 
-`whole_delay` and `delay` build the block from ``channels``, the signals, with their values before the first sample where the block has no
-direct feedthrough; the options are ``sample_time``, the time between samples [s], ``offset``, the first sample instant [s], and ``name``,
-the block's name. T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, Splitting the unit delay: tools for fractional delay filter design,
+T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, Splitting the unit delay: tools for fractional delay filter design,
 IEEE Signal Processing Magazine 13(1), 1996, pp. 30-60.
-
-Raises:
-    InputError: a delay is negative, not finite or too short for its filter, a channel has no initial value where it needs one, or
-        the sample time isn't positive.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb, floor, isfinite, prod
-from typing import Unpack
+from math import comb, floor, prod
 
 import casadi
 
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector
-from flexfmu.cosim.control.controllers.joints import JOINTS
+from flexfmu.cosim.control.blocks.equations import Vector
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
-    Channel,
     channel_block,
     cut,
     initial_parameters,
-    inputs,
     joint_channels,
     recall,
     remember,
     repeated,
-    require_initial,
-    sampling,
+    sample_time,
     section_channels,
     start_values,
-    whole_number,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import check_sampling
-from flexfmu.model.scene import imperfections as scene
+from flexfmu.model.scene.imperfections import DelaySection
 from flexfmu.model.symbolic import SymbolicBlock
 
 VECTORISED_FROM = 100
@@ -49,9 +35,6 @@ VECTORISED_FROM = 100
 
 WHOLE = 1e-12
 """Relative tolerance within which a delay is a whole number of samples: time / sample time is rounded."""
-
-HIGHEST_ORDER = 10
-"""Highest order; higher ones don't improve signals of machines."""
 
 
 @dataclass(frozen=True)
@@ -81,45 +64,27 @@ class DelayFilter:
         return self.whole + next(slopes) - next(slopes)
 
 
-@dataclass(frozen=True)
-class Lagrange:
+def lagrange(order: int, samples: float) -> DelayFilter:
     """Lagrange interpolation through order + 1 samples, for a delay D: h_k = prod_{i != k} (D - i) / (k - i).
 
-    The frequency response is maximally flat at zero frequency, and its magnitude nowhere exceeds 1 (Laakso et al. 1996,
-    on maximally flat FIR filters). The shortest delay is (order - 1) / 2 samples.
-
-    Attributes:
-        order: N, from 1 (linear interpolation) to `HIGHEST_ORDER`.
+    The delay lies in the middle interval between these samples, where the frequency response is maximally flat at zero frequency, and
+    its magnitude nowhere exceeds 1 (Laakso et al. 1996, on maximally flat FIR filters). The shortest delay is (order - 1) / 2 samples.
 
     Raises:
-        InputError: the order is no whole number or is out of range.
+        InputError: the delay is shorter.
     """
-
-    order: int
-
-    def __post_init__(self) -> None:
-        whole_number("the order of Lagrange interpolation", self.order, 1, HIGHEST_ORDER)
-
-    def design(self, samples: float) -> DelayFilter:
-        """Return the filter whose delay lies in the middle interval between its samples.
-
-        Raises:
-            InputError: the delay is below (order - 1) / 2 samples.
-        """
-        # whole samples before the filter
-        nodes = range(self.order + 1)
-        middle = (self.order - 1) / 2
-        _check_shortest(samples, middle, f"Lagrange interpolation of order {self.order}")
-        whole = floor(samples - middle)
-        rest = samples - whole
-        weights = tuple(prod((rest - i) / (k - i) for i in nodes if i != k) for k in nodes)
-        # weights of zero at both ends need no memory
-        used = [i for i, weight in enumerate(weights) if weight]
-        return DelayFilter(whole + used[0], weights[used[0] : used[-1] + 1])
+    # whole samples before the filter
+    nodes, middle = range(order + 1), (order - 1) / 2
+    _check_shortest(samples, middle, f"Lagrange interpolation of order {order}")
+    whole = floor(samples - middle)
+    rest = samples - whole
+    weights = tuple(prod((rest - i) / (k - i) for i in nodes if i != k) for k in nodes)
+    # weights of zero at both ends need no memory
+    used = [i for i, weight in enumerate(weights) if weight]
+    return DelayFilter(whole + used[0], weights[used[0] : used[-1] + 1])
 
 
-@dataclass(frozen=True)
-class Thiran:
+def thiran(order: int, samples: float) -> DelayFilter:
     """Thiran's all-pass, whose group delay D is maximally flat at zero frequency ::
 
         a_k = (-1)^k C(N, k) prod_{i=0..N} (D - N + i) / (D - N + k + i)
@@ -128,41 +93,19 @@ class Thiran:
     maximally flat group delay, IEEE Transactions on Circuit Theory 18(6), 1971, pp. 659-664; as an all-pass in
     Laakso et al. 1996. The filter's delay D is N - 1/2 to N + 1/2 samples, where it is stable and most accurate.
 
-    Attributes:
-        order: N, from 1 to `HIGHEST_ORDER`.
-
     Raises:
-        InputError: the order is no whole number or is out of range.
+        InputError: the delay is below order - 1/2 samples.
     """
-
-    order: int
-
-    def __post_init__(self) -> None:
-        whole_number("the order of Thiran's all-pass", self.order, 1, HIGHEST_ORDER)
-
-    def design(self, samples: float) -> DelayFilter:
-        """Return the filter whose delay is closest to its order.
-
-        Raises:
-            InputError: the delay is below order - 1/2 samples.
-        """
-        # whole samples before the filter
-        n = self.order
-        _check_shortest(samples, n - 0.5, f"Thiran's all-pass of order {n}")
-        whole = floor(samples - n + 0.5)
-        excess = samples - whole - n
-        # coefficients of the denominator; the numerator has them in reverse order
-        a = [
-            (-1) ** k * comb(n, k) * prod((excess + i) / (excess + k + i) for i in range(n + 1))
-            for k in range(1, n + 1)
-        ]
-        if not any(a):
-            return DelayFilter(whole + n)
-        return DelayFilter(whole, (*reversed(a), 1.0), tuple(a))
-
-
-Interpolation = Lagrange | Thiran
-"""A rule that interpolates a signal between its samples."""
+    # whole samples before the filter
+    _check_shortest(samples, order - 0.5, f"Thiran's all-pass of order {order}")
+    whole = floor(samples - order + 0.5)
+    excess = samples - whole - order
+    # coefficients of the denominator; the numerator has them in reverse order
+    a = [
+        (-1) ** k * comb(order, k) * prod((excess + i) / (excess + k + i) for i in range(order + 1))
+        for k in range(1, order + 1)
+    ]
+    return DelayFilter(whole, (*reversed(a), 1.0), tuple(a)) if any(a) else DelayFilter(whole + order)
 
 
 def _check_shortest(samples: float, shortest: float, what: str) -> None:
@@ -173,55 +116,28 @@ def _check_shortest(samples: float, shortest: float, what: str) -> None:
         )
 
 
-LINEAR = Lagrange(1)
-"""Linear interpolation."""
-
-
-def whole_delay(channels: Sequence[Channel], samples: int, **options: Unpack[BlockOptions]) -> SymbolicBlock:
-    """y_k = u_k-n, exact, for ``samples`` n, zero or positive; the first n outputs are the channels' initial values."""
-    what = f"{options.get('name', 'delay')}: the delay in samples"
-    whole = whole_number(what, samples, 0, hint="`delay` takes any time in seconds")
-    return _delay_line(channels, DelayFilter(whole), **options)
-
-
-def delay(
-    channels: Sequence[Channel],
-    time: float,
-    *,
-    interpolation: Interpolation = LINEAR,
-    **options: Unpack[BlockOptions],
-) -> SymbolicBlock:
+@builds(DelaySection)
+def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
     """y(t_k) = u(t_k - time), interpolated between the samples; a whole number of samples is exact.
 
-    A delay of whole samples before the filter leaves no direct feedthrough and breaks algebraic loops; with `LINEAR`
-    these are delays of one sample and more. Before the first sample signals have the channels' initial values, or
-    without these the value of the first sample.
+    A delay of whole samples before the filter leaves no direct feedthrough and breaks algebraic loops; with linear interpolation
+    these are delays of one sample and more. Before the first sample signals have the channels' initial values, or without these
+    the value of the first sample. The filter acts on differences from the oldest sample, so that a constant signal stays the same
+    to the last bit.
 
-    Args:
-        time: the delay [s], zero or positive.
-        interpolation: `Lagrange` of any order, `LINEAR` being the first, or the all-pass `Thiran`.
+    Raises:
+        InputError: the delay is too short for its interpolation.
     """
-    name, h = options.get("name", "delay"), options["sample_time"]
-    check_sampling(h, 0.0, name)
-    if not (isfinite(time) and time >= 0.0):
-        raise InputError(f"{name}: the delay must be zero or positive, got {time} s")
-    samples = time / h
+    channels, h = section_channels(s, context, REFERENCE_KINDS), sample_time(s, context)
+    if s.known:
+        channels += joint_channels(s.signal, context.before(s.signal), "reference.")
+    samples, rule = s.time / h, s.interpolation
     whole = float(round(samples))
-    design = interpolation.design(whole if abs(samples - whole) <= WHOLE * samples else samples)
-    return _delay_line(channels, design, **options)
-
-
-def _delay_line(channels: Sequence[Channel], design: DelayFilter, **options: Unpack[BlockOptions]) -> SymbolicBlock:
-    """Build the block of a delay line and a filter behind it, for every channel.
-
-    The filter acts on differences from the oldest sample, so that a constant signal stays the same to the last bit.
-    """
-    inputs(channels)  # a block without channels is refused first
-    if design.whole:
-        require_initial(channels, options.get("name", "delay"))
+    samples = whole if abs(samples - whole) <= WHOLE * samples else samples
+    design = thiran(rule.order, samples) if rule.kind == "thiran" else lagrange(rule.order, samples)
     n, depth, order = len(channels), design.depth, len(design.denominator)
 
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+    def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         memory = recall(x, repeated(start_values(channels, p, u), depth + order)) if depth else x
         past, response = cut(memory, n * depth, n * order)
         # differences from the oldest sample
@@ -239,24 +155,13 @@ def _delay_line(channels: Sequence[Channel], design: DelayFilter, **options: Unp
 
     size = n * (depth + order)
     return channel_block(
-        "delay",
+        s,
+        context,
         f"Delay by {design.samples:.9g} samples",
-        equations,
+        law,
         channels,
         initial_parameters(channels) if depth else (),
         memory=size,
-        latency={each.name: design.samples * options["sample_time"] for each in channels} if design.samples else {},
+        latency={each.name: design.samples * h for each in channels} if design.samples else {},
         symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
-        **options,
     )
-
-
-@builds(scene.DelaySection)
-def _from_section(section: scene.DelaySection, context: LoopContext) -> SymbolicBlock:
-    rule = section.interpolation
-    interpolation = Thiran(rule.order) if isinstance(rule, scene.ThiranSection) else Lagrange(rule.order)
-    channels = section_channels(section, context, REFERENCE_KINDS)
-    if section.known:
-        references = [f"{each}.reference" for each in JOINTS]
-        channels += joint_channels(section.signal, context.before(section.signal), references)
-    return delay(channels, section.time, interpolation=interpolation, **sampling(section, context))

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, exp, expm1, factorial, isfinite
-from typing import Unpack
 
 import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import bound, evaluation
-from flexfmu.cosim.control.blocks.equations import BlockOptions, Vector, split
+from flexfmu.cosim.control.blocks.equations import Vector
 from flexfmu.cosim.control.blocks.slave import slave_variable
+from flexfmu.cosim.control.controllers.joints import PerJoint
 from flexfmu.cosim.control.imperfections.channels import (
     REFERENCE_KINDS,
     Channel,
-    PerChannel,
     channel_block,
     initial_parameters,
     inputs,
@@ -23,17 +22,16 @@ from flexfmu.cosim.control.imperfections.channels import (
     parameters,
     recall,
     remember,
-    require_initial,
-    sampling,
     section_channels,
+    start_values,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.binding import Copy, Take
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import Call, Indices, RealArray, check_sampling
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
 from flexfmu.model.scene.imperfections import LagSection
-from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 SAMPLES = 10
 """Least number of samples per time constant where a continuous lag is exported as a sampled block."""
@@ -52,31 +50,24 @@ class Lag:
     breaks algebraic loops.
 
     Args:
-        channels: the commands, usually torques, with initial values.
-        time_constant: T [s], positive, 1 / (2 pi f) for a bandwidth f [Hz]; one for all channels or one for each.
-        name: name of the slave.
+        section: T [s], 1 / (2 pi f) for a bandwidth f [Hz], and the signal.
+        context: the loop's.
 
     Attributes:
         largest_step: largest admissible step, the shortest time constant [s].
         latency: output → its time constant [s].
-
-    Raises:
-        InputError: a channel has no initial value, or a time constant isn't positive and finite.
     """
 
     max_input_order = max_output_order = MAX_INPUT_ORDER
     rates_follow_inputs = True
 
-    def __init__(self, channels: Sequence[Channel], time_constant: PerChannel, name: str = "lag") -> None:
-        require_initial(channels, name)
-        ports, ends = inputs(channels), outputs(channels)
-        times = parameters(
-            channels, "time_constant", time_constant, "the time constant", minimum=0.0, units=["s"] * len(ports)
-        )
-        self.name = name
-        self.variables = tuple(slave_variable(each) for each in (*ports, *times, *ends))
+    def __init__(self, section: LagSection, context: LoopContext) -> None:
+        self._section, self._context, self.name = section, context, context.name
+        self._channels = channels = section_channels(section, context, REFERENCE_KINDS)
+        ends = outputs(channels)
+        times = _time_constants(channels, section.time_constant)
+        self.variables = tuple(slave_variable(each) for each in (*inputs(channels), *times, *ends))
         self.feedthrough: dict[str, tuple[str, ...]] = {each.name: () for each in ends}
-        self._channels = tuple(channels)
         self._initial = np.array([each.initial or 0.0 for each in channels])
         # inputs with their derivatives (1 + orders, n), and outputs (n,)
         self._u = np.zeros((1 + MAX_INPUT_ORDER, len(channels)))
@@ -211,7 +202,8 @@ class Lag:
     def sampled(self, step: float) -> SymbolicBlock:
         """Return the lag as a block, at least `SAMPLES` samples per time constant, a whole number per ``step`` [s]."""
         sample_time = step / ceil(SAMPLES * step / self.largest_step - 1e-9)
-        return lag(self._channels, self._times.tolist(), sample_time=sample_time, name=self.name)
+        section = self._section.model_copy(update={"sample_time": sample_time})
+        return _block(section, self._context, sample_time, self._times.tolist())
 
 
 def _phi(x: float, highest: int) -> list[float]:
@@ -233,50 +225,43 @@ def _phi(x: float, highest: int) -> list[float]:
     return found[::-1]
 
 
-def lag(channels: Sequence[Channel], time_constant: PerChannel, **options: Unpack[BlockOptions]) -> SymbolicBlock:
-    """Build the block T y' + y = u, exact for inputs that are constant between the samples.
-
-    With sample time h and a = exp(-h / T)::
-
-        y_k+1 = a y_k + (1 - a) u_k
-
-    (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd
-    ed. 1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 models a
-    current loop well, `Lag` models it in continuous time. The block has no direct feedthrough, which breaks algebraic
-    loops. T = 0 is a delay of one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
-
-    Args:
-        channels: the commands, usually torques, with initial values.
-        time_constant: T [s], zero or positive, 1 / (2 pi f) for a bandwidth f [Hz].
-        options: ``sample_time`` [s], ``offset`` [s], ``name``.
-
-    Raises:
-        InputError: a channel has no initial value, a time constant is negative or not finite, or the sample time isn't
-            positive.
-    """
-    n, h, name = len(channels), options["sample_time"], options.get("name", "lag")
-    check_sampling(h, options.get("offset", 0.0), name)
-    require_initial(channels, name)
-    times = parameters(channels, "time_constant", time_constant, "the time constant", minimum=0.0, units=["s"] * n)
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        time, initial = split(p, n)
-        y = recall(x, initial)
-        return y, remember(u + casadi.exp(-h / time) * (y - u))
-
-    numbers = [*times, *initial_parameters(channels)]
-    late = {c.name: lag_latency(t.start or 0.0, h) for c, t in zip(channels, times, strict=True)}
-    return channel_block("lag", "First-order lag", equations, channels, numbers, memory=n, latency=late, **options)
-
-
 def lag_latency(time: float, sample_time: float) -> float:
     """Mean delay [s] of the impulse response of a lag with a time constant [s] that is sampled."""
     return sample_time / -expm1(-sample_time / time) if time else sample_time
 
 
 @builds(LagSection)
-def _from_section(section: LagSection, context: LoopContext) -> SymbolicBlock | Lag:
-    channels = section_channels(section, context, REFERENCE_KINDS)
-    if section.sample_time is None:
-        return Lag(channels, section.time_constant, context.name)
-    return lag(channels, section.time_constant, **sampling(section, context))
+def lag(s: LagSection, context: LoopContext) -> SymbolicBlock | Lag:
+    """Build the slave of a lag in continuous time, or with a sample time the block T y' + y = u.
+
+    The block is exact for inputs that are constant between the samples. With sample time h and a = exp(-h / T)::
+
+        y_k+1 = a y_k + (1 - a) u_k
+
+    (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd
+    ed. 1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 models a current loop
+    well. The block has no direct feedthrough, which breaks algebraic loops. The time constants are parameters
+    ``<channel>.time_constant``; zero is a delay of one sample.
+    """
+    return Lag(s, context) if s.sample_time is None else _block(s, context, s.sample_time, s.time_constant)
+
+
+def _block(s: LagSection, context: LoopContext, h: float, time_constant: PerJoint) -> SymbolicBlock:
+    """The sampled lag, with one time constant [s] for all channels or one for each."""
+    channels = section_channels(s, context, REFERENCE_KINDS)
+    n, times = len(channels), _time_constants(channels, time_constant)
+
+    def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        time, initial = p[:n], p[n:]
+        y = recall(x, start_values(channels, initial, u))
+        return y, remember(u + casadi.exp(-h / time) * (y - u))
+
+    numbers = [*times, *initial_parameters(channels)]
+    late = {c.name: lag_latency(t.start or 0.0, h) for c, t in zip(channels, times, strict=True)}
+    return channel_block(s, context, "First-order lag", law, channels, numbers, memory=n, latency=late)
+
+
+def _time_constants(channels: Sequence[Channel], values: PerJoint) -> list[Variable]:
+    """Parameters ``<channel>.time_constant``."""
+    units = ["s"] * len(channels)
+    return parameters(channels, "time_constant", values, "the time constant", minimum=0.0, units=units)

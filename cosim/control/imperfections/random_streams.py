@@ -20,7 +20,6 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
-from flexfmu.cosim.control.imperfections.channels import whole_number
 from flexfmu.model.symbolic import Variable
 
 MODULI = (2147483563, 2147483399)
@@ -69,14 +68,9 @@ def draw(states: Vector) -> tuple[Vector, Vector]:
     return whole / MODULI[0], casadi.vertcat(first, second)
 
 
-def seed_parameter(seed: int, block: str) -> Variable:
-    """Return the fixed parameter ``seed``.
-
-    Raises:
-        InputError: the seed isn't a whole number or is out of range.
-    """
-    start = whole_number(f"{block}: the seed", seed, 0, LARGEST_SEED)
-    return Variable("seed", "1", "Number of the random experiment", "parameter", float(start), 0.0, float(LARGEST_SEED))
+def seed_parameter(seed: int) -> Variable:
+    """Return the fixed parameter ``seed``."""
+    return Variable("seed", "1", "Number of the random experiment", "parameter", float(seed), 0.0, float(LARGEST_SEED))
 
 
 def _jump(seed: Vector, multiplier: int, modulus: int) -> Vector:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.control.sections import with_payload_error
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan

@@ -1,4 +1,4 @@
-"""One axis as a plant."""
+"""One joint as a plant."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Axis:
 
     name = "plant"
     variables = (
-        SlaveVariable("axis.position", "output"),
-        SlaveVariable("axis.velocity", "output"),
-        SlaveVariable("axis.torque", "input", start=0.0),
-        SlaveVariable("axis.disturbance", "input", start=0.0),
+        SlaveVariable("joint1.position", "output"),
+        SlaveVariable("joint1.velocity", "output"),
+        SlaveVariable("joint1.torque", "input", start=0.0),
+        SlaveVariable("joint1.disturbance", "input", start=0.0),
     )
 
     def __post_init__(self) -> None:
-        self.feedthrough: Mapping[str, tuple[str, ...]] = {"axis.position": (), "axis.velocity": ()}
+        self.feedthrough: Mapping[str, tuple[str, ...]] = {"joint1.position": (), "joint1.velocity": ()}
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         self.values = np.array([*self.start, 0.0, 0.0])

@@ -5,27 +5,38 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from fractions import Fraction
 from math import exp, pi
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from axis_slave import Axis
-from scipy import signal
-
-from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
-from flexfmu.cosim.control.filters import biquad, filter_block, high_pass, lead_lag, low_pass, notch
-from flexfmu.cosim.control.imperfections.channels import Channel
-from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.signal_blocks import (
+from blocks import (
     backlash,
+    band_noise,
+    biquad,
+    context,
     dead_zone,
+    delay,
+    high_pass,
+    lag,
+    lead_lag,
+    low_pass,
+    notch,
+    pd,
     quantisation,
     rate_limit,
     saturation,
+    sine,
+    table,
 )
+from scipy import signal
+
+import flexfmu
+from flexfmu.cosim.control import filters
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.disturbances import steps
+from flexfmu.cosim.control.filters import filter_block
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.model.symbolic import SymbolicBlock
@@ -34,8 +45,6 @@ MS = Fraction(1, 1000)
 H = float(MS)
 STOP = 250 * MS
 K_P, K_D = 60.0, 2.4
-POSITION = [Channel("axis.position", "rad")]
-TORQUE = [Channel("axis.torque", "N.m")]
 
 Law = Callable[[float], float]
 """What a part makes of its input at a sample; it remembers what it needs."""
@@ -116,52 +125,56 @@ TIME: Any = {"sample_time": H}
 
 PARTS: dict[str, tuple[Callable[[], SymbolicBlock], Callable[[], Law]]] = {
     "notch": (
-        lambda: filter_block(POSITION, notch(40.0, 0.4, 0.1), **TIME),
+        lambda: notch(frequency=40.0, damping=0.4, depth=0.1, signal="position", **TIME),
         lambda: analogue([1.0, 0.08 * W, W * W], [1.0, 0.8 * W, W * W], W),
     ),
     "low-pass": (
-        lambda: filter_block(POSITION, low_pass(120.0, 3), **TIME),
+        lambda: low_pass(frequency=120.0, order=3, signal="position", **TIME),
         lambda: quotient(*signal.butter(3, 120.0, fs=1.0 / H)),
     ),
     "high-pass": (
-        lambda: filter_block(TORQUE, high_pass(20.0, 2), **TIME),
+        lambda: high_pass(frequency=20.0, order=2, **TIME),
         lambda: quotient(*signal.butter(2, 20.0, "high", fs=1.0 / H)),
     ),
     "lead-lag": (
-        lambda: filter_block(TORQUE, lead_lag(20.0, 90.0), **TIME),
+        lambda: lead_lag(20.0, 90.0, **TIME),
         lambda: analogue([1.0 / (40.0 * pi), 1.0], [1.0 / (180.0 * pi), 1.0], 2.0 * pi * (20.0 * 90.0) ** 0.5),
     ),
     "biquad": (
-        lambda: filter_block(POSITION, biquad([1.0, 20.0, 9e4], [1.0, 500.0, 9e4], 45.0), **TIME),
+        lambda: biquad([1.0, 20.0, 9e4], [1.0, 500.0, 9e4], 45.0, signal="position", **TIME),
         lambda: analogue([1.0, 20.0, 9e4], [1.0, 500.0, 9e4], 90.0 * pi),
     ),
     "chain": (
-        lambda: filter_block(POSITION, [*low_pass(150.0, 1), *biquad([1.0, 50.0, 9e4], [1.0, 500.0, 9e4])], **TIME),
+        lambda: filter_block(
+            flexfmu.filters.notch(frequency=1.0, signal="position", **TIME),
+            context("filter"),
+            [*filters.low_pass(150.0, 1), *filters.biquad([1.0, 50.0, 9e4], [1.0, 500.0, 9e4])],
+        ),
         lambda: in_series(
             quotient(*signal.butter(1, 150.0, fs=1.0 / H)), analogue([1.0, 50.0, 9e4], [1.0, 500.0, 9e4], 0.0)
         ),
     ),
     "dead zone": (
-        lambda: dead_zone(TORQUE, 0.5, **TIME),
+        lambda: dead_zone(0.5, **TIME),
         lambda: lambda u: max(u - 0.5, 0.0) + min(u + 0.5, 0.0),
     ),
     "backlash": (
-        lambda: backlash(POSITION, 0.02, **TIME),
+        lambda: backlash(0.02, **TIME),
         lambda: remembering(lambda last, u: min(max(last, u - 0.01), u + 0.01)),
     ),
-    "saturation": (lambda: saturation(TORQUE, -3.0, 2.0, **TIME), lambda: lambda u: min(max(u, -3.0), 2.0)),
+    "saturation": (lambda: saturation(lower=-3.0, upper=2.0, **TIME), lambda: lambda u: min(max(u, -3.0), 2.0)),
     "rate limit": (
-        lambda: rate_limit(TORQUE, 60.0, 40.0, **TIME),
+        lambda: rate_limit(60.0, 40.0, **TIME),
         lambda: remembering(lambda last, u: min(max(u, last - 0.04), last + 0.06)),
     ),
     "quantisation": (
-        lambda: quantisation(POSITION, 2e-3, **TIME),
+        lambda: quantisation(2e-3, **TIME),
         lambda: lambda u: float(np.floor(u / 2e-3 + 0.5) * 2e-3),
     ),
-    "whole delay": (lambda: whole_delay([Channel("axis.position", "rad", 0.1)], 3, **TIME), lambda: late(3.0)),
-    "delay": (lambda: delay([Channel("axis.position", "rad", 0.1)], 2.3 * H, **TIME), lambda: late(2.3)),
+    "whole delay": (lambda: delay(3 * H, signal="position", initial=(0.1, 0.0), **TIME), lambda: late(3.0)),
+    "delay": (lambda: delay(2.3 * H, signal="position", initial=(0.1, 0.0), **TIME), lambda: late(2.3)),
     "lag": (
-        lambda: lag([Channel("axis.torque", "N.m", 0.0)], 3e-3, **TIME),
+        lambda: lag(3e-3, initial=(0.0, 0.0), **TIME),
         lambda: lagging(exp(-1.0 / 3.0)),
     ),
 }
@@ -185,12 +198,14 @@ def rows(time: Fraction) -> float:
     return float(np.interp(t, [0.0, 0.02, 0.05], [1.0, -2.0, 3.0])) if t <= 0.05 + 1e-12 else 0.0
 
 
-NOISE: Any = {"sample_time": 7e-4, "components": 12}
+PUSH: Any = {"sample_time": 7e-4, "signal": "joint1.disturbance"}
+ROWS = Path(__file__).with_name("rows.csv")
+NOISE: Any = {"sample_time": 7e-4, "components": 12, "signal": "joint1.disturbance"}
 
 
 def noise(time: Fraction) -> float:
     """Samples of the block alone: its closed form is in test_disturbances.py."""
-    block = band_noise("axis.disturbance", 1.5, (5.0, 60.0), 3, **NOISE)
+    block = band_noise(1.5, (5.0, 60.0), seed=3, **NOISE)
     slave, found = BlockSlave(block), np.empty(1)
     slave.initialize(0.0, 1.0, None)
     output = np.array([[each.causality for each in slave.variables].index("output")])
@@ -202,22 +217,22 @@ def noise(time: Fraction) -> float:
 
 DISTURBANCES: dict[str, tuple[Callable[[], SymbolicBlock], Callable[[Fraction], float], list[Fraction]]] = {
     "pulse": (
-        lambda: steps("axis.disturbance", [0.0103, 0.051], [2.0, 0.5]),
+        lambda: steps("joint1.disturbance", {0.0103: 2.0, 0.051: 0.5}, "step"),
         pulse,
         [MS * 103 / 10, MS * 51],
     ),
     "sine": (
-        lambda: sine("axis.disturbance", 3.0, 30.0, phase=0.3, start=0.0122, duration=0.06, sample_time=7e-4),
+        lambda: sine(3.0, phase=0.3, frequency=30.0, start=0.0122, duration=0.06, **PUSH),
         held_sine,
         [MS * 122 / 10 + k * MS * 7 / 10 for k in range(330)],
     ),
     "table": (
-        lambda: table("axis.disturbance", np.array([0.0, 0.02, 0.05]), np.array([1.0, -2.0, 3.0]), sample_time=7e-4),
+        lambda: table(str(ROWS), **PUSH),
         rows,
         [k * MS * 7 / 10 for k in range(350)],
     ),
     "noise": (
-        lambda: band_noise("axis.disturbance", 1.5, (5.0, 60.0), 3, **NOISE),
+        lambda: band_noise(1.5, (5.0, 60.0), seed=3, **NOISE),
         noise,
         [k * MS * 7 / 10 for k in range(60)],
     ),
@@ -247,16 +262,16 @@ def by_hand(
 
 def simulated(inline: SymbolicBlock | None, on_torque: bool, disturbance: SymbolicBlock | None) -> Any:
     """The recording of the same loop in the master."""
-    blocks = [pd(K_P, K_D, sample_time=H, joints=("axis",)), *(each for each in (inline, disturbance) if each)]
-    position, torque = "plant.axis.position", "pd.axis.torque"
-    wires = [("plant.axis.velocity", "pd.axis.velocity")]
+    blocks = [pd(K_P, K_D, sample_time=H), *(each for each in (inline, disturbance) if each)]
+    position, torque = "plant.joint1.position", "pd.joint1.torque"
+    wires = [("plant.joint1.velocity", "pd.joint1.velocity")]
     if inline and on_torque:
-        wires, torque = [*wires, (torque, f"{inline.name}.axis.torque.input")], f"{inline.name}.axis.torque"
+        wires, torque = [*wires, (torque, f"{inline.name}.joint1.torque.input")], f"{inline.name}.joint1.torque"
     elif inline:
-        wires, position = [*wires, (position, f"{inline.name}.axis.position.input")], f"{inline.name}.axis.position"
-    wires += [(position, "pd.axis.position"), (torque, "plant.axis.torque")]
+        wires, position = [*wires, (position, f"{inline.name}.joint1.position.input")], f"{inline.name}.joint1.position"
+    wires += [(position, "pd.joint1.position"), (torque, "plant.joint1.torque")]
     if disturbance:
-        wires.append((f"{disturbance.name}.axis.disturbance", "plant.axis.disturbance"))
+        wires.append((f"{disturbance.name}.joint1.disturbance", "plant.joint1.disturbance"))
     result = simulate(connect([AXIS, *map(BlockSlave, blocks)], wires), stop=float(STOP), step=float(MS / 3))
     assert result.outcome is Outcome.COMPLETED, result.message
     return result.recording, torque
@@ -266,7 +281,7 @@ def assert_equal(recording: Any, torque: str, exact: Any) -> None:
     """Angle, rate and torque to 1e-12 of their largest values, after the samples of each instant."""
     last = np.searchsorted(recording.time, exact[:, 0] + 1e-9) - 1
     np.testing.assert_allclose(recording.time[last], exact[:, 0], rtol=0.0, atol=1e-13)
-    for column, name in ((1, "plant.axis.position"), (2, "plant.axis.velocity"), (3, torque)):
+    for column, name in ((1, "plant.joint1.position"), (2, "plant.joint1.velocity"), (3, torque)):
         scale = abs(exact[:, column]).max()
         np.testing.assert_allclose(
             recording[name].values[last], exact[:, column], rtol=0.0, atol=1e-12 * scale, err_msg=name
@@ -278,7 +293,7 @@ def test_a_part_in_a_loop(name: str) -> None:
     """PD, inertia and one part in series with the position or the torque: to 1e-12 at every instant."""
     make, law = PARTS[name]
     block = make()
-    on_torque = block.outputs[0].name == "axis.torque"
+    on_torque = block.outputs[0].name == "joint1.torque"
     recording, torque = simulated(block, on_torque, None)
     exact = by_hand(None if on_torque else law(), law() if on_torque else None, None, [])
     assert_equal(recording, torque, exact)

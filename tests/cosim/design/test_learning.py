@@ -10,10 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 import flexfmu
-from flexfmu.cosim.control.controllers.computed_torque import tabulated_feedforward
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.control.imperfections.channels import joint_channels
-from flexfmu.cosim.control.imperfections.delay import delay
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.learning import LearningLoop, contraction_of
 from flexfmu.cosim.engine.errors import InputError, LearningWarning
@@ -77,11 +73,13 @@ def test_response_is_that_of_the_robot(rate: float, late: float) -> None:
     count, begin, runs = 60, 400, []
     starts = range(begin, begin + round(max(rate / H, 1.0)))
     for pulse in (None, *starts):
-        torques = np.zeros((500, 2))
-        if pulse is not None:
-            torques[pulse, 0] = 1.0
-        controllers = [pd(**gains, sample_time=rate), tabulated_feedforward(torques, sample_time=H)]
-        imperfections = [delay(joint_channels("torque"), late, sample_time=rate)] if late else []
+
+        @flexfmu.controller(sample_time=H, inputs=[], outputs=["joint1.feedforward", "joint2.feedforward"])
+        def pushing(t: Any, at: float = -1.0 if pulse is None else float(pulse)) -> Any:
+            return 1.0 * (abs(t / H - at) < 0.5), 0.0
+
+        controllers = [flexfmu.control.pd(**gains, sample_time=rate), pushing]
+        imperfections = [flexfmu.imperfections.delay(time=late, sample_time=rate)] if late else []
         recording = flexfmu.run(scene, controllers=controllers, imperfections=imperfections, tolerance=1e-10).recording
         angles = np.array([recording[f"joint{i}.position"].values for i in (1, 2)])
         instants = np.searchsorted(recording.time, H * ((pulse or begin) + np.arange(count)) - 1e-9)

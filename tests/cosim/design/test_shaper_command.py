@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
-from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.control.sections import with_payload_error
 from flexfmu.cosim.design.shapers import study as shaping_design
 from flexfmu.cosim.design.shapers.examination import to_csv
 from flexfmu.cosim.design.shapers.recommendation import compare_slower, recommend, write_shaped

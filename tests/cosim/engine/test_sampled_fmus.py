@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import pid
 
 import flexfmu
-from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu, fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import pd
 
 import flexfmu
-from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.slave import SlaveVariable

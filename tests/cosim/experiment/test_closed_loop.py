@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from blocks import pd
 
 import flexfmu
 from flexfmu.cosim.cli import run as command
-from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Recording

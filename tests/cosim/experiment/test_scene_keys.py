@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import pd
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.master.couplings import GaussSeidel, Implicit, Jacobi
@@ -236,10 +236,14 @@ def test_learning_controllers_share_their_motion(robot: Scene) -> None:
 
 
 CONTROLLERS = """
-from flexfmu.cosim.control.controllers.pid import pd
+import flexfmu
 
 def damper(gain):
-    return pd(gain, {derivative}, sample_time=1e-3, name="damper")
+    @flexfmu.controller(sample_time=1e-3, name="damper")
+    def pd(reference, measurement):
+        error = reference - measurement
+        return gain * error[:2] + {derivative} * error[2:]
+    return pd
 """
 
 

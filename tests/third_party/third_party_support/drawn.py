@@ -6,19 +6,13 @@ from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-from flexfmu.cosim.control.controllers.computed_torque import computed_torque
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.control.controllers.pid import pd, pid
-from flexfmu.cosim.control.imperfections.channels import joint_channels
-from flexfmu.cosim.control.imperfections.delay import delay
-from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.signal_blocks import encoder, gaussian_noise
+import blocks as made
+
 from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.fmu_build.block_build import block_description, regular_block
 from flexfmu.fmu_build.description import Description, description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.sources import plant_description
-from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -75,18 +69,18 @@ def scenes() -> Iterator[Scene]:
 def blocks() -> dict[str, SymbolicBlock]:
     """Controllers, a shaper and imperfections."""
     sequence = ImpulseSequence((0.0, 0.0081, 0.0163), (0.3, 0.45, 0.25))
-    positions = joint_channels("position", (0.4, -0.6))
-    robot = inverse_dynamics(load_scene(SHIPPED[0]))
+    time: Any = {"sample_time": SAMPLE_TIME}
+    start: Any = {"signal": "position", "initial": (0.4, -0.6)}
     return {
-        "pd": pd((900.0, 800.0), 12.0, sample_time=SAMPLE_TIME),
-        "pid": pid(900.0, 4e4, 12.0, sample_time=SAMPLE_TIME, filter_time=3e-3),
-        "computed-torque": computed_torque(robot, 4e3, 90.0, sample_time=SAMPLE_TIME),
-        "learning": iterative_learning(100.0, 300, sample_time=SAMPLE_TIME),
+        "pd": made.pd((900.0, 800.0), 12.0, **time),
+        "pid": made.pid(900.0, 4e4, 12.0, filter_time=3e-3, **time),
+        "computed-torque": made.computed_torque(4e3, 90.0, **time),
+        "learning": made.learning(gain=100.0, cycles=2, period=300 * SAMPLE_TIME, **time),
         "shaper": shaper_block(sequence, SAMPLE_TIME),
-        "delay": delay(positions, 2.3 * SAMPLE_TIME, sample_time=SAMPLE_TIME),
-        "encoder": encoder(4000, sample_time=SAMPLE_TIME, window=3),
-        "lag": lag(positions, 2e-3, sample_time=SAMPLE_TIME),
-        "noise": gaussian_noise(positions, [0.1, 0.2], 5, sample_time=SAMPLE_TIME),
+        "delay": made.delay(2.3 * SAMPLE_TIME, **start, **time),
+        "encoder": made.encoder(4000, window=3, **time),
+        "lag": made.lag(2e-3, **start, **time),
+        "noise": made.noise([0.1, 0.2], seed=5, **time),
     }
 
 

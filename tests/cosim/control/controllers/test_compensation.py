@@ -1,4 +1,4 @@
-"""Feedforwards of single effects, and the disturbance observer: closed forms, a loop simulated by hand, and what they refuse."""
+"""Feedforwards of single effects, and the disturbance observer: closed forms, a loop simulated by hand."""
 
 from __future__ import annotations
 
@@ -9,15 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from axis_slave import Axis
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from blocks import disturbance_observer, friction_compensation, gravity_feedforward, pd
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.compensation import disturbance_observer, friction_compensation
-from flexfmu.cosim.control.controllers.computed_torque import gravity_feedforward
-from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pid import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
@@ -32,7 +27,6 @@ Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
 
 H = 1e-3
-ONE = ("axis",)
 JOINTS = ("joint1", "joint2")
 SCENE = load_scene("barnard2012-6kg")
 
@@ -81,7 +75,7 @@ def test_gravity_feedforward_is_virtual_work(respond: Respond) -> None:
             columns.append((8.0 * near - far) / (12.0 * h))
         return np.array(columns)
 
-    block = gravity_feedforward(inverse_dynamics(SCENE), sample_time=H)
+    block = gravity_feedforward(sample_time=H)
     for position in (np.array([0.05, 0.3]), np.array([-0.175, 0.32]), np.array([0.1, 0.35])):
         angles = motor_angles(m, (position[0], position[1]))
         found = respond(block, {f"{joint}.reference.position": [q] for joint, q in zip(JOINTS, angles, strict=True)})
@@ -97,14 +91,14 @@ def test_observer_finds_a_constant_disturbance(respond: Respond) -> None:
     torque = np.random.default_rng(4).normal(scale=20.0, size=count)
     # a held torque changes the rate in proportion
     rate = np.concatenate([[0.4], 0.4 + H * np.cumsum(torque[:-1] + disturbance) / inertia])
-    signals = {"axis.velocity": rate, "axis.torque": torque}
+    signals = {"joint1.velocity": rate, "joint1.torque": torque}
     fading = 1.0 - np.exp(-np.arange(count) * H / time_constant)
-    block = disturbance_observer(inertia, time_constant, sample_time=H, joints=ONE)
-    np.testing.assert_allclose(respond(block, signals)["axis.feedforward"], -disturbance * fading, rtol=0, atol=1e-12)
-    limited = disturbance_observer(inertia, time_constant, sample_time=H, limits=symmetric(2.0), joints=ONE)
-    found = respond(limited, signals)["axis.feedforward"]
+    block = disturbance_observer(time_constant, inertia, sample_time=H)
+    np.testing.assert_allclose(respond(block, signals)["joint1.feedforward"], -disturbance * fading, rtol=0, atol=1e-12)
+    limited = disturbance_observer(time_constant, inertia, sample_time=H, torque_limit=2.0)
+    found = respond(limited, signals)["joint1.feedforward"]
     np.testing.assert_allclose(found, np.maximum(-disturbance * fading, -2.0), rtol=0, atol=1e-12)
-    assert block.feedthrough["axis.feedforward"] == ("axis.velocity",)
+    assert block.feedthrough["joint1.feedforward"] == ("joint1.velocity",)
 
 
 def test_observer_with_the_robot_as_its_model(respond: Respond) -> None:
@@ -119,7 +113,7 @@ def test_observer_with_the_robot_as_its_model(respond: Respond) -> None:
     signals = {f"{joint}.position": q[:, i] for i, joint in enumerate(JOINTS)}
     signals |= {f"{joint}.velocity": v[:, i] for i, joint in enumerate(JOINTS)}
     signals |= {f"{joint}.torque": torque[:, i] for i, joint in enumerate(JOINTS)}
-    found = respond(disturbance_observer(dynamics, 5e-3, sample_time=H), signals)
+    found = respond(disturbance_observer(5e-3, sample_time=H), signals)
     for joint, extra in zip(JOINTS, (2.0, -1.0), strict=True):
         expected = extra * (1.0 - np.exp(-k * H / 5e-3))
         np.testing.assert_allclose(found[f"{joint}.feedforward"], expected, rtol=0.0, atol=1e-12 * abs(torque).max())
@@ -133,14 +127,14 @@ def test_observer_in_a_loop() -> None:
     k_p, k_d, assumed, time_constant, count = 80.0, 6.0, 0.15, 8e-3, 1500
     slaves = [
         AXIS,
-        BlockSlave(pd(k_p, k_d, sample_time=H, joints=ONE)),
-        BlockSlave(disturbance_observer(assumed, time_constant, sample_time=H, joints=ONE), "observer"),
+        BlockSlave(pd(k_p, k_d, sample_time=H)),
+        BlockSlave(disturbance_observer(time_constant, assumed, sample_time=H), "observer"),
     ]
     wires = [
-        *((f"plant.axis.{kind}", f"{name}.axis.{kind}") for kind, name in [("position", "pd"), ("velocity", "pd"), ("velocity", "observer")]),
-        ("pd.axis.torque", "plant.axis.torque"),
-        ("pd.axis.torque", "observer.axis.torque"),
-        ("observer.axis.feedforward", "pd.axis.feedforward"),
+        *((f"plant.joint1.{kind}", f"{name}.joint1.{kind}") for kind, name in [("position", "pd"), ("velocity", "pd"), ("velocity", "observer")]),
+        ("pd.joint1.torque", "plant.joint1.torque"),
+        ("pd.joint1.torque", "observer.joint1.torque"),
+        ("observer.joint1.feedforward", "pd.joint1.feedforward"),
     ]  # fmt: skip
     result = simulate(connect(slaves, wires), stop=count * H, step=H / 2.0)
     assert result.outcome is Outcome.COMPLETED, result.message
@@ -157,7 +151,7 @@ def test_observer_in_a_loop() -> None:
         angle, rate = angle + H * rate + H**2 / 2.0 * acceleration, rate + H * acceleration
     exact, recording = np.array(rows), result.recording
     at = np.searchsorted(recording.time, H * np.arange(count) + H / 4.0) - 1
-    for column, name in enumerate(("plant.axis.position", "plant.axis.velocity", "pd.axis.torque")):
+    for column, name in enumerate(("plant.joint1.position", "plant.joint1.velocity", "pd.joint1.torque")):
         scale = abs(exact[:, column]).max()
         np.testing.assert_allclose(recording[name].values[at], exact[:, column], rtol=0.0, atol=1e-12 * scale)
     assert abs(angle) < 1e-9
@@ -189,39 +183,7 @@ def test_sections_of_a_scene() -> None:
     assert total.name == "feedforward_sum"
 
 
-@pytest.mark.parametrize(("make", "message"), [
-    (lambda: friction_compensation(-1.0, 0.0, sample_time=H), r"viscous_friction of joint1 must be at least 0 N\.m\.s/rad"),
-    (lambda: friction_compensation(1.0, 0.0, velocity=0.0, sample_time=H), "the smoothing velocity must be above 0 rad/s, got 0.0"),
-    (lambda: friction_compensation(1.0, 0.0, motion="planned", sample_time=H), "'reference' or 'measured', got 'planned'"),  # type: ignore[arg-type]
-    (lambda: gravity_feedforward(inverse_dynamics(SCENE), sample_time=H, joints=ONE), "inverse dynamics must take"),
-    (lambda: gravity_feedforward(inverse_dynamics(SCENE), sample_time=0.0), "the sample time must be positive"),
-    (lambda: disturbance_observer(inverse_dynamics(SCENE), 1e-2, sample_time=H, joints=ONE), "inverse dynamics must take"),
-    (lambda: disturbance_observer([0.1, -0.1], 1e-2, sample_time=H), r"inertia of joint2 must be at least 0 kg\.m2"),
-    (lambda: disturbance_observer(0.1, np.inf, sample_time=H), "time_constant of joint1 must be finite, got inf s"),
-    (lambda: loop_of(scene_with(controller=[{"kind": "friction-compensation", "sample_time": H}])),
-     "friction_compensation has no friction to compensate"),
-])  # fmt: skip
-def test_refused(make: Callable[[], Any], message: str) -> None:
-    """Value, unit and what would be right."""
-    with pytest.raises(InputError, match=message):
-        make()
-
-
-ANY = st.one_of(st.floats(), st.floats(0.0, 1e3), st.just(0.0))
-
-
-@settings(max_examples=30)
-@given(st.lists(ANY, min_size=4, max_size=4), ANY)
-def test_any_numbers_make_blocks_or_an_error(values: list[float], velocity: float) -> None:
-    """Coefficients that are finite and not negative make blocks, all others one sentence."""
-
-    def make() -> list[SymbolicBlock]:
-        friction = friction_compensation(values[0], values[1], velocity=velocity, sample_time=H)
-        return [friction, disturbance_observer(values[2], values[3], sample_time=H)]
-
-    if 0.0 < velocity < np.inf and all(0.0 <= each < np.inf for each in values):
-        assert len(make()) == 2
-        return
-    with pytest.raises(InputError) as refused:
-        make()
-    assert "\n" not in str(refused.value)
+def test_there_must_be_friction() -> None:
+    """A compensation of nothing is a mistake."""
+    with pytest.raises(InputError, match="friction_compensation has no friction to compensate"):
+        friction_compensation(sample_time=H)

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any
 
 import casadi
 import numpy as np
 import pytest
+from blocks import computed_torque, feedforward, pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
-from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.model.numeric import inverse_dynamics
@@ -70,7 +66,7 @@ def random_motion(count: int) -> dict[str, Array]:
 def test_linearises_the_rigid_plant_exactly(respond: Respond) -> None:
     """The rigid robot's acceleration is the reference's plus K_d e' + K_p e, to rounding, in any pose and motion."""
     motion = random_motion(30)
-    torque = respond(computed_torque(rigid(), K_P, K_D, sample_time=H), named(motion))
+    torque = respond(computed_torque(K_P, K_D, sample_time=H), named(motion))
     found = np.array(
         [
             forward(motion["position"][k], motion["velocity"][k], np.array([each[k] for each in torque.values()]))
@@ -91,10 +87,10 @@ def test_torque_on_the_path_is_the_inverse_dynamics(respond: Respond) -> None:
     references = {f"reference.{kind}": motion[i] for i, kind in enumerate(("position", "velocity", "acceleration"))}
     measured = {"position": motion[0], "velocity": motion[1]}
     wanted = np.array([np.asarray(rigid()(*motion[:, k]))[:, 0] for k in range(30)])
-    block = computed_torque(rigid(), K_P, K_D, sample_time=H)
+    block = computed_torque(K_P, K_D, sample_time=H)
     found = np.array(list(respond(block, named(references | measured)).values())).T
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * abs(wanted).max())
-    ahead = respond(inverse_dynamics_feedforward(rigid(), sample_time=H), named(references))
+    ahead = respond(feedforward(sample_time=H), named(references))
     np.testing.assert_allclose(np.array(list(ahead.values())).T, wanted, rtol=0, atol=1e-12 * abs(wanted).max())
 
 
@@ -102,7 +98,7 @@ def test_error_decays_as_designed() -> None:
     """Sampled fast on the rigid robot, an initial error follows e'' + K_d e' + K_p e = 0 up to the hold's delay."""
     errors = {}
     for h in (2e-4, 1e-4):
-        slave = BlockSlave(computed_torque(rigid(), K_P, K_D, sample_time=h))
+        slave = BlockSlave(computed_torque(K_P, K_D, sample_time=h))
         slave.initialize(0.0, 1.0, None)
         start = pose()
         q, v, torque = start + np.array([0.02, -0.01]), np.zeros(2), np.empty(2)
@@ -136,7 +132,7 @@ def runge_kutta(q: Array, v: Array, torque: Array, h: float) -> tuple[Array, Arr
 
 def test_evaluated_in_compiled_code() -> None:
     """The inverse dynamics of the robot run as C unless one asks for CasADi's virtual machine, with the same bits."""
-    block = computed_torque(rigid(), K_P, K_D, sample_time=H)
+    block = computed_torque(K_P, K_D, sample_time=H)
     assert block_function(block).class_name() == "External"
     assert block_function(block, compiled=False).is_a("SXFunction")
     motion = named(random_motion(20))
@@ -155,14 +151,14 @@ def test_evaluated_in_compiled_code() -> None:
 
 def test_cost_of_a_sample() -> None:
     """The inverse dynamics are large enough to be compiled, and take less than 400 operations a sample."""
-    controller = computed_torque(rigid(), K_P, K_D, sample_time=H)
+    controller = computed_torque(K_P, K_D, sample_time=H)
     operations = sample_function(controller).n_instructions()
     assert COMPILED_FROM <= operations < 400
 
 
 def test_feedforward_into_a_pd(respond: Respond) -> None:
     """The feedforward's outputs are named as a PD's inputs, so that they connect by names."""
-    ahead, controller = inverse_dynamics_feedforward(rigid(), sample_time=H), pd(1.0, 1.0, sample_time=H)
+    ahead, controller = feedforward(sample_time=H), pd(1.0, 1.0, sample_time=H)
     outputs = {(each.name, each.unit) for each in ahead.outputs}
     assert outputs <= {(each.name, each.unit) for each in controller.inputs}
     assert respond(controller, {"joint1.feedforward": [3.0]})["joint1.torque"] == [3.0]
@@ -170,7 +166,7 @@ def test_feedforward_into_a_pd(respond: Respond) -> None:
 
 def test_limits(respond: Respond) -> None:
     """Torques stay within the limits."""
-    block = computed_torque(rigid(), K_P, K_D, sample_time=H, limits=symmetric(7.0))
+    block = computed_torque(K_P, K_D, sample_time=H, torque_limit=7.0)
     torque = np.array(list(respond(block, named(random_motion(30))).values()))
     assert abs(torque).max() == 7.0
     assert abs(torque).min() < 7.0
@@ -178,20 +174,6 @@ def test_limits(respond: Respond) -> None:
 
 def test_not_a_number_passes_the_limits(respond: Respond) -> None:
     """A measurement that is not a number gives no torque at all, which stops the master."""
-    block = computed_torque(rigid(), K_P, K_D, sample_time=H, limits=symmetric(7.0))
+    block = computed_torque(K_P, K_D, sample_time=H, torque_limit=7.0)
     motion = {"position": pose()[None, :], "velocity": np.array([[np.nan, 0.0]])}
     assert np.isnan(list(respond(block, named(motion)).values())).all()
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"joints": ("joint1",)}, r"must take \(q, v, a\) of 1 each and give 1 torques for joint1"),
-    ({"inverse_dynamics": casadi.Function("f", [casadi.SX.sym("q", 2)], [casadi.SX(2, 1)])}, r"f takes \[2\] and gives"),
-    ({"proportional": np.nan}, "proportional_gain of joint1 must be finite, got nan 1/s2"),
-    ({"derivative": -1.0}, "derivative_gain of joint1 must be at least 0 1/s, got -1.0"),
-    ({"sample_time": 0.0}, "the sample time must be positive"),
-])  # fmt: skip
-def test_refused(change: dict[str, Any], message: str) -> None:
-    """Functions of another shape and bad gains are refused."""
-    options = {"inverse_dynamics": rigid(), "proportional": K_P, "derivative": K_D, "sample_time": H} | change
-    with pytest.raises(InputError, match=message):
-        computed_torque(**options)

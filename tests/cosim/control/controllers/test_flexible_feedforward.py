@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from blocks import feedforward
 from scipy.integrate import fixed_quad
 
 import flexfmu
+from flexfmu.cosim.control import controllers
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.computed_torque import mean_torques, tabulated_feedforward
+from flexfmu.cosim.control.controllers.computed_torque import mean_torques
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
@@ -40,9 +42,11 @@ def test_torques_of_stiff_links_are_means_of_the_rigid_inverse_dynamics() -> Non
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
-def test_the_block_gives_the_torques_in_turn_and_holds_the_last() -> None:
+def test_the_block_gives_the_torques_in_turn_and_holds_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     torques = np.random.default_rng(0).normal(size=(5, 2))
-    slave = BlockSlave(tabulated_feedforward(torques, sample_time=SAMPLE_TIME, offset=SAMPLE_TIME), "ahead")
+    monkeypatch.setattr(controllers.computed_torque, "mean_torques", lambda *arguments, **timing: torques)
+    path = plan(load_scene("barnard2012-6kg")).joints
+    slave = BlockSlave(feedforward("flexible", path=path, sample_time=SAMPLE_TIME, offset=SAMPLE_TIME), "ahead")
     slave.initialize(0.0, 1.0, 1e-6)
     found = []
     for k in range(8):

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from blocks import cascade, pd, pid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.cascade import velocity_loop
-from flexfmu.cosim.control.controllers.gain_schedule import scheduled
-from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -30,15 +28,15 @@ Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
 
 H = 1e-3
-ONE = ("axis",)
 AT = [-1.0, 0.5, 2.0]
+RISING: dict[str, Any] = {"over": "load", "at": AT, "proportional": [1.0, 2.0, 3.0]}
 
 
 def test_gains_follow_the_signal(respond: Respond) -> None:
     """Linear between the values, constant beyond, for each joint; gains without a table stay."""
     rng = np.random.default_rng(0)
-    factors = {"proportional_gain": [1.0, (2.0, 0.5), 0.0]}
-    block = scheduled(pd([50.0, 70.0], [2.0, 3.0], sample_time=H), "load", AT, factors)
+    schedule = {"over": "load", "at": AT, "proportional": [1.0, (2.0, 0.5), 0.0]}
+    block = pd([50.0, 70.0], [2.0, 3.0], sample_time=H, schedule=schedule)
     signals = {each.name: rng.normal(scale=2.0, size=200) for each in block.inputs}
     found = respond(block, signals)
     for joint, k_p, k_d, table in (("joint1", 50.0, 2.0, [1.0, 2.0, 0.0]), ("joint2", 70.0, 3.0, [1.0, 0.5, 0.0])):
@@ -54,29 +52,35 @@ def test_gains_follow_the_signal(respond: Respond) -> None:
 
 def test_an_input_that_it_has_already(respond: Respond) -> None:
     """Gains over the measured angle take the angle that the controller reads."""
-    block = scheduled(
-        pd(50.0, 0.0, sample_time=H, joints=ONE), "axis.position", AT, {"proportional_gain": [1.0, 2.0, 3.0]}
-    )
-    assert [each.name for each in block.inputs].count("axis.position") == 1
+    block = pd(50.0, 0.0, sample_time=H, schedule={**RISING, "over": "joint1.position"})
+    assert [each.name for each in block.inputs].count("joint1.position") == 1
     angles = np.linspace(-2.0, 3.0, 41)
     expected = -50.0 * np.interp(angles, AT, [1.0, 2.0, 3.0]) * angles
     np.testing.assert_allclose(
-        respond(block, {"axis.position": angles})["axis.torque"], expected, rtol=1e-13, atol=1e-12
+        respond(block, {"joint1.position": angles})["joint1.torque"], expected, rtol=1e-13, atol=1e-12
     )
 
 
-@pytest.mark.parametrize("controller", [
-    pid(40.0, 300.0, 2.0, sample_time=H, filter_time=2e-3, limits=symmetric(30.0), joints=ONE),
-    velocity_loop(9.0, 400.0, sample_time=H, limits=symmetric(5.0), joints=ONE),
+def velocity_loop(schedule: Any) -> SymbolicBlock:
+    """The velocity loop of a cascade."""
+    velocity = {"proportional": 9.0, "integral": 400.0, "schedule": schedule}
+    loops: tuple[SymbolicBlock, ...] = cascade({"proportional": 1.0}, velocity, torque_limit=5.0, sample_time=H)
+    return loops[1]
+
+
+@pytest.mark.parametrize("make", [
+    lambda schedule: pid(40.0, 300.0, 2.0, sample_time=H, filter_time=2e-3, torque_limit=30.0, schedule=schedule),
+    velocity_loop,
 ], ids=["pid", "velocity loop"])  # fmt: skip
-def test_states_and_clock_stay(respond: Respond, controller: SymbolicBlock) -> None:
+def test_states_and_clock_stay(respond: Respond, make: Callable[[Any], SymbolicBlock]) -> None:
     """A constant signal makes a controller with constant gains, states, limits and anti-windup included."""
-    factors = {"integral_gain": [0.0, 2.0], "proportional_gain": [1.0, 3.0]}
+    controller = make(None)
+    schedule = {"over": "load", "at": [0.0, 1.0], "integral": [0.0, 2.0], "proportional": [1.0, 3.0]}
     rng = np.random.default_rng(1)
     signals = {each.name: rng.normal(size=100) for each in controller.inputs}
-    found = respond(scheduled(controller, "load", [0.0, 1.0], factors), {**signals, "load": np.full(100, 0.25)})
+    found = respond(make(schedule), {**signals, "load": np.full(100, 0.25)})
     changed = {"integral_gain": 0.5, "proportional_gain": 1.5}
-    gains = {f"axis.{key}": np.full(100, factor) for key, factor in changed.items()}
+    gains = {f"joint{i}.{key}": np.full(100, factor) for i in (1, 2) for key, factor in changed.items()}
     gains = {each.name: gains[each.name] * each.start for each in controller.parameters if each.name in gains}
     expected = respond(controller, signals | gains)
     for name, values in expected.items():
@@ -85,8 +89,8 @@ def test_states_and_clock_stay(respond: Respond, controller: SymbolicBlock) -> N
 
 def test_not_a_number_reaches_the_torque(respond: Respond) -> None:
     """A signal that is not a number must not count as an end of the table."""
-    block = scheduled(pd(50.0, 0.0, sample_time=H, joints=ONE), "load", AT, {"proportional_gain": [1.0, 2.0, 3.0]})
-    torque = respond(block, {"load": [0.0, np.nan], "axis.position": [1.0, 1.0]})["axis.torque"]
+    block = pd(50.0, 0.0, sample_time=H, schedule=RISING)
+    torque = respond(block, {"load": [0.0, np.nan], "joint1.position": [1.0, 1.0]})["joint1.torque"]
     assert torque[0] != 0.0
     assert np.isnan(torque[1])
 
@@ -179,23 +183,10 @@ def test_scenes_are_refused(robot: Scene, change: dict[str, Any], message: str) 
         robot.replace({"controller": [{**PD, "schedule": table}]})
 
 
-@pytest.mark.parametrize(("at", "factors", "message"), [
-    ([0.0, np.nan], {"proportional_gain": [1.0, 1.0]}, "two or more ascending values of load"),
-    ([0.0, 1.0], {"gain": [1.0, 1.0]}, "pd has no gain 'gain' to schedule; it has proportional_gain, derivative_gain"),
-    ([0.0, 1.0], {"proportional_gain": [1.0]}, "needs a factor at each of 2 values, got 1"),
-    ([0.0, 1.0], {"proportional_gain": [1.0, -1.0]}, "the factor on proportional_gain of joint1 must be at least 0, got -1.0"),
-    ([0.0, 1.0], {"proportional_gain": [1.0, (1.0, np.inf)]}, "the factor on proportional_gain of joint2 must be finite"),
-])  # fmt: skip
-def test_refused(at: list[float], factors: Mapping[str, list[Any]], message: str) -> None:
-    """What is wrong, with its value."""
-    with pytest.raises(InputError, match=message):
-        scheduled(pd(1.0, 1.0, sample_time=H), "load", at, factors)
-
-
 def test_an_own_output_is_no_signal_to_follow() -> None:
     """The torque depends on the gains."""
     with pytest.raises(InputError, match=r"its gains can't follow its own output joint1\.torque"):
-        scheduled(pd(1.0, 1.0, sample_time=H), "joint1.torque", [0.0, 50.0], {"proportional_gain": [1.0, 1.2]})
+        pd(1.0, 1.0, sample_time=H, schedule={**RISING, "over": "joint1.torque"})
 
 
 def test_a_signal_that_there_isnt(robot: Scene) -> None:
@@ -217,14 +208,16 @@ def test_any_table_is_interpolated_or_refused(at: list[float], signal: float, da
     table = data.draw(st.lists(st.one_of(ANY, st.floats(0.0, 9.0)), min_size=len(at), max_size=len(at)))
 
     def make() -> SymbolicBlock:
-        return scheduled(pd(1.0, 0.0, sample_time=H, joints=ONE), "load", at, {"proportional_gain": table})
+        schedule = {"over": "load", "at": at, "proportional": table}
+        block: SymbolicBlock = pd(1.0, 0.0, sample_time=H, schedule=schedule)
+        return block
 
-    ascending = len(at) > 1 and bool((np.diff(at) > 0.0).all())
+    ascending = len(at) > 1 and all(a < b for a, b in pairwise(at))
     if ascending and np.isfinite(at).all() and all(0.0 <= each < np.inf for each in table):
-        u, p = [1.0, 0.0, 0.0, 0.0, 0.0, signal], [1.0, 0.0]
-        found = float(make().output([], u, p))
+        u, p = [1.0, *[0.0] * 9, signal], [1.0, 1.0, 0.0, 0.0]
+        found = float(make().output([], u, p)[0])
         assert found == pytest.approx(np.interp(signal, at, table), rel=1e-9, abs=1e-12 * max(table))
         return
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(SceneError) as refused:
         make()
     assert "\n" not in str(refused.value)

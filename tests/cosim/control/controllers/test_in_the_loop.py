@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import control
 import numpy as np
 import pytest
+from blocks import computed_torque, learning, lqg, pid
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.computed_torque import computed_torque
-from flexfmu.cosim.control.controllers.from_control import control_block, from_control
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.linear_system import LinearSystem, state_space
-from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.from_control import LinearSystem, control_block, from_control, state_space
 from flexfmu.cosim.control.controllers.state_feedback import (
     Equilibrium,
-    LqgWeights,
-    lqg,
     state_feedback,
     static_feedforward,
 )
@@ -31,7 +24,6 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.linear import linearize, operating_point
-from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -116,11 +108,9 @@ def observer() -> SymbolicBlock:
 BLOCKS: dict[str, Callable[[], SymbolicBlock]] = {
     "state space": multivariable,
     "observer": observer,
-    "pid": lambda: pid(50.0, 300.0, 2.0, sample_time=H, filter_time=2e-3, limits=symmetric([20.0, 30.0])),
-    "learning": lambda: iterative_learning([1.0, 2.0], 25, sample_time=H, shift=2, forgetting=0.02),
-    "computed torque": lambda: computed_torque(
-        inverse_dynamics(load_scene("barnard2012-6kg")), 400.0, 40.0, sample_time=H
-    ),
+    "pid": lambda: pid(50.0, 300.0, 2.0, sample_time=H, filter_time=2e-3, torque_limit=[20.0, 30.0]),
+    "learning": lambda: learning(gain=[1.0, 2.0], cycles=2, period=25 * H, sample_time=H, lead=2, forgetting=0.02),
+    "computed torque": lambda: computed_torque(400.0, 40.0, sample_time=H),
 }
 
 
@@ -176,17 +166,10 @@ def test_lqg_holds_the_robot() -> None:
 def test_only_ratios_of_lqg_weights_count() -> None:
     """Twice all costs, or twice all standard deviations, is the same controller; other ratios are another one."""
     scene = load_scene("barnard2012-6kg").replace({"effects.proximal_bending": 1, "effects.distal_axial": 0})
-    weights = LqgWeights()
-    twice = LqgWeights(
-        position_error=(2e-3, 2e-3),
-        velocity_error=(0.2, 0.2),
-        torque_deviation=(20.0, 20.0),
-        torque_noise=3.0 * weights.torque_noise,
-        measurement_noise=3.0 * weights.measurement_noise,
-    )
-    other = replace(weights, torque_noise=3.0 * weights.torque_noise)
+    costs = {"position_error": 2e-3, "velocity_error": 0.2, "torque_deviation": 20.0}
+    twice = {**costs, "torque_noise": 3.0, "measurement_noise": 3e-5}
     one, same, another = (
-        _step_of(lqg(scene, scene.trajectory.start, each, sample_time=H)) for each in (weights, twice, other)
+        _step_of(lqg(scene=scene, sample_time=H, **each)) for each in ({}, twice, {"torque_noise": 3.0})
     )
     np.testing.assert_allclose(same, one, rtol=1e-6, atol=1e-9 * abs(one).max())
     assert abs(another - one).max() > 1e-3 * abs(one).max()

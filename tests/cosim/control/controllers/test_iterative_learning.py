@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import learning
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import butter, freqz
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning, norm_optimal_learning
-from flexfmu.cosim.control.controllers.learning_laws import (
+from flexfmu.cosim.control.controllers import iterative_learning
+from flexfmu.cosim.control.controllers.iterative_learning import (
     LearningLaw,
     norm_optimal_law,
     proportional_law,
@@ -34,7 +35,7 @@ REFERENCE = np.sin(np.linspace(0.0, np.pi, CYCLE)) ** 2
 
 def learn(cycles: int, **options: Any) -> tuple[Array, Array]:
     """Errors and learned torques (cycles, CYCLE) with the plant set back between the cycles."""
-    slave = BlockSlave(iterative_learning(cycle=CYCLE, sample_time=H, joints=("axis",), **options))
+    slave = BlockSlave(learning(cycles=2, period=CYCLE * H, sample_time=H, **options))
     torque = np.empty(1)
     slave.initialize(0.0, 1.0, None)
     errors, torques = np.empty((cycles, CYCLE)), np.empty((cycles, CYCLE))
@@ -42,9 +43,9 @@ def learn(cycles: int, **options: Any) -> tuple[Array, Array]:
         y = 0.0
         for k in range(CYCLE):
             errors[j, k] = REFERENCE[k] - y
-            slave.set(np.array([0, 1]), np.array([REFERENCE[k], y]))
+            slave.set(np.array([0, 2]), np.array([REFERENCE[k], y]))
             slave.sample((j * CYCLE + k) * H)
-            slave.get(np.array([3]), torque)
+            slave.get(np.array([6]), torque)
             torques[j, k] = torque[0]
             y = POLE * y + GAIN * torque[0]
     return errors, torques
@@ -69,7 +70,7 @@ def lifted(gain: float, shift: int, forgetting: float, cycles: int) -> tuple[Arr
 ])  # fmt: skip
 def test_learning_law(gain: float, shift: int, forgetting: float) -> None:
     """Torques and errors of ten cycles are those of the lifted equations, to rounding."""
-    found = learn(10, gain=gain, shift=shift, forgetting=forgetting)
+    found = learn(10, gain=gain, lead=shift, forgetting=forgetting)
     wanted = lifted(gain, shift, forgetting, 10)
     for one, other in zip(found, wanted, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * abs(other).max())
@@ -79,7 +80,7 @@ def test_converges_at_the_predicted_rate() -> None:
     """The error of the first learned sample falls by |1 - gain g| in every cycle, that of all samples in the end too."""
     gain = 0.5
     rate = 1.0 - gain * GAIN
-    errors, _ = learn(60, gain=gain, shift=1)
+    errors, _ = learn(60, gain=gain)
     first = errors[:20, 1]
     np.testing.assert_allclose(first[1:] / first[:-1], rate, rtol=1e-9)
     assert abs(errors[-1]).max() < 1e-8 * abs(errors[0]).max()
@@ -87,14 +88,14 @@ def test_converges_at_the_predicted_rate() -> None:
 
 def test_diverges_beyond_the_limit() -> None:
     """With |1 - gain g| > 1 the first sample's error grows: the sign of the prediction is right as well."""
-    errors, _ = learn(6, gain=3.0, shift=1)
+    errors, _ = learn(6, gain=3.0)
     np.testing.assert_allclose(errors[1:, 1] / errors[:-1, 1], 1.0 - 3.0 * GAIN, rtol=1e-9)
 
 
 def test_forgetting_leaves_an_error() -> None:
     """The fixed point with forgetting: the first learned sample keeps r f / (f + gain g)."""
     gain, forgetting = 0.5, 0.1
-    errors, _ = learn(100, gain=gain, shift=1, forgetting=forgetting)
+    errors, _ = learn(100, gain=gain, forgetting=forgetting)
     wanted = REFERENCE[1] * forgetting / (forgetting + gain * GAIN)
     np.testing.assert_allclose(errors[-1, 1], wanted, rtol=1e-9)
 
@@ -107,20 +108,20 @@ def test_first_cycle_is_silent() -> None:
 
 def test_a_cycle_of_one_sample() -> None:
     """The shortest cycle is an integrator without feedthrough."""
-    slave = BlockSlave(iterative_learning(0.5, 1, sample_time=H, shift=0, joints=("axis",)))
+    slave = BlockSlave(learning(gain=0.5, cycles=2, period=H, sample_time=H, lead=0))
     slave.initialize(0.0, 1.0, None)
     slave.set(np.array([0]), np.array([1.0]))
     values = np.empty((4, 1))
     for k in range(4):
         slave.sample(k * H)
-        slave.get(np.array([3]), values[k])
+        slave.get(np.array([6]), values[k])
     np.testing.assert_allclose(values[:, 0], [0.0, 0.5, 1.0, 1.5])
-    assert slave.feedthrough == {"axis.feedforward": ()}
+    assert slave.feedthrough == {"joint1.feedforward": (), "joint2.feedforward": ()}
 
 
 def test_joints_learn_apart() -> None:
     """Each joint has its own gain and table; one's error doesn't reach the other."""
-    slave = BlockSlave(iterative_learning([1.0, 2.0], 3, sample_time=H, shift=0, learn_from="velocity"))
+    slave = BlockSlave(learning(gain=[1.0, 2.0], cycles=2, period=3 * H, sample_time=H, lead=0))
     slave.initialize(0.0, 1.0, None)
     output = np.empty(2)
     for k in range(4):
@@ -128,12 +129,15 @@ def test_joints_learn_apart() -> None:
         slave.sample(k * H)
         slave.get(np.array([6, 7]), output)
         np.testing.assert_array_equal(output, [1.0, 20.0] if k == 3 else [0.0, 0.0])
-    assert [variable.unit for variable in slave.block.parameters] == ["N.m.s/rad"] * 2
+    assert [variable.unit for variable in slave.block.parameters] == ["N.m/rad"] * 2
 
 
 def test_long_tables_are_cheap() -> None:
     """A table of a whole motion at 4 kHz moves on as one block of memory, not number by number."""
-    short, long = (sample_function(iterative_learning(1.0, cycle, sample_time=2.5e-4)) for cycle in (100, 2720))
+    short, long = (
+        sample_function(learning(gain=1.0, cycles=2, period=2.5e-4 * cycle, sample_time=2.5e-4))
+        for cycle in (100, 2720)
+    )
     assert long.n_instructions() == short.n_instructions() < 100
 
 
@@ -171,23 +175,32 @@ def test_q_filter_in_the_block(shift: int, q_filter: float) -> None:
     """Samples that learn one after the other, from the torques of a cycle ago, give the weighted sums over the whole cycle."""
     cycle, gain = 60, np.array([0.3, 0.7])
     errors = np.random.default_rng(shift).normal(size=(4 * cycle, 2))
-    found = answer(
-        iterative_learning(gain, cycle, sample_time=H, shift=shift, forgetting=0.1, q_filter=q_filter), errors
-    )
+    options = {"lead": shift, "forgetting": 0.1, "q_filter": q_filter}
+    found = answer(learning(gain=gain, cycles=2, period=cycle * H, sample_time=H, **options), errors)
     law = proportional_law(shift, 0.1, zero_phase(q_filter, H, cycle), 2)
     np.testing.assert_allclose(
         found, by_weights(law, errors, gain, np.zeros(cycle)), rtol=0, atol=1e-12 * abs(found).max()
     )
 
 
-def test_norm_optimal_block() -> None:
+def test_norm_optimal_block(monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights that change along the path, of both joints' errors, give the same sums."""
     rng, cycle = np.random.default_rng(1), 80
     decay = 0.7 ** np.arange(30)[:, np.newaxis, np.newaxis]
     response = decay * (np.eye(2) + 0.2 * rng.normal(size=(3, 1, 2, 2)))
     places = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(cycle) / cycle)
     errors = rng.normal(size=(3 * cycle, 2))
-    found = answer(norm_optimal_learning(response, places, sample_time=H, forgetting=0.05, q_filter=150.0), errors)
+    monkeypatch.setattr(iterative_learning, "places_of", lambda context, instants: places)
+    model = learning(
+        law="norm-optimal",
+        response=response.tolist(),
+        cycles=2,
+        period=cycle * H,
+        sample_time=H,
+        forgetting=0.05,
+        q_filter=150.0,
+    )
+    found = answer(model, errors)
     law = norm_optimal_law(response, 1e-3, 0.05, zero_phase(150.0, H, 39), 39)
     assert law.error.shape[0] == 3
     np.testing.assert_allclose(
@@ -243,17 +256,13 @@ def test_contraction_bounds_what_errors_do() -> None:
 @pytest.mark.parametrize(("change", "message"), [
     ({"q_filter": 500.0}, "cut-off must be below half the sampling frequency of 1000 Hz, got 500 Hz"),
     ({"q_filter": 20.0}, "needs [0-9]+ samples before and after each, and a cycle leaves 4"),
-    ({"cycle": 0}, "a cycle must have 1 to 1000000 samples, got 0"),
-    ({"cycle": 2.5}, "a cycle must have 1 to 1000000 samples, got 2.5"),
-    ({"shift": -1}, "the shift must be 0 to 9 samples, less than a cycle, got -1"),
-    ({"shift": 10}, "the shift must be 0 to 9 samples, less than a cycle, got 10"),
-    ({"forgetting": 1.0}, "the forgetting must be at least 0 and below 1, got 1.0"),
-    ({"forgetting": np.nan}, "the forgetting must be at least 0 and below 1, got nan"),
-    ({"gain": -1.0}, "learning_gain of joint1 must be at least 0 N.m/rad, got -1.0"),
-    ({"gain": [1.0, np.inf]}, "learning_gain of joint2 must be finite"),
-    ({"sample_time": 0.0}, "the sample time must be positive"),
+    ({"period": 0.0}, "a cycle must have 1 to 1000000 samples, got 0"),
+    ({"period": 10.5 * H}, "isn't a whole number of samples"),
+    ({"period": None}, "learning needs a motion that is repeated"),
+    ({"lead": 10}, "the lead must be 0 to 9 samples, less than a cycle, got 10"),
+    ({"q_filter": "auto"}, "leaves the cut-off of the Q-filter open"),
 ])  # fmt: skip
 def test_refused(change: dict[str, Any], message: str) -> None:
-    """Lengths that don't fit and gains that can't work are refused."""
+    """Lengths that don't fit the cycle, and what is still open, are refused."""
     with pytest.raises(InputError, match=message):
-        iterative_learning(**({"gain": 1.0, "cycle": 10, "sample_time": H} | change))
+        learning(**({"gain": 1.0, "cycles": 2, "period": 10 * H, "sample_time": H} | change))

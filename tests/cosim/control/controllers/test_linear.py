@@ -8,12 +8,21 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from blocks import linear_system
+from blocks import state_space as state_space_section
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import cont2discrete
 
 from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
-from flexfmu.cosim.control.controllers.from_control import control_block, dotted, from_control, realise
-from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
+from flexfmu.cosim.control.controllers.from_control import (
+    LinearSystem,
+    Signal,
+    control_block,
+    dotted,
+    from_control,
+    realise,
+    state_space,
+)
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import signal_label
 from flexfmu.model.symbolic import SymbolicBlock
@@ -54,9 +63,9 @@ def test_discrete_state_space(respond: Respond, states: int, inputs: int, output
 @pytest.mark.parametrize("empty", [([], [], []), (np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)))])
 def test_a_static_gain_needs_no_states(respond: Respond, empty: tuple[Any, Any, Any]) -> None:
     """A = B = C = [] is a static gain, as a scene file or python-control writes one."""
-    system = linear_system(*empty, [[3.0, -2.0]], sample_time=H, inputs=["a", "b"], outputs=["y"])
-    assert system.order == 0
-    np.testing.assert_array_equal(respond(state_space(system), {"a": [1.0, 0.5], "b": [1.0, 2.0]})["y"], [1.0, -2.5])
+    block = state_space_section(*empty, [[3.0, -2.0]], sample_time=H, inputs=["a", "b"], outputs=["y"])
+    assert block.states == ()
+    np.testing.assert_array_equal(respond(block, {"a": [1.0, 0.5], "b": [1.0, 2.0]})["y"], [1.0, -2.5])
 
 
 def test_compiled_where_it_pays(respond: Respond) -> None:
@@ -93,7 +102,7 @@ def test_transfer_matrix(respond: Respond) -> None:
 
 def test_feedthrough_is_where_D_is_not_zero() -> None:
     """A zero in D opens an algebraic loop that would otherwise be refused."""
-    system = linear_system([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 2.0], [0.0, 0.0]], sample_time=H)
+    system = linear_system([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 2.0], [0.0, 0.0]], H)
     assert state_space(system).feedthrough == {"y[0]": ("u[1]",), "y[1]": ()}
 
 
@@ -203,19 +212,27 @@ def test_refused_systems(system: Any, options: dict[str, Any], message: str) -> 
     ({"D": [[1j]]}, "D must hold real numbers, got complex128"),
     ({"A": [["a"]]}, "A must hold real numbers"),
     ({"sample_time": -1.0}, "the sample time must be positive"),
-    ({"inputs": ["y[0]"]}, r"two signals are named 'y\[0\]'"),
+    ({"inputs": [Signal("y[0]")]}, r"two signals are named 'y\[0\]'"),
 ])  # fmt: skip
 def test_refused_matrices(change: dict[str, Any], message: str) -> None:
     """Shapes and numbers are checked where they come in."""
-    values = {"A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "sample_time": H} | change
+    values = {
+        "A": [[0.5]],
+        "B": [[1.0]],
+        "C": [[1.0]],
+        "D": [[0.0]],
+        "sample_time": H,
+        "inputs": [Signal("u[0]")],
+        "outputs": [Signal("y[0]")],
+    } | change
     with pytest.raises(InputError, match=message):
-        linear_system(**values)
+        LinearSystem(**values)
 
 
 def test_refused_start() -> None:
     """One start value for each state."""
     with pytest.raises(InputError, match="start must have 1 values, one for each state, got 2"):
-        state_space(linear_system([[0.5]], [[1.0]], [[1.0]], sample_time=H), start=[1.0, 2.0])
+        state_space(linear_system([[0.5]], [[1.0]], [[1.0]], [[0.0]], H), start=[1.0, 2.0])
 
 
 def test_refused_denominator() -> None:

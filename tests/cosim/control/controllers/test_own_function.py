@@ -10,14 +10,13 @@ from typing import Any
 import casadi
 import numpy as np
 import pytest
+from blocks import pd
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.function_controller import FunctionController, function_block
-from flexfmu.cosim.control.controllers.pid import pd
-from flexfmu.cosim.control.controllers.python_slave import FunctionSlave
+from flexfmu.cosim.control.controllers.own_function import FunctionController, FunctionSlave, function_block
 from flexfmu.cosim.engine.errors import InputError, SlaveError
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.experiment.user_slaves import as_slave

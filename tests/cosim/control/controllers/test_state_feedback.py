@@ -7,14 +7,14 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from blocks import linear_system
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.from_control import from_control
-from flexfmu.cosim.control.controllers.joints import Limits
-from flexfmu.cosim.control.controllers.linear_system import LinearSystem, linear_system
+from flexfmu.cosim.control.controllers.from_control import LinearSystem, from_control
 from flexfmu.cosim.control.controllers.state_feedback import (
     Equilibrium,
+    Limits,
     ReferenceFeedforward,
     reference_name,
     state_feedback,
@@ -130,7 +130,7 @@ def test_multivariable_with_feedthrough() -> None:
     A *= 1.02 / abs(np.linalg.eigvals(A)).max()
     B, C, D = rng.normal(size=(3, 2)), rng.normal(size=(3, 3)), np.zeros((3, 2))
     D[2, 1] = 0.7
-    plant = linear_system(A, B, C, D, sample_time=H)
+    plant = linear_system(A, B, C, D, H)
     K, _, _ = control.dlqr(A, B, np.eye(3), np.eye(2))
     L, _, _ = control.dlqe(A, np.eye(3), C, np.eye(3), np.eye(3))
     slave = BlockSlave(state_feedback(plant, K, L))
@@ -165,7 +165,7 @@ def test_reference_names(name: str, expected: str) -> None:
     ({"K": 3.0}, "K must be 1 x 4, got a number"),
     ({"estimate": [1.0]}, "state_feedback: estimate must be 4 x 1, got 1 x 1"),
     ({"equilibrium": Equilibrium([1.0, 2.0], [0.0])}, "equilibrium.inputs must be 1 x 1, got 2 x 1"),
-    ({"limits": Limits([1.0], [-1.0])}, "the lower torque limit 1.0 N.m must be below the upper one, -1.0 N.m"),
+    ({"limits": Limits([1.0], [-1.0])}, "the lower limit 1.0 must be finite and below the upper one, -1.0"),
     ({"offset": -1.0}, "the offset must be zero or positive"),
     ({"reference": ReferenceFeedforward((), np.zeros((3, 0)), np.zeros((1, 0)))}, "Nx must be 4 x 0, got 3 x 0"),
 ])  # fmt: skip
@@ -189,6 +189,6 @@ def test_refused_tracking(tracked: list[str], message: str) -> None:
 
 def test_refused_zero_at_one() -> None:
     """A plant that differentiates can't hold an output at rest."""
-    plant = linear_system([[0.5]], [[1.0]], [[0.5]], [[-1.0]], sample_time=H)
+    plant = linear_system([[0.5]], [[1.0]], [[0.5]], [[-1.0]], H)
     with pytest.raises(InputError, match="can't be set independently at rest"):
         static_feedforward(plant, ["y[0]"])

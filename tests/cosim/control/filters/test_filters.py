@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import context
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
@@ -15,23 +16,28 @@ from scipy import signal
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.filters import SecondOrder, biquad, filter_block, high_pass, lead_lag, low_pass, notch
-from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
 W = 2.0 * pi * 60.0
 
 
+def block(sections: list[SecondOrder]) -> SymbolicBlock:
+    """The block of a chain of sections."""
+    return filter_block(flexfmu.filters.notch(frequency=1.0, sample_time=H), context("filter"), sections)
+
+
 def response(sections: list[SecondOrder], u: np.ndarray) -> np.ndarray:
-    """What the block makes of samples."""
-    slave = BlockSlave(filter_block([Channel("x")], sections, sample_time=H))
+    """What the block makes of samples of the first joint."""
+    slave = BlockSlave(block(sections))
     slave.initialize(0.0, 1.0, 1e-6)
     index, found = np.array([0]), np.empty(1)
-    out = np.array([[each.name for each in slave.variables].index("x")])
+    out = np.array([[each.name for each in slave.variables].index("joint1.torque")])
     values = []
     for k, value in enumerate(u):
         slave.set(index, np.array([value]))
@@ -183,4 +189,4 @@ def test_filters_of_odd_order_keep_margins_finite() -> None:
 @pytest.mark.parametrize(("numerator", "denominator"), [([1.0, 0.0, 1.0], [1.0, 1.0]), ([1.0, 0.0], [2.0])])
 def test_an_improper_filter_is_refused(numerator: list[float], denominator: list[float]) -> None:
     with pytest.raises(InputError, match="isn't proper"):
-        filter_block([Channel("x")], biquad(numerator, denominator), sample_time=H)
+        block(biquad(numerator, denominator))

@@ -16,9 +16,9 @@ Run = Callable[..., Array]
 
 
 def sampled(block: SymbolicBlock, inputs: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:
-    """Outputs (N, outputs) of a block for inputs (N, inputs) or (N,) at its sample instants, from its start on."""
+    """Outputs (N, outputs) of a block for inputs (N, inputs), or (N,) for all of them, at its sample instants, from its start on."""
     u = np.asarray(inputs, dtype=float)
-    u = u[:, None] if u.ndim == 1 else u
+    u = np.tile(u[:, None], len(block.inputs)) if u.ndim == 1 else u
     changes = dict(parameters or {})
     p = [changes.pop(each.name, each.start) for each in block.parameters]
     assert not changes, f"no such parameters: {changes}"

@@ -6,56 +6,40 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import backlash, dead_zone
 
 import flexfmu
-from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.channels import Channel
-from flexfmu.cosim.control.imperfections.signal_blocks import backlash, dead_zone
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
 
 
-def response(block: SymbolicBlock, u: np.ndarray) -> np.ndarray:
-    """What the block makes of samples."""
-    slave, found = BlockSlave(block), np.empty(1)
-    slave.initialize(0.0, 1.0, 1e-6)
-    out, values = np.array([[each.name for each in slave.variables].index("x")]), []
-    for k, value in enumerate(u):
-        slave.set(np.array([0]), np.array([value]))
-        slave.sample(k * H)
-        slave.get(out, found)
-        values.append(float(found[0]))
-    return np.array(values)
-
-
-def test_a_dead_zone_takes_small_values_and_shortens_large_ones() -> None:
+def test_a_dead_zone_takes_small_values_and_shortens_large_ones(run: Any) -> None:
     u = np.linspace(-3.0, 3.0, 101)
     expected = np.sign(u) * np.maximum(np.abs(u) - 0.7, 0.0)
-    np.testing.assert_allclose(response(dead_zone([Channel("x")], 0.7, sample_time=H), u), expected, atol=1e-15)
+    np.testing.assert_allclose(run(dead_zone(0.7, sample_time=H), u)[:, 0], expected, atol=1e-15)
 
 
-def test_backlash_is_half_a_gap_behind_and_stands_still_at_reversals() -> None:
+def test_backlash_is_half_a_gap_behind_and_stands_still_at_reversals(run: Any) -> None:
     up, down = np.linspace(0.0, 2.0, 201), np.linspace(2.0, 0.0, 201)
-    found = response(backlash([Channel("x")], 0.5, sample_time=H), np.concatenate([up, down]))
+    found = run(backlash(0.5, sample_time=H), np.concatenate([up, down]))[:, 0]
     # from the middle of the gap, half a gap behind, still for a whole gap, half a gap ahead
     np.testing.assert_allclose(found[:201], np.maximum(up - 0.25, 0.0), atol=1e-15)
     np.testing.assert_allclose(found[201:], np.minimum(down + 0.25, 1.75), atol=1e-15)
 
 
-def test_no_backlash_and_no_dead_zone_pass_the_signal() -> None:
+def test_no_backlash_and_no_dead_zone_pass_the_signal(run: Any) -> None:
     u = np.random.default_rng(0).normal(size=50)
-    for block in (backlash([Channel("x")], 0.0, sample_time=H), dead_zone([Channel("x")], 0.0, sample_time=H)):
-        np.testing.assert_array_equal(response(block, u), u)
+    for block in (backlash(0.0, sample_time=H), dead_zone(0.0, sample_time=H)):
+        np.testing.assert_array_equal(run(block, u)[:, 0], u)
 
 
-def test_what_is_no_number_stays_none() -> None:
-    for block in (backlash([Channel("x")], 0.5, sample_time=H), dead_zone([Channel("x")], 0.5, sample_time=H)):
-        assert np.isnan(response(block, np.array([0.0, np.nan]))[1])
+def test_what_is_no_number_stays_none(run: Any) -> None:
+    for block in (backlash(0.5, sample_time=H), dead_zone(0.5, sample_time=H)):
+        assert np.isnan(run(block, [0.0, np.nan])[1]).all()
 
 
 def scene(*imperfections: dict[str, Any]) -> Scene:

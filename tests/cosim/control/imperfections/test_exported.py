@@ -10,21 +10,18 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
+from blocks import delay, jitter, noise
 from fmpy.fmi2 import FMU2Slave
 
-from flexfmu.cosim.control.imperfections.channels import joint_channels
-from flexfmu.cosim.control.imperfections.delay import whole_delay
-from flexfmu.cosim.control.imperfections.signal_blocks import gaussian_noise, jitter, uniform_noise
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
-POSITIONS = joint_channels("position", (0.4, -0.6))
 
 RANDOM = {
-    "Gauss": gaussian_noise(POSITIONS, [0.1, 0.2], 5, sample_time=H),
-    "uniform": uniform_noise(POSITIONS, 0.1, 5, sample_time=H),
-    "jitter": jitter(POSITIONS, 0.8 * H, 5, sample_time=H),
+    "Gauss": noise([0.1, 0.2], seed=5, sample_time=H),
+    "uniform": noise(half_width=0.1, seed=5, sample_time=H),
+    "jitter": jitter(0.8 * H, 5, sample_time=H, initial=(0.4, -0.6)),
 }
 
 
@@ -77,5 +74,7 @@ def test_seed_of_an_fmu(block: SymbolicBlock, run: Any, tmp_path: Path) -> None:
 def test_initial_value_of_an_fmu(run: Any, tmp_path: Path) -> None:
     """The importer says where his signal starts."""
     parameters = {"joint1.position.initial": 9.0}
-    got = exported(whole_delay(POSITIONS, 5, sample_time=H), np.zeros((8, 2)), tmp_path, parameters)
+    got = exported(
+        delay(5 * H, signal="position", sample_time=H, initial=(0.4, -0.6)), np.zeros((8, 2)), tmp_path, parameters
+    )
     np.testing.assert_array_equal(got, [[9.0, -0.6]] * 5 + [[0.0, 0.0]] * 3)

@@ -7,26 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import delay, jitter, lag, noise, quantisation, rate_limit, saturation
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.channels import Channel
-from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.signal_blocks import (
-    gaussian_noise,
-    jitter,
-    quantisation,
-    rate_limit,
-    saturation,
-)
 from flexfmu.cosim.engine.errors import AlgebraicLoopError
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 H = 0.01
-POSITION = Channel("joint1.position", "rad", 0.3)
-TORQUE = Channel("joint1.torque", "N.m", 0.0)
+AT_REST = (0.3, 0.3)
+"""Positions before the first sample."""
 
 
 class Ramp:
@@ -50,7 +41,7 @@ class Ramp:
 def test_delay_in_time() -> None:
     """At its instants offset + k h a delay gives the signal of that time before, and holds it until the next."""
     offset = H / 2
-    slaves = [Ramp(), BlockSlave(delay([POSITION], 3.25 * H, sample_time=H, offset=offset))]
+    slaves = [Ramp(), BlockSlave(delay(3.25 * H, signal="position", sample_time=H, offset=offset, initial=AT_REST))]
     result = simulate(connect(slaves, [("ramp.joint1.position", "delay.joint1.position.input")]), stop=0.2, step=H / 4)
     assert result.outcome is Outcome.COMPLETED, result.message
     time, y = result.recording.time, result.recording["delay.joint1.position"].values
@@ -64,11 +55,11 @@ def test_delay_in_time() -> None:
 def test_a_chain_is_its_links_one_after_the_other(run: Any) -> None:
     """Clock, converter, noise and wire in a row give what the blocks give one after the other, at the same instants."""
     blocks = [
-        jitter([POSITION], 0.3 * H, 1, sample_time=H),
-        quantisation([POSITION], 1e-3, sample_time=H),
-        gaussian_noise([POSITION], 1e-4, 1, sample_time=H),
-        whole_delay([POSITION], 2, sample_time=H),
-        saturation([POSITION], 0.0, 0.6, sample_time=H),
+        jitter(0.3 * H, 1, sample_time=H, initial=AT_REST),
+        quantisation(1e-3, sample_time=H),
+        noise(1e-4, seed=1, sample_time=H),
+        delay(2 * H, signal="position", sample_time=H, initial=AT_REST),
+        saturation(lower=0.0, upper=0.6, signal="position", sample_time=H),
     ]
     names = ["ramp", *(block.name for block in blocks)]
     wiring = [(f"{source}.joint1.position", f"{target}.joint1.position.input") for source, target in pairwise(names)]
@@ -85,15 +76,15 @@ def test_a_chain_is_its_links_one_after_the_other(run: Any) -> None:
 
 def test_a_lag_breaks_a_loop() -> None:
     """A current loop or a delay in a closed loop makes it solvable instant by instant; without them it is refused."""
-    limit = saturation([TORQUE], -1.0, 1.0, sample_time=H)
+    limit = saturation(1.0, sample_time=H)
     around = [
         ("saturation.joint1.torque", "{}.joint1.torque.input"),
         ("{}.joint1.torque", "saturation.joint1.torque.input"),
     ]
-    for block in (lag([TORQUE], 0.1, sample_time=H), whole_delay([TORQUE], 1, sample_time=H)):
+    for block in (lag(0.1, sample_time=H, initial=(0.0, 0.0)), delay(H, sample_time=H, initial=(0.0, 0.0))):
         wiring = [(a.format(block.name), b.format(block.name)) for a, b in around]
         assert len(connect([BlockSlave(limit), BlockSlave(block)], wiring).slaves) == 2
-    block = rate_limit([TORQUE], 1.0, sample_time=H)
+    block = rate_limit(1.0, sample_time=H)
     wiring = [(a.format(block.name), b.format(block.name)) for a, b in around]
     with pytest.raises(AlgebraicLoopError, match=r"joint1\.torque"):
         connect([BlockSlave(limit), BlockSlave(block)], wiring)

@@ -6,28 +6,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import rate_limit, saturation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.control.imperfections.signal_blocks import rate_limit, saturation
-
 H = 1e-3
-TORQUES = joint_channels("torque")
 SIGNALS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=25)
 
 
 @settings(max_examples=60)
-@given(signal=SIGNALS, lower=st.floats(-50, 50), width=st.floats(0, 100))
+@given(signal=SIGNALS, lower=st.floats(-50, 50), width=st.floats(1e-3, 100))
 def test_saturation_is_exact(run: Any, signal: list[float], lower: float, width: float) -> None:
     """Inside the limits nothing changes to the last bit; outside the limit itself comes out."""
-    block = saturation([Channel("a", "N.m")], lower, lower + width, sample_time=H)
+    block = saturation(lower=lower, upper=lower + width, sample_time=H)
     np.testing.assert_array_equal(run(block, signal)[:, 0], np.clip(signal, lower, lower + width))
 
 
 def test_limits_for_each_channel_are_parameters(run: Any) -> None:
     """Each channel has limits of its own, which can be tuned."""
-    block = saturation(TORQUES, [-1.0, -2.0], [3.0, 4.0], sample_time=H)
+    block = saturation(lower=[-1.0, -2.0], upper=[3.0, 4.0], sample_time=H)
     u = np.outer([-9.0, 0.5, 9.0], [1.0, 1.0])
     np.testing.assert_array_equal(run(block, u), [[-1.0, -2.0], [0.5, 0.5], [3.0, 4.0]])
     changed = {"joint1.torque.minimum": -0.1, "joint2.torque.maximum": 0.1}
@@ -36,7 +33,7 @@ def test_limits_for_each_channel_are_parameters(run: Any) -> None:
 
 def test_saturation_lets_no_nan_pass_as_a_limit(run: Any) -> None:
     """A signal that is not a number must stay one, so that the run stops and says so."""
-    assert np.isnan(run(saturation(TORQUES, -1.0, 1.0, sample_time=H), [[np.nan, np.nan]])).all()
+    assert np.isnan(run(saturation(1.0, sample_time=H), [[np.nan, np.nan]])).all()
 
 
 def reference_rate_limit(u: np.ndarray, rising: float, falling: float, last: float) -> np.ndarray:
@@ -50,10 +47,10 @@ def reference_rate_limit(u: np.ndarray, rising: float, falling: float, last: flo
 
 
 @settings(max_examples=60)
-@given(signal=SIGNALS, rising=st.floats(0, 1e6), falling=st.floats(0, 1e6), initial=st.floats(-100, 100))
+@given(signal=SIGNALS, rising=st.floats(1e-6, 1e6), falling=st.floats(1e-6, 1e6), initial=st.floats(-100, 100))
 def test_rate_limit(run: Any, signal: list[float], rising: float, falling: float, initial: float) -> None:
     """It equals the law in NumPy bit by bit, and its steps never exceed the rates by more than rounding."""
-    block = rate_limit([Channel("a", "N.m", initial)], rising, falling, sample_time=H)
+    block = rate_limit(rising, falling, sample_time=H, initial=(initial, initial))
     y = run(block, signal)[:, 0]
     np.testing.assert_array_equal(y, reference_rate_limit(np.array(signal), rising, falling, initial))
     steps = np.diff([initial, *y])
@@ -64,12 +61,12 @@ def test_rate_limit(run: Any, signal: list[float], rising: float, falling: float
 
 def test_rate_limited_step(run: Any) -> None:
     """A step becomes a ramp of the given slopes that ends exactly at the step's height."""
-    block = rate_limit([Channel("a", "rad", 0.0)], 200.0, 100.0, sample_time=H)
+    block = rate_limit(200.0, 100.0, sample_time=H, initial=(0.0, 0.0))
     y = run(block, np.repeat([1.0, 0.0], 12))[:, 0]
     rise, fall = np.minimum(0.2 * np.arange(1, 13), 1.0), np.maximum(1.0 - 0.1 * np.arange(1, 13), 0.0)
     np.testing.assert_allclose(y, [*rise, *fall], rtol=0, atol=1e-15)
     assert y[11] == 1.0
-    just_above = run(rate_limit([Channel("a", "rad", 0.0)], 1000.0, sample_time=H), [1.0, 2.0 + 1e-10])[:, 0]
+    just_above = run(rate_limit(1000.0, sample_time=H, initial=(0.0, 0.0)), [1.0, 2.0 + 1e-10])[:, 0]
     np.testing.assert_array_equal(just_above, [1.0, 2.0])
     assert y[-1] == 0.0
 
@@ -77,14 +74,14 @@ def test_rate_limited_step(run: Any) -> None:
 def test_slow_signals_pass_a_rate_limit_unchanged(run: Any) -> None:
     """Within the limit nothing changes to the last bit, also without an initial value."""
     u = np.sin(np.arange(200) * 0.01)
-    np.testing.assert_array_equal(run(rate_limit([Channel("a")], 20.0, sample_time=H), u)[:, 0], u)
+    np.testing.assert_array_equal(run(rate_limit(20.0, sample_time=H), u)[:, 0], u)
 
 
 @pytest.mark.parametrize("falling", [None, 7.0])
 def test_rates_are_parameters_with_units(falling: float | None) -> None:
     """The rates can be tuned; one number counts for both directions."""
-    block = rate_limit([Channel("a", "rad/s")], 5.0, falling, sample_time=H)
-    assert [(each.name, each.unit, each.start, each.tunable) for each in block.parameters] == [
-        ("a.rising_rate", "rad/s2", 5.0, True),
-        ("a.falling_rate", "rad/s2", falling or 5.0, True),
+    block = rate_limit(5.0, falling, signal="velocity", sample_time=H)
+    assert [(each.name, each.unit, each.start, each.tunable) for each in block.parameters[::2]] == [
+        ("joint1.velocity.rising_rate", "rad/s2", 5.0, True),
+        ("joint1.velocity.falling_rate", "rad/s2", falling or 5.0, True),
     ]

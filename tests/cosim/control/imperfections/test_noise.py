@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import pi, sqrt
 from typing import Any
 
 import numpy as np
 import pytest
+from blocks import noise
 from scipy.stats import kstest, kurtosis, skew
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.control.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
-from flexfmu.cosim.control.imperfections.signal_blocks import gaussian_noise, uniform_noise
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.symbolic import SymbolicBlock
 
 H = 2.5e-4
-POSITIONS = joint_channels("position")
 COUNT = 100_000
 SIX_SIGMA = 6.0
 
@@ -36,14 +32,14 @@ def uniform_numbers(name: str, seed: int, count: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def gauss(run: Any) -> np.ndarray:
     """Noise of 1e-5 rad and 2e-5 rad, in standard deviations."""
-    block = gaussian_noise(POSITIONS, [1e-5, 2e-5], 7, sample_time=H)
+    block = noise([1e-5, 2e-5], seed=7, sample_time=H)
     return run(block, np.zeros((COUNT, 2))) / [1e-5, 2e-5]
 
 
 def test_gaussian_law(run: Any) -> None:
     """y = u + sigma sqrt(-2 ln U) cos(2 pi V) with the streams' numbers in pairs, in plain NumPy."""
     u = np.random.default_rng(1).normal(size=(500, 2))
-    y = run(gaussian_noise(POSITIONS, [0.1, 0.2], 99, sample_time=H), u)
+    y = run(noise([0.1, 0.2], seed=99, sample_time=H), u)
     for i, scale in enumerate((0.1, 0.2)):
         radius, angle = uniform_numbers(f"noise/joint{i + 1}.position", 99, 1000).reshape(-1, 2).T
         expected = u[:, i] + scale * np.sqrt(-2 * np.log(radius)) * np.cos(2 * pi * angle)
@@ -52,8 +48,10 @@ def test_gaussian_law(run: Any) -> None:
 
 def test_uniform_law(run: Any) -> None:
     """y = u + half_width (2 U - 1), in plain NumPy."""
-    y = run(uniform_noise([Channel("a", "N.m")], 0.25, 4, sample_time=H, name="ripple"), np.full(500, 3.0))[:, 0]
-    np.testing.assert_allclose(y, 3.0 + 0.25 * (2 * uniform_numbers("ripple/a", 4, 500) - 1), rtol=0, atol=1e-15)
+    y = run(noise(half_width=0.25, seed=4, signal="torque", sample_time=H, name="ripple"), np.full(500, 3.0))[:, 0]
+    np.testing.assert_allclose(
+        y, 3.0 + 0.25 * (2 * uniform_numbers("ripple/joint1.torque", 4, 500) - 1), rtol=0, atol=1e-15
+    )
 
 
 def test_gaussian_moments(gauss: np.ndarray) -> None:
@@ -93,36 +91,36 @@ def test_channels_are_independent(gauss: np.ndarray) -> None:
 
 def test_uniform_moments(run: Any) -> None:
     """The variance is half_width² / 3, and no value lies outside."""
-    y = run(uniform_noise([Channel("a")], 0.3, 5, sample_time=H), np.zeros(COUNT))[:, 0]
+    y = run(noise(half_width=0.3, seed=5, sample_time=H), np.zeros(COUNT))[:, 0]
     assert np.abs(y).max() < 0.3
     assert abs(y.mean()) < SIX_SIGMA * 0.3 / sqrt(3 * COUNT)
     assert y.var() == pytest.approx(0.03, rel=SIX_SIGMA * sqrt(0.8 / COUNT))
     assert kstest(y, "uniform", args=(-0.3, 0.6)).pvalue > 1e-6
 
 
-@pytest.mark.parametrize("make", [gaussian_noise, uniform_noise])
-def test_seed_is_a_parameter(make: Callable[..., SymbolicBlock], run: Any) -> None:
+@pytest.mark.parametrize("key", ["standard_deviation", "half_width"])
+def test_seed_is_a_parameter(key: str, run: Any) -> None:
     """The same seed gives the same noise, another one another; an importer can choose it."""
     silence = np.zeros((50, 2))
-    noise = {seed: run(make(POSITIONS, 1.0, seed, sample_time=H), silence) for seed in (1, 2)}
-    np.testing.assert_array_equal(run(make(POSITIONS, 1.0, 1, sample_time=H), silence), noise[1])
-    np.testing.assert_array_equal(run(make(POSITIONS, 1.0, 1, sample_time=H), silence, {"seed": 2.0}), noise[2])
-    assert not np.isin(noise[1], noise[2]).any()
+    first, other = (run(noise(**{key: 1.0}, seed=seed, sample_time=H), silence) for seed in (1, 2))
+    again = noise(**{key: 1.0}, seed=1, sample_time=H)
+    np.testing.assert_array_equal(run(again, silence), first)
+    np.testing.assert_array_equal(run(again, silence, {"seed": 2.0}), other)
+    assert not np.isin(first, other).any()
 
 
 def test_noise_belongs_to_the_channel(run: Any) -> None:
-    """Adding a channel or changing their order leaves everybody else's noise as it was."""
-    torque = Channel("joint1.torque", "N.m")
-    few = run(gaussian_noise(POSITIONS, 1.0, 3, sample_time=H), np.zeros((20, 2)))
-    many = run(gaussian_noise([torque, *POSITIONS[::-1]], [1.0] * 3, 3, sample_time=H), np.zeros((20, 3)))
-    np.testing.assert_array_equal(many[:, [2, 1]], few)
+    """Each joint's noise is that of its own name, whatever else passes through the block."""
+    positions, references = (
+        run(noise(1.0, seed=3, signal=signal, sample_time=H), np.zeros((20, 2))) for signal in ("position", "reference")
+    )
+    assert len({*positions.ravel(), *references.ravel()}) == 80
 
 
 def test_blocks_of_different_names_are_independent(run: Any) -> None:
     """Two blocks with the same seed don't repeat each other's noise."""
     a, b = (
-        run(gaussian_noise([Channel("a")], 1.0, 3, sample_time=H, name=name), np.zeros(20_000))[:, 0]
-        for name in ("sensor", "amplifier")
+        run(noise(1.0, seed=3, sample_time=H, name=name), np.zeros(20_000))[:, 0] for name in ("sensor", "amplifier")
     )
     assert abs(np.corrcoef(a, b)[0, 1]) < SIX_SIGMA / sqrt(20_000)
 
@@ -130,10 +128,10 @@ def test_blocks_of_different_names_are_independent(run: Any) -> None:
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_run_can_be_repeated(compiled: bool) -> None:
     """Initialisation begins the noise anew; restoring a state takes it back to there."""
-    slave = BlockSlave(gaussian_noise(POSITIONS, 1.0, 3, sample_time=H), compiled=compiled)
+    slave = BlockSlave(noise(1.0, seed=3, sample_time=H), compiled=compiled)
     outputs, values = np.array([5, 6]), np.empty(2)
 
-    def noise() -> list[float]:
+    def drawn() -> list[float]:
         slave.sample(0.0)
         slave.get(outputs, values)
         return list(values)
@@ -141,16 +139,16 @@ def test_a_run_can_be_repeated(compiled: bool) -> None:
     runs = []
     for _ in range(2):
         slave.initialize(0.0, 1.0, None)
-        runs.append([noise() for _ in range(5)])
+        runs.append([drawn() for _ in range(5)])
     assert runs[0] == runs[1]
     state = slave.save()
-    following = noise()
+    following = drawn()
     slave.restore(state)
-    assert noise() == following
+    assert drawn() == following
 
 
 def test_seeds_out_of_range_are_refused_at_run_time() -> None:
     """A parameter set later is checked like an argument."""
-    slave = BlockSlave(gaussian_noise(POSITIONS, 1.0, 3, sample_time=H))
+    slave = BlockSlave(noise(1.0, seed=3, sample_time=H))
     with pytest.raises(InputError, match=r"seed must be at most 1048575.0 1, got 2000000.0"):
         slave.set(np.array([4]), np.array([2e6]))

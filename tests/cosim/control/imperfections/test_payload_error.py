@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.control.sections import with_payload_error
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
 

@@ -8,15 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import context, delay, pd, pid, quantisation
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.pid import pd, pid
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
-from flexfmu.cosim.control.imperfections.channels import Channel
-from flexfmu.cosim.control.imperfections.delay import whole_delay
-from flexfmu.cosim.control.imperfections.signal_blocks import quantisation
 from flexfmu.cosim.design.margins.identified import identified_block
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
 from flexfmu.cosim.design.margins.loop_warnings import stability_warning
@@ -28,13 +24,15 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 TIME: Any = {"sample_time": 1e-3}
-POSITIONS = [Channel("joint1.position", "rad", 0.3), Channel("joint2.position", "rad", -0.2)]
+START: Any = {"signal": "position", "initial": (0.3, -0.2)}
 
 BLOCKS: dict[str, Callable[[], SymbolicBlock]] = {
-    "pd": lambda: pd((900.0, 800.0), 12.0, limits=symmetric(1e4), **TIME),
+    "pd": lambda: pd((900.0, 800.0), 12.0, torque_limit=1e4, **TIME),
     "pid": lambda: pid(900.0, 4e4, 12.0, filter_time=3e-3, offset=2e-4, **TIME),
-    "filters": lambda: filter_block(POSITIONS, [*notch(40.0), *low_pass(90.0, 3)], **TIME),
-    "delay": lambda: whole_delay(POSITIONS, 17, **TIME),
+    "filters": lambda: filter_block(
+        flexfmu.filters.high_pass(frequency=1.0, **TIME), context("filter"), [*notch(40.0), *low_pass(90.0, 3)]
+    ),
+    "delay": lambda: delay(17e-3, **START, **TIME),
 }
 
 
@@ -119,8 +117,8 @@ def test_what_is_not_linear_is_refused(robot: Callable[[dict[str, Any]], Scene])
     with pytest.raises(InputError, match=r"rounding can't be linearised: about its operating point it answers with"):
         scene_margins(robot({"kind": "python", "source": "own_margins:rounding"}), poses=1)
     with pytest.raises(InputError, match=r"not to one of 1e-05: it rounds, or has a dead zone"):
-        identified_block(BlockSlave(quantisation(POSITIONS, 1e-2, **TIME)), np.array([0.3, -0.2]))
+        identified_block(BlockSlave(quantisation(1e-2, **TIME)), np.array([0.3, -0.2]))
     with pytest.raises(InputError, match="memories of more than 40 samples"):
-        identified_block(BlockSlave(whole_delay(POSITIONS, 60, **TIME)), np.array([0.3, -0.2]))
+        identified_block(BlockSlave(delay(60e-3, **START, **TIME)), np.array([0.3, -0.2]))
     run = flexfmu.run(robot({"kind": "python", "source": "own_margins:pi_d"}))
     assert stability_warning(run) is None

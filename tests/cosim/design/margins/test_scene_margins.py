@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import c_function
 from typer.testing import CliRunner
 
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.blocks.equations import block
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.c_function import SIGNATURE, c_function
+from flexfmu.cosim.control.controllers.c_function import SIGNATURE
 from flexfmu.cosim.design.margins.course import PathLoop, Place
 from flexfmu.cosim.design.margins.linear_blocks import linear_block
 from flexfmu.cosim.design.margins.loop_warnings import stability_warning

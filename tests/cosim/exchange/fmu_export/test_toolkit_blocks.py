@@ -8,23 +8,36 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
+from blocks import encoder, pid
 from export_support.blocks import SAMPLE_TIME, expected
 from export_support.instance import run, run_with_rollback
-from export_support.kinds import KINDS, SEQUENCE, makers, motion, seen_late
+from export_support.kinds import KINDS, SEQUENCE, motion, seen_late
 from numpy.lib.recfunctions import unstructured_to_structured
 
-from flexfmu.cosim import control
-from flexfmu.cosim.control import controllers, imperfections
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.pid import pid
-from flexfmu.cosim.control.imperfections.signal_blocks import encoder
 from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.cosim.engine.binding import Phase
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
+from flexfmu.model.scene.messages import _sections, _tags
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 pytestmark = pytest.mark.slow
+
+EXACT = {
+    "saturation",
+    "dead-zone",
+    "backlash",
+    "rate-limit",
+    "delay",
+    "quantisation",
+    "encoder",
+    "lag",
+    "jitter",
+    "noise",
+}
+"""Imperfections, which sum little."""
 
 COUNT = 200
 """Samples: four stages of the source, five cycles of what learns, and more than the memory of what delays."""
@@ -48,17 +61,17 @@ def in_fmpy(block: SymbolicBlock, inputs: Any) -> Any:
 def assert_rounding(found: Any, exact: Any, name: str = "") -> None:
     """Equal to rounding, relative to the largest value; imperfections, which sum little, to the last bits."""
     assert abs(exact).max() > 0.0
-    is_exact = name.partition(":")[0] in makers(imperfections)
+    is_exact = name.partition(":")[0] in EXACT
     tolerance = 1e-15 if is_exact else 1e-12 * max(1.0, abs(exact).max())
     np.testing.assert_allclose(found, exact, rtol=1e-15 if is_exact else 0.0, atol=tolerance)
 
 
 def test_no_kind_is_left_out() -> None:
-    """A new kind of block is tried in other importers, too; `shaped_block` is that of `h_infinity`, `with_schedule` reads a section for
-    `scheduled`, and the others make the block of any law."""
-    others = {"shaped_block", "with_schedule", "joint_block", "channel_block"}
-    found = makers(control, controllers, imperfections)
-    assert {name.partition(":")[0] for name in KINDS} == found - others
+    """A new kind of controller, imperfection, filter or disturbance is tried in other importers, too."""
+    fields = [Scene.model_fields[key].annotation for key in ("controller", "imperfection", "filter", "disturbance")]
+    tags = {tag for field in fields for section in _sections(field) for tag in _tags(section)}
+    others = {"python", "fmu", "object", "payload-error"}
+    assert tags - others <= {name.partition(":")[0] for name in KINDS}
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -108,7 +121,7 @@ def test_rate_of_an_encoder_in_fmpy(window: int) -> None:
     np.testing.assert_allclose(rate, [0.0, *np.minimum(np.arange(19) / window, 1.0) * 2.0], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["pid", "computed_torque", "iterative_learning", "shaper_block"])
+@pytest.mark.parametrize("name", ["pid", "computed-torque", "learning", "shaper"])
 def test_exported_block_is_valid(name: str) -> None:
     """Descriptions with every unit and limit, and a short life with the start values of all inputs."""
     assert validate_fmu(build_fmu(KINDS[name](), stop_time=0.1).path) == []

@@ -2,58 +2,27 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import pkgutil
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
+import blocks
 import casadi
 import control
 import numpy as np
 from numpy.typing import NDArray
 
+import flexfmu
 from export_support.blocks import SAMPLE_TIME, expected
-from flexfmu.cosim.control.controllers.c_function import c_function
-from flexfmu.cosim.control.controllers.cascade import current_loop, position_loop, velocity_loop
-from flexfmu.cosim.control.controllers.compensation import disturbance_observer, friction_compensation
-from flexfmu.cosim.control.controllers.computed_torque import (
-    computed_torque,
-    gravity_feedforward,
-    inverse_dynamics_feedforward,
-    tabulated_feedforward,
-)
-from flexfmu.cosim.control.controllers.from_control import control_block
-from flexfmu.cosim.control.controllers.function_controller import function_block
-from flexfmu.cosim.control.controllers.gain_schedule import scheduled
-from flexfmu.cosim.control.controllers.h_infinity import h_infinity
-from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning, norm_optimal_learning
-from flexfmu.cosim.control.controllers.joints import symmetric
-from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
-from flexfmu.cosim.control.controllers.own_function import controller
-from flexfmu.cosim.control.controllers.pid import pd, pid
-from flexfmu.cosim.control.controllers.state_feedback import lqg, state_feedback, static_feedforward
-from flexfmu.cosim.control.disturbances import band_noise, sine, steps, table
+from flexfmu.cosim.control.controllers.from_control import control_block, state_space
+from flexfmu.cosim.control.controllers.own_function import controller, function_block
+from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
+from flexfmu.cosim.control.disturbances import steps, sum_block
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
-from flexfmu.cosim.control.imperfections.channels import joint_channels
-from flexfmu.cosim.control.imperfections.delay import Lagrange, Thiran, delay, whole_delay
-from flexfmu.cosim.control.imperfections.lag import lag
-from flexfmu.cosim.control.imperfections.signal_blocks import (
-    backlash,
-    dead_zone,
-    encoder,
-    gaussian_noise,
-    jitter,
-    quantisation,
-    rate_limit,
-    saturation,
-    uniform_noise,
-)
 from flexfmu.cosim.control.shapers import shaper_block
-from flexfmu.cosim.control.sums import disturbance_sum, feedforward_sum
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.regular_sampling import regular
-from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
@@ -61,12 +30,7 @@ from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 Array = NDArray[np.float64]
 
 SEQUENCE = ImpulseSequence((0.0, 0.0081, 0.0163), (0.3, 0.45, 0.25))
-POSITIONS = joint_channels("position", (0.4, -0.6))
-
-
-def robot() -> Any:
-    """Rigid inverse dynamics of the paper's robot."""
-    return inverse_dynamics(load_scene("barnard2012-6kg"))
+START: Any = {"signal": "position", "initial": (0.4, -0.6)}
 
 
 def feedback() -> SymbolicBlock:
@@ -77,13 +41,14 @@ def feedback() -> SymbolicBlock:
 
 def oscillator() -> Any:
     """A damped double integrator."""
-    return linear_system([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.2]], [[1.0, 0.0]], sample_time=SAMPLE_TIME)
+    return blocks.linear_system([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.2]], [[1.0, 0.0]], [[0.0]], SAMPLE_TIME)
 
 
 def in_c() -> SymbolicBlock:
     """A function in C with states, parameters and the time."""
     names: Any = {"inputs": ["u1", "u2"], "outputs": ["y1", "y2"], "parameters": {"a": 0.9, "b": 3.0}}
-    return c_function(Path(__file__).with_name("filter.c"), states=[0.2, -0.1], **names, **TIME)
+    block: SymbolicBlock = blocks.c_function(Path(__file__).with_name("filter.c"), states=[0.2, -0.1], **names, **TIME)
+    return block
 
 
 def of_python() -> SymbolicBlock:
@@ -99,80 +64,105 @@ def of_python() -> SymbolicBlock:
 DRIVEN: Any = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}
 TIME: Any = {"sample_time": SAMPLE_TIME}
 
-TABLES = {"proportional_gain": [0.2, (1.0, 1.5), 2.0], "integral_gain": [0.0, 1.0, 1.2]}
+SCHEDULE = {"over": "load", "at": (-1.0, 0.0, 0.8), "proportional": [0.2, (1.0, 1.5), 2.0], "integral": [0.0, 1.0, 1.2]}
+LOOPS = (
+    {"proportional": (40.0, 30.0), "velocity_feedforward": 0.9, "velocity_limit": 25.0},
+    {"proportional": (9.0, 8.0), "integral": 500.0},
+)
+PERIOD: Any = {"gain": 100.0, "cycles": 2, "period": 40 * SAMPLE_TIME}
 
-KINDS: dict[str, Callable[[], SymbolicBlock]] = {
-    "pd": lambda: pd((900.0, 800.0), 12.0, limits=symmetric(40.0), **TIME),
-    "pid": lambda: pid(900.0, 4e4, 12.0, filter_time=3e-3, limits=symmetric(40.0), **TIME),
-    "pid: unfiltered": lambda: pid(0.0, 0.0, 100.0, **TIME),
-    "position_loop": lambda: position_loop((40.0, 30.0), velocity_feedforward=0.9, velocity_limit=25.0, **TIME),
-    "velocity_loop": lambda: velocity_loop(9.0, 500.0, inertia=0.2, limits=symmetric(8.0), **TIME),
-    "velocity_loop: unlimited": lambda: velocity_loop((9.0, 8.0), 500.0, commands_current=False, **TIME),
-    "current_loop": lambda: current_loop(2e-3, limits=symmetric(0.8), initial_torque=(0.3, -0.2), **TIME),
-    "friction_compensation": lambda: friction_compensation((1.5, 2.0), 3.0, velocity=0.1, **TIME),
-    "gravity_feedforward": lambda: gravity_feedforward(robot(), **TIME),
-    "disturbance_observer": lambda: disturbance_observer((0.2, 0.3), 5e-3, limits=symmetric(60.0), **TIME),
-    "feedforward_sum": lambda: feedforward_sum({f"joint{i}.feedforward": ("a", "b") for i in (1, 2)}, **TIME),
-    "scheduled": lambda: scheduled(pid(900.0, 4e4, 12.0, **TIME), "load", (-1.0, 0.0, 0.8), TABLES),
-    "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
-    "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
-    "steps": lambda: regular(
-        steps("payload.change", (SAMPLE_TIME, 9 * SAMPLE_TIME, 10 * SAMPLE_TIME), (1.5, 0.5, 0.0))
+
+def drive() -> tuple[SymbolicBlock, ...]:
+    """The loops of a cascade."""
+    position, velocity = LOOPS
+    keys = {"torque_limit": 8.0, "initial": (0.3, -0.2), **TIME}
+    loops: tuple[SymbolicBlock, ...] = blocks.cascade(
+        position, velocity | {"inertia": 0.2}, {"time_constant": 2e-3}, **keys
+    )
+    return loops
+
+
+def learning_along_the_path() -> SymbolicBlock:
+    """The norm-optimal law at two places."""
+    decay = np.array([1.0, 1.5])[:, None, None, None] * 0.5 ** np.arange(8.0)[:, None, None]
+    response = (decay * np.array([[1.0, 0.2], [0.1, 0.8]])).tolist()
+    path = plan(load_scene("barnard2012-6kg"))
+    context = {"path": path.along_path, "shaped": path.joints, "period": 40 * SAMPLE_TIME}
+    block: SymbolicBlock = blocks.learning(
+        law="norm-optimal", response=response, q_filter="none", cycles=2, **context, **TIME
+    )
+    return block
+
+
+def written(text: str) -> str:
+    """A file with a text, which stays."""
+    path = Path(mkdtemp()) / "force.csv"
+    path.write_text(text)
+    return str(path)
+
+
+KINDS: dict[str, Callable[[], Any]] = {
+    "pd": lambda: blocks.pd((900.0, 800.0), 12.0, torque_limit=40.0, **TIME),
+    "pid": lambda: blocks.pid(900.0, 4e4, 12.0, filter_time=3e-3, torque_limit=40.0, **TIME),
+    "pid: unfiltered": lambda: blocks.pid(0.0, 0.0, 100.0, **TIME),
+    "pid: scheduled": lambda: blocks.pid(900.0, 4e4, 12.0, schedule=SCHEDULE, **TIME),
+    "cascade: position": lambda: drive()[0],
+    "cascade: velocity": lambda: drive()[1],
+    "cascade: current": lambda: drive()[2],
+    "cascade: unlimited velocity": lambda: blocks.cascade(*LOOPS, **TIME)[1],
+    "friction-compensation": lambda: blocks.friction_compensation((1.5, 2.0), 3.0, 0.1, **TIME),
+    "gravity-feedforward": lambda: blocks.gravity_feedforward(**TIME),
+    "disturbance-observer": lambda: blocks.disturbance_observer(5e-3, (0.2, 0.3), torque_limit=60.0, **TIME),
+    "computed-torque": lambda: blocks.computed_torque(4e3, 90.0, **TIME),
+    "feedforward": lambda: blocks.feedforward(**TIME),
+    "feedforward: flexible": lambda: blocks.feedforward(
+        "flexible", path=plan(load_scene("barnard2012-6kg")).joints, **TIME
     ),
-    "sine": lambda: sine("force.x", 3.0, 40.0, phase=0.3, duration=0.04, **TIME),
-    "band_noise": lambda: band_noise("joint1.disturbance", 2.0, (5.0, 60.0), 3, components=8, **TIME),
-    "table": lambda: table("force.y", np.array([0.0, 0.01, 0.05]), np.array([1.0, -2.0, 3.0]), **TIME),
-    "disturbance_sum": lambda: disturbance_sum("force.x", ("a", "b"), **TIME),
-    "tabulated_feedforward": lambda: tabulated_feedforward(np.linspace(-1.0, 2.0, 160).reshape(80, 2), **TIME),
-    "iterative_learning": lambda: iterative_learning(100.0, 40, shift=2, forgetting=0.01, **TIME),
-    "iterative_learning:filtered": lambda: iterative_learning(100.0, 40, shift=2, q_filter=0.25 / SAMPLE_TIME, **TIME),
-    "norm_optimal_learning": lambda: norm_optimal_learning(
-        np.array([1.0, 1.5])[:, None, None, None]
-        * 0.5 ** np.arange(8.0)[:, None, None]
-        * np.array([[1.0, 0.2], [0.1, 0.8]]),
-        np.linspace(0.0, 1.0, 40),
-        **TIME,
+    "sum": lambda: sum_block("sum", "Sum", {f"joint{i}.feedforward": ("a", "b") for i in (1, 2)}, **TIME),
+    "step": lambda: regular(blocks.step(1.5, signal="force.x", start=SAMPLE_TIME)),
+    "pulse": lambda: regular(blocks.pulse(1.5, signal="force.x", start=SAMPLE_TIME, duration=8 * SAMPLE_TIME)),
+    "payload": lambda: regular(
+        steps("payload.change", {SAMPLE_TIME: 1.5, 9 * SAMPLE_TIME: 0.5, 10 * SAMPLE_TIME: 0.0}, "step")
     ),
-    "state_feedback": feedback,
-    "lqg": lambda: lqg(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), **TIME),
-    "h_infinity": lambda: h_infinity(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), 3.0, **TIME),
-    "state_space": lambda: state_space(oscillator()),
-    "c_function": in_c,
-    "function_block": of_python,
-    "control_block": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
-    "shaper_block": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
-    "filter_block": lambda: filter_block(POSITIONS, [*notch(40.0), *low_pass(90.0, 3)], **TIME),
-    "saturation": lambda: saturation(POSITIONS, -0.5, 0.7, **TIME),
-    "dead_zone": lambda: dead_zone(POSITIONS, 0.2, **TIME),
-    "backlash": lambda: backlash(POSITIONS, 0.3, **TIME),
-    "rate_limit": lambda: rate_limit(POSITIONS, 100.0, 80.0, **TIME),
-    "whole_delay": lambda: whole_delay(POSITIONS, 5, **TIME),
-    "whole_delay: long": lambda: whole_delay(POSITIONS, 150, **TIME),
-    "delay": lambda: delay(POSITIONS, 2.3 * SAMPLE_TIME, **TIME),
-    "delay: short": lambda: delay(POSITIONS, 0.4 * SAMPLE_TIME, **TIME),
-    "delay: Lagrange": lambda: delay(POSITIONS, 2.3 * SAMPLE_TIME, interpolation=Lagrange(3), **TIME),
-    "delay: Thiran": lambda: delay(POSITIONS, 2.3 * SAMPLE_TIME, interpolation=Thiran(2), **TIME),
-    "quantisation": lambda: quantisation(POSITIONS, 1e-2, **TIME),
-    "encoder": lambda: encoder(4000, window=3, **TIME),
-    "lag": lambda: lag(POSITIONS, 2e-3, **TIME),
-    "jitter": lambda: jitter(POSITIONS, 0.8 * SAMPLE_TIME, 5, **TIME),
-    "gaussian_noise": lambda: gaussian_noise(POSITIONS, [0.1, 0.2], 5, **TIME),
-    "uniform_noise": lambda: uniform_noise(POSITIONS, 0.1, 5, **TIME),
+    "sine": lambda: blocks.sine(3.0, frequency=40.0, signal="force.x", phase=0.3, duration=0.04, **TIME),
+    "noise: disturbance": lambda: blocks.band_noise(2.0, (5.0, 60.0), 8, 3, signal="joint1.disturbance", **TIME),
+    "csv": lambda: blocks.table(written("time,force.y\n0.0,1.0\n0.01,-2.0\n0.05,3.0\n"), signal="force.y", **TIME),
+    "learning": lambda: blocks.learning(lead=2, forgetting=0.01, **PERIOD, **TIME),
+    "learning: filtered": lambda: blocks.learning(lead=2, q_filter=0.25 / SAMPLE_TIME, **PERIOD, **TIME),
+    "learning: norm-optimal": learning_along_the_path,
+    "state-feedback: own": feedback,
+    "state-feedback": lambda: blocks.lqg(scene=load_scene("barnard2012-6kg").replace(DRIVEN), **TIME),
+    "h-infinity": lambda: blocks.h_infinity(3.0, scene=load_scene("barnard2012-6kg").replace(DRIVEN), **TIME),
+    "state-space": lambda: state_space(oscillator()),
+    "c-function": in_c,
+    "function": of_python,
+    "control": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
+    "shaper": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
+    "notch": lambda: filter_block(
+        flexfmu.filters.notch(frequency=1.0, **TIME), blocks.context("filter"), [*notch(40.0), *low_pass(90.0, 3)]
+    ),
+    "low-pass": lambda: blocks.low_pass(frequency=90.0, **TIME),
+    "high-pass": lambda: blocks.high_pass(frequency=20.0, order=3, **TIME),
+    "lead-lag": lambda: blocks.lead_lag(20.0, 90.0, **TIME),
+    "biquad": lambda: blocks.biquad([2.0, 30.0], [1.0, 50.0, 900.0], **TIME),
+    "saturation": lambda: blocks.saturation(lower=-0.5, upper=0.7, **TIME),
+    "dead-zone": lambda: blocks.dead_zone(0.2, **TIME),
+    "backlash": lambda: blocks.backlash(0.3, **TIME),
+    "rate-limit": lambda: blocks.rate_limit(100.0, 80.0, **START, **TIME),
+    "delay: whole": lambda: blocks.delay(5 * SAMPLE_TIME, **START, **TIME),
+    "delay: long": lambda: blocks.delay(150 * SAMPLE_TIME, **START, **TIME),
+    "delay": lambda: blocks.delay(2.3 * SAMPLE_TIME, **START, **TIME),
+    "delay: short": lambda: blocks.delay(0.4 * SAMPLE_TIME, **START, **TIME),
+    "delay: Lagrange": lambda: blocks.delay(2.3 * SAMPLE_TIME, {"kind": "lagrange", "order": 3}, **START, **TIME),
+    "delay: Thiran": lambda: blocks.delay(2.3 * SAMPLE_TIME, {"kind": "thiran", "order": 2}, **START, **TIME),
+    "quantisation": lambda: blocks.quantisation(1e-2, **TIME),
+    "encoder": lambda: blocks.encoder(4000, window=3, **TIME),
+    "lag": lambda: blocks.lag(2e-3, **START, **TIME),
+    "jitter": lambda: blocks.jitter(0.8 * SAMPLE_TIME, 5, initial=(0.4, -0.6), **TIME),
+    "noise": lambda: blocks.noise([0.1, 0.2], seed=5, **TIME),
+    "noise: uniform": lambda: blocks.noise(half_width=0.1, seed=5, **TIME),
 }
-"""Name of the function that makes a kind, variants behind a colon → a block of it."""
-
-
-def makers(*rooms: Any) -> set[str]:
-    """Names of all functions of these packages that make a block."""
-    names = set()
-    for room in rooms:
-        for each in pkgutil.iter_modules(room.__path__):
-            module = importlib.import_module(f"{room.__name__}.{each.name}")
-            for name, function in inspect.getmembers(module, inspect.isfunction):
-                makes = function.__annotations__.get("return") in ("SymbolicBlock", SymbolicBlock)
-                if makes and function.__module__ == module.__name__ and not name.startswith("_"):
-                    names.add(name)
-    return names
+"""Kind of a section, variants behind a colon → a block of it."""
 
 
 STAGE = 50

@@ -1,0 +1,74 @@
+"""Blocks of single sections of a scene file, without a loop: `pd(50.0, 2.0, sample_time=1e-3)`."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import control as control_library
+
+from flexfmu import control, disturbances, filters, imperfections
+from flexfmu.cosim.control.controllers.from_control import LinearSystem, from_control
+from flexfmu.cosim.control.sections import LoopContext, block_of
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+
+SHARED = ("name", "connect", "signal", "start", "duration", "sample_time", "offset", "frequency_at", "pose")
+"""Keys that many sections have, which are given by name."""
+
+
+class Context(LoopContext):
+    """A context with a place for every pose."""
+
+    def position(self, pose: str) -> tuple[float, float]:
+        return (0.0, 0.32)
+
+
+@cache
+def robot() -> Scene:
+    """The paper's robot."""
+    return load_scene("barnard2012-6kg")
+
+
+def context(
+    name: str, initial: Sequence[float] = (), scene: Scene | None = None, path: Any = None, **others: Any
+) -> Context:
+    """The context of a section: its values before the first sample, its robot, and its planned motion."""
+    keys: dict[str, Any] = {"joints": path, "shaped": path, "period": None, "sample_time": 1e-3} | others
+    return Context(scene or robot(), path, name=name, before=lambda kind: initial, **keys)
+
+
+def maker(part: Callable[..., Any]) -> Callable[..., Any]:
+    """The function that makes the block of a part: values of its own keys in their order, then keys, and what a context has."""
+    own = [key for key in inspect.signature(part).parameters if key not in SHARED]
+
+    def make(*values: Any, **keys: Any) -> Any:
+        of_context = {key: keys.pop(key) for key in ("initial", "scene", "path", "period", "shaped") if key in keys}
+        section = part(**dict(zip(own, values, strict=False)), **keys)
+        return block_of(section, context(section.name or section.kind.replace("-", "_"), **of_context))
+
+    return make
+
+
+pd, pid, computed_torque = maker(control.pd), maker(control.pid), maker(control.computed_torque)
+cascade, learning, lqg, h_infinity = map(maker, (control.cascade, control.learning, control.lqg, control.h_infinity))
+feedforward, gravity_feedforward = maker(control.feedforward), maker(control.gravity_feedforward)
+friction_compensation = maker(control.friction_compensation)
+disturbance_observer = maker(control.disturbance_observer)
+c_function, state_space = maker(control.c_function), maker(control.state_space)
+saturation, rate_limit = maker(imperfections.saturation), maker(imperfections.rate_limit)
+dead_zone, backlash = maker(imperfections.dead_zone), maker(imperfections.backlash)
+quantisation, encoder = maker(imperfections.quantisation), maker(imperfections.encoder)
+noise, jitter = maker(imperfections.noise), maker(imperfections.jitter)
+delay, lag = maker(imperfections.delay), maker(imperfections.lag)
+notch, low_pass, high_pass = map(maker, (filters.notch, filters.low_pass, filters.high_pass))
+lead_lag, biquad = maker(filters.lead_lag), maker(filters.biquad)
+step, pulse, sine = map(maker, (disturbances.step, disturbances.pulse, disturbances.sine))
+band_noise, table, payload = map(maker, (disturbances.noise, disturbances.csv, disturbances.payload))
+
+
+def linear_system(A: Any, B: Any, C: Any, D: Any, sample_time: float) -> LinearSystem:
+    """A discrete system of matrices, with signals ``u[0]``, .. and ``y[0]``, .."""
+    return from_control(control_library.ss(A, B, C, D, sample_time))
