@@ -90,7 +90,7 @@ ALONE = {
     "cosim.control": "the front door names what is in it",
     "cosim.control.imperfections.random_streams": "jitter and noise",
     "cosim.control.shapers": "shapers in the loop",
-    "cosim.control.sums": "sums of signals, as blocks",
+    "cosim.control.disturbances": "blocks of disturbances, and sums for the loop",
     "cosim.design.gains.search": "the optimiser",
     "cosim.design.margins.identified": "loops with code of a user",
     "cosim.design.margins.peaks": "norms of lifted systems",

@@ -152,8 +152,8 @@ def _of_section(s: StateSpaceSection, context: LoopContext) -> SymbolicBlock:
     A, B, C = (s.A, s.B, s.C) if np.size(s.A) else ((), (), ())
     D = np.zeros((len(s.outputs), len(s.inputs))) if s.D is None else s.D
     inputs, outputs = (tuple(map(Signal, names)) for names in (s.inputs, s.outputs))
-    system = LinearSystem(*(np.array(each) for each in (A, B, C, D)), s.sample_time, inputs, outputs)
-    return state_space(system, offset=s.offset)
+    matrices = np.array(A), np.array(B), np.array(C), np.array(D)
+    return state_space(LinearSystem(*matrices, s.sample_time, inputs, outputs), offset=s.offset)
 
 
 Method = Literal["zoh", "foh", "tustin", "euler", "backward"]

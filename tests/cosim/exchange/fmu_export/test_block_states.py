@@ -31,7 +31,7 @@ def play(instance: Instance, seed: int, rounds: int = 8) -> list[list[float]]:
     return rows
 
 
-STATEFUL = ("velocity_loop", "current_loop", "disturbance_observer")
+STATEFUL = ("cascade: velocity", "cascade: current", "disturbance-observer")
 """Kinds of the toolkit whose states are their own."""
 
 OF_THE_TOOLKIT = [pytest.param(KINDS[name], id=name) for name in STATEFUL]
