@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.run_options import RUN_OPTIONS
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
@@ -67,12 +66,6 @@ def _annotated(parameter: Parameter, kind: Any, described: dict[str, tuple[str, 
             shown.param_decls = [f"--{parameter.name.replace('_', '-')}"]
     annotated: Any = Annotated
     return annotated[kind, shown]
-
-
-def run_option(name: str, *names: str) -> Any:
-    """The option of a run that `flexfmu.cosim.experiment.run_options` describes."""
-    described = RUN_OPTIONS[name]
-    return typer.Option(*names, metavar=described.takes or None, help=described.help)
 
 
 def naming_convention(name: str) -> Naming:

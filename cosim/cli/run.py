@@ -21,7 +21,6 @@ from flexfmu.cosim.cli.console import (
     usual_folder,
     write_results,
 )
-from flexfmu.cosim.cli.options import run_option
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 
@@ -32,18 +31,18 @@ if TYPE_CHECKING:
 def run(
     scene: str,
     out: Path | None = None,
-    step: Annotated[float | None, run_option("communication_step")] = None,
+    step: float | None = None,
     stop_time: float | None = None,
     ssd: str | None = None,
     output_order: Annotated[int | None, typer.Option(min=0)] = None,
-    isolate: Annotated[bool | None, run_option("isolate", "--isolate/--no-isolate")] = None,
+    isolate: bool | None = None,
     verify: bool | None = None,
     report: bool | None = None,
     record: list[str] | None = None,
     record_step: float | None = None,
     record_order: Annotated[int | None, typer.Option(min=0, max=2)] = None,
     formats: list[str] | None = None,
-    yes: Annotated[bool, run_option("accept_size", "--yes")] = False,
+    yes: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -55,9 +54,12 @@ def run(
     Args:
         scene (SCENE): A scene file (TOML), the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg; or an SSP file.
         out (DIR): Folder of the results. Default: results/<name of the scene>.
+        step (SECONDS): Communication step. Default: what the scene or file says.
         stop_time (SECONDS): End of an SSP file's run. Default: what the file says, or the FMUs in it.
         ssd (NAME): System of an SSP file that holds several. Default: SystemStructure.ssd.
         output_order (N): Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.
+        isolate: Simulate in a child process, so that a slave that crashes, exits or hangs ends only the run. Default: what the
+            scene says, or where other tools' FMUs or Python slaves take part.
         verify: Verify the errors of the metrics by a second companion run. Default: take them from one.
         report: Draw report.html. Default: draw it, but with --json don't.
         record (SIGNAL): Record this signal alone; may be repeated. Default: what the scene says, or all.
@@ -65,6 +67,7 @@ def run(
         record_order (N): Number of recorded derivatives. Default: what the scene says, or 2.
         formats (--format NAME): Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may
             be repeated. Default: csv.
+        yes: Run however large the results are. Default: refuse more than 2 GB, companion included.
     """
     from zipfile import is_zipfile
 
