@@ -93,17 +93,6 @@ def test_the_report_is_drawn_on_request(simulated: Callable[..., None], tmp_path
 
 
 @pytest.mark.slow
-def test_results_go_to_a_folder_named_after_the_scene(
-    simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without --out the results are in results/<scene>."""
-    simulated()
-    monkeypatch.chdir(tmp_path)
-    assert flexfmu("run", SCENE).exit_code == 0
-    assert (tmp_path / "results" / SCENE / "report.html").is_file()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("outcome", [Outcome.STEP_FAILED, Outcome.NOT_FINITE, Outcome.INTERRUPTED])
 def test_what_was_recorded_before_a_failure_is_written(
     simulated: Callable[..., None], tmp_path: Path, outcome: Outcome
@@ -266,6 +255,7 @@ SHIPPED = "barnard2012-0.1kg.*barnard2012-6kg"
         (f"modes {SCENE} --set payload.mass", "isn't KEY=VALUE"),
         (f"modes {SCENE} --set controller[0].derivative=3", "controller has no elements"),
         ("run some.ssp --set payload.mass=3", "--set payload.mass=3"),
+        (f"run {SCENE} --stop-time 0.4", "a scene ends with its motion and `trajectory.dwell`"),
         ("workprec --hard --set payload.mass=3", "--set payload.mass=3"),
         ("new robot", "ends in .toml"),
         ("new none/robot.toml", "there is no folder"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
@@ -41,12 +39,6 @@ def test_the_run_completes(run: Run) -> None:
     assert run.health.messages == ()
     assert run.health.statistics["steps"] > 100
     assert (run.communication_step, run.tolerance, run.input_order) == (1e-3, run.scene.cosimulation.tolerance, 9)
-
-
-def test_the_fmu_states_the_order_of_its_input_derivatives(run: Run) -> None:
-    """The order of the input polynomials comes out of the FMU's description, where any other tool can read it too."""
-    assert FmuSlave(run.fmu_path).max_input_order == 9
-    assert not fmpy.validation.validate_fmu(str(run.fmu_path))
 
 
 def test_breakpoints_appear_twice(run: Run) -> None:
@@ -170,33 +162,3 @@ def test_fmpy_reads_the_results(run: Run, tmp_path: Path) -> None:
     table = fmpy.util.read_csv(run.recording.write_csv(tmp_path / "results.csv"))
     assert len(table.dtype.names) == 1 + len(run.recording.columns)
     np.testing.assert_array_equal(table["link11.bending[1]"], run.recording["link11.bending[1]"].values)
-
-
-@pytest.mark.slow
-def test_fmpy_plots_the_results(run: Run, tmp_path: Path) -> None:
-    """As many columns as the documentation says."""
-    table = fmpy.util.read_csv(run.recording.write_csv(tmp_path / "results.csv"))
-    names = table.dtype.names[1:18]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # plotly's own
-        figure = fmpy.util.create_plotly_figure(table.copy(), names=names)
-        with pytest.raises(ValueError, match="19 rows"):  # once fmpy plots them all, the documentation may say so
-            fmpy.util.create_plotly_figure(table)
-    assert len(figure.data) == len(names)
-
-
-def test_an_fmu_goes_back_to_a_saved_state(run: Run) -> None:
-    """A step that is repeated from a saved state gives the same outputs to the last bit."""
-    slave = FmuSlave(run.fmu_path)
-    slave.initialize(0.0, 1.0, 1e-6)
-    outputs = np.array([i for i, variable in enumerate(slave.variables) if variable.causality == "output"])
-    first, second = np.empty(outputs.size), np.empty(outputs.size)
-    slave.step(0.0, 0.01)
-    state = slave.save()
-    slave.step(0.01, 0.01)
-    slave.get(outputs, first)
-    slave.restore(state)
-    slave.step(0.01, 0.01)
-    slave.get(outputs, second)
-    slave.terminate()
-    np.testing.assert_array_equal(first, second)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,19 +62,6 @@ def linear(export: Export) -> Any:
     """A linear system with three states, two inputs and two outputs, and an instance of it."""
     block = linear_system(3, 2, 2)
     return block, export(block)()
-
-
-@pytest.mark.slow
-@settings(max_examples=5)
-@given(sizes=st.tuples(st.integers(0, 5), st.integers(1, 3), st.integers(1, 3)), seed=st.integers(0, 1000))
-def test_blocks_of_any_size(export: Export, sizes: tuple[int, int, int], seed: int) -> None:
-    """No states, one or several: the generated tables must fit each other."""
-    block = linear_system(*sizes)
-    random = np.random.default_rng(seed)
-    values = random.uniform(-0.5, 0.5, len(block.parameters)).tolist()
-    block = replace(block, parameters=tuple(replace(p, start=v) for p, v in zip(block.parameters, values, strict=True)))
-    inputs = random.normal(size=(20, len(block.inputs)))
-    assert_rounding(run(export(block)(), inputs, SAMPLE_TIME), expected(block, inputs))
 
 
 @pytest.mark.parametrize("ratio", [1 / 7, 0.3, 1.0, 2.5, 10.0])

@@ -6,7 +6,6 @@ import re
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -204,17 +203,6 @@ def test_thousands_of_states(export: Export) -> None:
 
 
 @pytest.mark.slow
-def test_long_delay_lines_stay_linear(export: Export) -> None:
-    """A delay line of thousands of scalars is a loop in C; statement by statement it took GCC half a minute."""
-    sizes = [len(generate_sources(delay(n), DefaultExperiment()).generated["model_sample.c"]) for n in (1000, 2000)]
-    assert sizes[1] < 1.1 * sizes[0]
-    inputs = np.arange(1.0, 2101.0)[:, None]
-    found = run(export(delay(2000))(), inputs, SAMPLE_TIME)
-    np.testing.assert_array_equal(found[2000:, 0], inputs[:100, 0])
-    assert (found[:2000] == 0.5).all()
-
-
-@pytest.mark.slow
 def test_runs_are_copied_between_computed_states(export: Export) -> None:
     """Delay lines beside other states, one after the other, in both directions and shorter than a run."""
     mixed = block(
@@ -251,13 +239,3 @@ def test_thousands_of_statements(export: Export) -> None:
     inputs = np.random.default_rng(6).normal(size=(20, 1))
     exact = expected(many, inputs)
     np.testing.assert_allclose(run(export(many)(), inputs, SAMPLE_TIME), exact, rtol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(find_spec("ziglang") is None, reason="no zig")
-def test_cross_compiles(tmp_path: Path) -> None:
-    """A colleague on Windows gets the same controller."""
-    built = build_fmu(pd_controller(), tmp_path / "block.fmu", platforms=["linux64", "win64"])
-    names = zipfile.ZipFile(built.path).namelist()
-    assert "binaries/win64/PD_controller.dll" in names
-    assert "binaries/linux64/PD_controller.so" in names

@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 import pytest
-from export_support.blocks import SAMPLE_TIME, delay, linear_system, pd_controller
+from export_support.blocks import SAMPLE_TIME, delay, pd_controller
 from export_support.trajectories import lame
 from python_slave import PythonSlave
 from scipy.linalg import expm
@@ -111,29 +110,6 @@ def test_saves_and_restores() -> None:
     slave.restore(state)
     assert [sample(1, 2.0), sample(2, 3.0)] == first
     slave.terminate()
-
-
-def test_agrees_with_python_control() -> None:
-    """A discrete state-space system as FMU gives what `control.forced_response` gives."""
-    random = np.random.default_rng(8)
-    a, b, c, d = 0.4 * random.normal(size=(3, 3)), *(random.normal(size=shape) for shape in ((3, 2), (2, 3), (2, 2)))
-    block = linear_system(3, 2, 2)
-    entries = np.concatenate([matrix.ravel(order="F") for matrix in (a, b, c, d)]).tolist()
-    parameters = tuple(replace(p, start=v) for p, v in zip(block.parameters, entries, strict=True))
-    block = replace(block, parameters=parameters, states=(0.3, -0.2, 0.1))
-    inputs = random.normal(size=(2, 200))
-    system = control.ss(a, b, c, d, SAMPLE_TIME)
-    exact = control.forced_response(system, U=inputs, X0=[0.3, -0.2, 0.1]).outputs
-    slave = SampledFmu(build_fmu(block).path)
-    slave.initialize(0.0, 1.0, None)
-    outputs = np.array([i for i, each in enumerate(slave.variables) if each.causality == "output"])
-    found = np.empty((200, 2))
-    for k in range(200):
-        slave.set(np.array([0, 1]), inputs[:, k])
-        slave.sample(k * SAMPLE_TIME)
-        slave.get(outputs, found[k])
-    slave.terminate()
-    np.testing.assert_allclose(found.T, exact, rtol=0.0, atol=1e-12 * abs(exact).max())
 
 
 def test_trajectory_streams_as_its_twin() -> None:

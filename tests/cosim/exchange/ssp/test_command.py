@@ -85,18 +85,6 @@ def test_files_are_known_by_their_content(make_ssp: MakeSsp, tmp_path: Path) -> 
     assert "robot.fmu is no SSP" in refused.stderr
 
 
-def test_run_writes_other_formats(make_ssp: MakeSsp, tmp_path: Path) -> None:
-    """As for scenes: instead of results.csv, with units."""
-    path = make_ssp(of_second(""))
-    out = tmp_path / "out"
-    result = flexfmu("run", str(path), "--step", "0.1", "--out", str(out), "--format", "parquet")
-    assert result.exit_code == 0, result.output
-    assert {each.name for each in out.iterdir()} == {"results.parquet", "summary.json"}
-    found = Recording.read(out / "results.parquet")
-    assert found["second.x"].unit == "m"
-    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["units"] == found.units
-
-
 def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
     """A parameter that fits nothing is a warning, in words."""
     path = make_ssp(of_second(inline(parameter_set(rat='Real value="2"'))))
@@ -132,13 +120,6 @@ def test_files_without_a_stop_time(make_ssp: MakeSsp, tmp_path: Path) -> None:
     ran = flexfmu(*arguments, "--stop-time", "0.4")
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["end_time"] == 0.4
-
-
-def test_scenes_have_a_stop_time_of_their_own(tmp_path: Path) -> None:
-    """The metrics need the whole motion and its dwell."""
-    refused = flexfmu("run", "barnard2012-6kg", "--stop-time", "0.4", "--out", str(tmp_path / "out"))
-    assert (refused.exit_code, len(refused.stderr.splitlines())) == (2, 1)
-    assert "a scene ends with its motion and `trajectory.dwell`" in refused.stderr
 
 
 @pytest.mark.parametrize(
