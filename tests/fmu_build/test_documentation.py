@@ -58,13 +58,13 @@ def robot(request: pytest.FixtureRequest) -> SymbolicModel:
     return build_model(scene.replace(changes))
 
 
-def _page(model: SymbolicModel) -> str:
-    return generate_sources(model, DefaultExperiment()).documentation["documentation/index.html"]
-
-
 def test_page_tells_all_effects_and_variables(robot: SymbolicModel) -> None:
-    """Whoever gets the FMU alone learns what is in it, and what each variable is."""
-    text = "".join(_Page(_page(robot)).text)
+    """Whoever gets the FMU alone learns what is in it, what each variable is in its unit and in that of drawings, and whose equations
+    these are; it reads the same without a network: every element is closed, nothing is loaded."""
+    source = generate_sources(robot, DefaultExperiment()).documentation["documentation/index.html"]
+    page = _Page(source)
+    assert (page.open, page.links) == ([], [])
+    text = "".join(page.text)
     for effect in robot.effects:
         assert effect.title in text
         assert effect.sentence in text
@@ -72,6 +72,12 @@ def test_page_tells_all_effects_and_variables(robot: SymbolicModel) -> None:
     for variable in (*robot.inputs, *robot.parameters, *robot.outputs):
         assert variable.name in text
         assert variable.description in text
+    assert "0.24 m = 240 mm" in unescape(source)
+    # what the FMU does with a tolerance beyond its range
+    assert f"between 0 and 1, anything else is an error; below {LEAST_TOLERANCE} it counts as" in source
+    cited = [effect.sentence for effect in robot.effects if "eq" in effect.sentence]
+    assert len(cited) == 2
+    assert all("of Barnard, Briot and Caro (2012)" in sentence for sentence in cited)
 
 
 ASSUMED = {
@@ -109,24 +115,6 @@ def test_coordinates_say_which_shape_and_link_they_belong_to(
     texts = {each.name: each.description for each in model.outputs if each.name.startswith("link") and "[" in each.name}
     assert {name: texts[name] for name in expected} == {name: text + suffix for name, text in expected.items()}
     assert len(set(texts.values())) == len(texts) == 12
-
-
-@pytest.mark.slow
-def test_page_needs_nothing_else(robot: SymbolicModel) -> None:
-    """It reads the same without a network: every element is closed, nothing is loaded."""
-    page = _Page(_page(robot))
-    assert page.open == []
-    assert page.links == []
-
-
-def test_page_shows_values_as_people_read_them(robot: SymbolicModel) -> None:
-    """In the unit of the variable, and in the one that its drawing would have."""
-    assert "0.24 m = 240 mm" in unescape(_page(robot))
-
-
-def test_page_tells_which_tolerances_are_kept(robot: SymbolicModel) -> None:
-    """What the FMU does with one beyond its range: an error, or its smallest one with a warning."""
-    assert f"between 0 and 1, anything else is an error; below {LEAST_TOLERANCE} it counts as" in _page(robot)
 
 
 def test_mechanism_is_drawn_to_scale(robot: SymbolicModel) -> None:
@@ -174,16 +162,10 @@ def _distance(box: tuple[float, float, float, float], start: Point, end: Point) 
     return float(np.hypot(across, np.maximum(np.maximum(box[1] - y, y - box[3]), 0.0)).min())
 
 
-def test_equations_are_those_of_a_named_paper(robot: SymbolicModel) -> None:
-    """Whoever has the FMU alone would not know whose eq. (14) that is."""
-    cited = [effect.sentence for effect in robot.effects if "eq" in effect.sentence]
-    assert len(cited) == 2
-    assert all("of Barnard, Briot and Caro (2012)" in sentence for sentence in cited)
-
-
 def test_names_cannot_break_the_page(make_oscillators: Callable[..., SymbolicModel]) -> None:
     """A model's own words are text, whatever signs they have."""
-    page = _Page(_page(make_oscillators()))
+    pages = generate_sources(make_oscillators(), DefaultExperiment()).documentation
+    page = _Page(pages["documentation/index.html"])
     assert '"linear" & undamped' in "".join(page.text)
 
 

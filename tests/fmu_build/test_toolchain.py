@@ -57,26 +57,13 @@ def test_linker_error_is_one_line(tmp_path: Path) -> None:
         find_compiler(native_platform()).link(["none.o"], "answer.so", tmp_path)
 
 
-@pytest.mark.usefixtures("without_zig")
-def test_missing_compiler_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a bare machine the message is the remedy."""
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(MissingCompilerError, match=r"install gcc or clang, or run: pip install flexfmu\[zig\]"):
-        find_compiler(native_platform())
-
-
 def test_cc_variable_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """CC chooses the compiler, with arguments if it has some."""
+    """CC chooses the compiler, with arguments if it has some; object files of one aren't taken for those of another."""
+    monkeypatch.setenv("CC", "gcc")
+    first = find_compiler(native_platform()).identity()
     monkeypatch.setenv("CC", "gcc -m64")
     assert find_compiler(native_platform()).command == ("gcc", "-m64")
-
-
-def test_wrong_cc_variable_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mistyped CC is named, not silently replaced by another compiler."""
-    monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(MissingCompilerError, match="'no-such-compiler' of the variable CC"):
-        find_compiler(native_platform())
+    assert find_compiler(native_platform()).identity() != first
 
 
 @pytest.mark.usefixtures("without_zig")
@@ -109,14 +96,6 @@ def test_platforms_are_sorted_and_unique() -> None:
     """The same set of platforms is the same FMU, however it is asked for."""
     assert find_platforms(["win64", "linux64", "win64"]) == find_platforms(["linux64", "win64"])
     assert find_platforms(None) == (native_platform(),)
-
-
-def test_other_compiler_has_another_identity(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Object files of one compiler are not taken for those of another."""
-    monkeypatch.setenv("CC", "gcc")
-    first = find_compiler(native_platform()).identity()
-    monkeypatch.setenv("CC", "gcc -m64")
-    assert find_compiler(native_platform()).identity() != first
 
 
 @pytest.mark.parametrize(
