@@ -6,7 +6,6 @@ code comes from the FMU, the runtime from this package.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from ctypes import CDLL
 from functools import cache
@@ -31,30 +30,6 @@ WORK = ("-DFLEX_WORK_AT_START=1e5", "-DFLEX_WORK_PER_STEP=200.0", "-DFLEX_WORK_P
 variant that takes more leaves, and its FMU goes on alone."""
 
 _FIRST = ("-include", "batch_functions.h")
-_NUMBER = r"-?\d+\.?\d*(?:e[-+]?\d+)?"
-_ALONE = re.compile(rf"(?<==){_NUMBER}(?=;)|(?<=flex_twin_all\(){_NUMBER}(?=\))|(?<=flex_twin_of\(){_NUMBER}(?=,)")
-_SECOND = re.compile(rf"(flex_twin_of\([^(),]+(?:\([^()]*\))?,)({_NUMBER})(?=\))")
-_DEFAULT = re.compile(r"(casadi_real \w+_default_in\([^)]*\) \{\s*switch \(i\) \{\s*default: return )0;")
-_BODY = re.compile(r"int (?:casadi_f0|model_\w+)\([^)]*\) \{\n.*?\n  return 0;\n\}", re.DOTALL)
-_BRANCH = re.compile(r"\?|\bif\b|[<>!&|]|==")
-
-
-def in_lanes(name: str, code: str) -> str:
-    """Generated C code whose numbers may be vectors: constants are copied to all lanes.
-
-    Raises:
-        ModelError: the code branches, so that lanes would go different ways.
-    """
-    if name.endswith(".h"):
-        return code.replace("double ", "real ")
-    if (body := _BODY.search(code)) is None:
-        return code
-    if _BRANCH.search(body[0]):
-        raise ModelError(f"variants in lockstep need functions without branches, {name} has one")
-    # constants where a variable or an argument has several lanes
-    text = _ALONE.sub(r"flex_real(\g<0>)", body[0].replace("double ", "real "))
-    code = code.replace(body[0], _SECOND.sub(r"\1flex_real(\2)", text))
-    return _DEFAULT.sub(r"\1flex_real(0.0);", code)
 
 
 @cache
@@ -78,7 +53,9 @@ def batch_library(fmu: Path, lanes: int) -> Path:
     Raises:
         BuildError: the FMU has no sources, its functions branch, or there is no compiler.
     """
-    generated = {name: in_lanes(name, code) for name, code in _generated_code(fmu).items()}
+    generated = _generated_code(fmu)
+    if branching := [name for name, code in generated.items() if "casadi_" in code]:
+        raise ModelError(f"variants in lockstep need functions without branches, {branching[0]} has one")
     flags = (f"-DFLEX_WIDTH={lanes}", *LANE_FLAGS[lanes], *WORK)
     return _compiled("flexfmu_batch", generated, runtime_sources("batch"), flags)
 

@@ -16,7 +16,7 @@ import numpy as np
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.twins import Entry, twin_code
+from flexfmu.fmu_build.twins import Entry, function_code, lanes_code
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel, Variable
 
 MAX_INPUT_ORDER = 9
@@ -69,14 +69,14 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     _check_mass_matrix(model, prepared)
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
     files = {function_file(name): _code(model, name, function) for name, function in prepared.items()}
-    if (lanes := lanes_code(with_all_arguments(c_code(prepared["residual"])))) is not None:
-        files[LANES_FILE] = lanes
+    if (statements := lanes_code(prepared["residual"])) is not None:
+        files[LANES_FILE] = render(LANES_FILE + ".j2", statements=statements)
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
 
 
 def _code(model: SymbolicModel, name: str, function: casadi.Function) -> str:
     """C code of the function ``name``, operations of twins side by side where the model has any."""
-    return twin_code(function, twin_arguments(model, name)) or with_all_arguments(c_code(function))
+    return function_code(function, twin_arguments(model, name)) or with_all_arguments(c_code(function))
 
 
 def twin_arguments(model: SymbolicModel, name: str) -> list[tuple[Entry, Entry]]:
@@ -247,40 +247,6 @@ def with_all_arguments(code: str) -> str:
     """Generated C code without CasADi's null checks of arguments and results, which take up to a tenth of the time."""
     code = re.sub(r"arg\[(\d+)\]\? (arg\[\1\]\[\d+\]) : 0", r"\2", code)
     return re.sub(r"if \(res\[(\d+)\]!=0\) (?=res\[\1\])", "", code)
-
-
-_ON_LANES = re.compile(r"\b(sin|cos|sqrt|fabs|casadi_sq)\b")
-_OTHER_CALL = re.compile(r"[A-Za-z_]\w*\(|\?|\bif\b|[<>!&|]")
-
-
-def lanes_code(code: str) -> str | None:
-    """C code of the residual at several points in parallel (SIMD lanes), from the code for one point.
-
-    Returns None if the code branches or calls a function without a counterpart in ``lanes_math.h``.
-
-    Args:
-        code: C code of the residual, from `with_all_arguments`.
-    """
-    match = re.search(r"static int casadi_f0\([^)]*\) \{\n(.*?)\n  return 0;\n\}", code, re.DOTALL)
-    if match is None:
-        return None
-    lines = match.group(1).splitlines()
-    declarations = [line.replace("casadi_real", "flex_lanes") for line in lines if line.startswith("  casadi_real")]
-    statements = "\n".join(line for line in lines if not line.startswith("  casadi_real"))
-
-    # load arguments and constants into lanes, store results from them
-    statements = re.sub(r"arg\[4\]\[(\d+)\]", r"flex_all(d[\1])", statements)
-    statements = re.sub(r"arg\[([0-3])\]\[(\d+)\]", _lanes_argument, statements)
-    statements = re.sub(r"res\[0\]\[(\d+)\]=(\w+);", r"flex_store(r + 4 * \1, \2);", statements)
-    statements = re.sub(r"(?<=[=(])-?\d+\.?\d*(e[-+]?\d+)?(?=[*+;)-])", r"flex_all(\g<0>)", statements)
-    statements = _ON_LANES.sub(lambda name: f"flex_lanes_{name[0].removeprefix('casadi_')}", statements)
-    if _OTHER_CALL.search(re.sub(r"\bflex_\w+\(", "(", statements)):
-        return None
-    return render(LANES_FILE + ".j2", declarations="\n".join(declarations), statements=statements)
-
-
-def _lanes_argument(match: re.Match[str]) -> str:
-    return f"flex_load({'yvau'[int(match[1])]} + 4 * {match[2]})"
 
 
 def function_facts(name: str, function: casadi.Function) -> GeneratedFunction:

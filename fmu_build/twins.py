@@ -1,4 +1,6 @@
-"""C code of a function in which twins, the operations that two equal parts of a model go through alike, are done at once.
+"""C code of a function, in the runtime's type of number, which may hold a lane for each of several variants.
+
+Twins, the operations that two equal parts of a model go through alike, are done at once.
 
 The two legs of a robot take the same operations with other numbers; a register of two doubles does both at once, on every
 processor of today. Starting from the twins among the arguments, operations with the same name on twin operands become twins
@@ -11,8 +13,9 @@ order.
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,7 +110,7 @@ class _Pairing:
             # a change of sign, which only one of two parts may have, counts for nothing
             height = max((self._levels[i] for i in graph.operands(k)), default=0)
             self._levels.append(height if graph.is_leaf(k) or node[0] == "NEG" else height + 1)
-        self._operations = [k for k in range(len(graph.nodes)) if not graph.is_leaf(k)]
+        self._operations = [k for k, node in enumerate(graph.nodes) if node[0] in OPERATIONS]
 
     def join(self, first: int, second: int) -> None:
         """Make twins of two nodes."""
@@ -158,7 +161,7 @@ OPERATIONS = {
     "NEG": ("-{0}", "flex_twin_neg({0})"),
     "TWICE": ("{0}+{0}", "flex_twin_add({0},{0})"),
     "SQ": ("{0}*{0}", "flex_twin_mul({0},{0})"),
-    "INV": ("1./{0}", "flex_twin_div(flex_twin_all(1.),{0})"),
+    "INV": ("1./{0}", "flex_twin_div(flex_twin_all(flex_real(1.)),{0})"),
     "SQRT": ("sqrt({0})", "flex_twin_sqrt({0})"),
     "SIN": ("sin({0})", "flex_twin_sin({0})"),
     "COS": ("cos({0})", "flex_twin_cos({0})"),
@@ -166,20 +169,59 @@ OPERATIONS = {
 }
 """Operation → C code for one number, and for twins with the functions of twins.h."""
 
+FUNCTIONS = {
+    name: f"{name.lower()}({{0}})"
+    for name in ("TAN", "ASIN", "ACOS", "ATAN", "EXP", "EXPM1", "SINH", "COSH", "TANH", "LOG", "LOG1P")
+} | {"ATAN2": "atan2({0},{1})", "POW": "pow({0},{1})", "CONSTPOW": "pow({0},{1})", "HYPOT": "hypot({0},{1})"}
+"""Further functions without branches, of one number each."""
+
 Unit = tuple[int, ...]
 """Nodes that are computed at once: one, or twins."""
 
 
-def twin_code(function: casadi.Function, seeds: Iterable[tuple[Entry, Entry]]) -> str | None:
-    """C code of a function with one dense result; None if it has no twins or another operation than those above.
+def function_code(function: casadi.Function, seeds: Iterable[tuple[Entry, Entry]]) -> str | None:
+    """C code of a function with one dense result; None if it has another operation than those above: a branch, for example.
 
     Args:
         function: the function, expanded to scalar operations.
         seeds: twins among its arguments.
     """
     graph = Graph.of(function)
-    writer = _Writer(graph, find_twins(graph, seeds))
-    return writer.code(function.name()) if writer.is_served() else None
+    if not _is_served(graph, OPERATIONS.keys() | FUNCTIONS.keys()):
+        return None
+    return _Writer(graph, find_twins(graph, seeds)).code(function.name())
+
+
+def lanes_code(function: casadi.Function) -> str | None:
+    """C code of the residual (y, v, a, u, d) → r at several points in parallel (SIMD lanes).
+
+    Returns None if the function branches or calls a function without a counterpart in ``lanes_math.h``.
+    """
+    graph = Graph.of(function)
+    if not _is_served(graph, OPERATIONS.keys()):
+        return None
+
+    def number(node: int) -> str:
+        name, *rest = graph.nodes[node]
+        if name == "CONST":
+            return f"flex_all({float(rest[0])!r})"
+        if name == "INPUT":
+            argument, index = rest
+            return f"flex_all(d[{index}])" if argument == 4 else f"flex_load({'yvau'[argument]} + 4 * {index})"
+        return f"s{node}"
+
+    lines = []
+    for node, (name, *_) in enumerate(graph.nodes):
+        if not graph.is_leaf(node):
+            form = re.sub(r"^(?=[a-z])", "flex_lanes_", OPERATIONS[name][0])
+            lines.append(f"flex_lanes s{node}={form.format(*map(number, graph.operands(node)))};")
+    lines += [f"flex_store(r + 4 * {k}, {number(node)});" for k, node in enumerate(graph.results)]
+    return "\n".join(f"  {line}" for line in lines)
+
+
+def _is_served(graph: Graph, operations: Set[str]) -> bool:
+    """Whether there is code for all operations and constants."""
+    return all(n[0] in operations or n[0] == "INPUT" or (n[0] == "CONST" and math.isfinite(n[1])) for n in graph.nodes)
 
 
 class _Writer:
@@ -191,14 +233,6 @@ class _Writer:
         self._packed: dict[tuple[int, int], str] = {}  # names of registers by the nodes that they hold
         self._taken: set[int] = set()  # parts of twins that have a name of their own
 
-    def is_served(self) -> bool:
-        """Whether there are twins, and code for all operations."""
-        nodes = self._graph.nodes
-        has_code = all(
-            n[0] in OPERATIONS or n[0] == "INPUT" or (n[0] == "CONST" and math.isfinite(n[1])) for n in nodes
-        )
-        return has_code and any(not self._graph.is_leaf(node) for node in self._twins)
-
     def code(self, name: str) -> str:
         """The C code."""
         results = self._graph.results
@@ -209,7 +243,7 @@ class _Writer:
             self._lines.append(f"res[0][{k}]={self._number(node)};")
         body = "\n  ".join(self._lines)
         head = '#include <math.h>\n#include "elementary.h"\n#include "model_functions.h"\n#include "twins.h"\n'
-        return f"{head}\nint {name}(const double **arg, double **res, int *iw, double *w, int mem) {{\n  {body}\n  return 0;\n}}\n"
+        return f"{head}\nint {name}(const real **arg, real **res, int *iw, real *w, int mem) {{\n  {body}\n  return 0;\n}}\n"
 
     def _unit(self, node: int) -> Unit:
         return self._twins.get(node, (node,))
@@ -235,7 +269,8 @@ class _Writer:
         name = self._graph.nodes[first][0]
         if len(unit) == 1:
             operands = [self._number(i) for i in self._graph.operands(first)]
-            self._lines.append(f"double s{first}={OPERATIONS[name][0].format(*operands)};")
+            form = FUNCTIONS.get(name) or OPERATIONS[name][0]
+            self._lines.append(f"real s{first}={form.format(*operands)};")
             return
         registers = [self._register(*each) for each in self._operand_pairs(unit)]
         self._packed[unit[0], unit[1]] = f"t{first}"
@@ -272,7 +307,7 @@ class _Writer:
         """C expression of one node."""
         name, *rest = self._graph.nodes[node]
         if name == "CONST":
-            return repr(float(rest[0]))
+            return f"flex_real({float(rest[0])!r})"
         if name == "INPUT":
             return f"arg[{rest[0]}][{rest[1]}]"
         # a part of twins is taken out of its register once
@@ -280,5 +315,5 @@ class _Writer:
             self._taken.add(node)
             first = self._twins[node][0]
             part = "first" if node == first else "second"
-            self._lines.append(f"double s{node}=flex_twin_{part}(t{first});")
+            self._lines.append(f"real s{node}=flex_twin_{part}(t{first});")
         return f"s{node}"

@@ -25,7 +25,8 @@ MakeModel = Callable[..., SymbolicModel]
 
 def _load(model: SymbolicModel, folder: Path) -> ctypes.CDLL:
     """The generated functions alone, as a library that exports them."""
-    files = generate_functions(model)[0] | runtime_sources("elementary")
+    runtime = runtime_sources("elementary") | {name: runtime_sources()[name] for name in ("real.h", "memory.h")}
+    files = generate_functions(model)[0] | runtime
     for name, text in files.items():
         (folder / name).write_text(text)
     jobs = [CompileJob(name, (*GENERATED_FLAGS, "-fvisibility=default")) for name in files if name.endswith(".c")]

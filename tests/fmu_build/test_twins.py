@@ -14,7 +14,7 @@ import pytest
 from flexfmu.fmu_build.codegen import _prepare, _sizes, c_code, twin_arguments, with_all_arguments
 from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler, native_platform
-from flexfmu.fmu_build.twins import Graph, find_twins, twin_code
+from flexfmu.fmu_build.twins import Graph, find_twins, function_code
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
@@ -25,6 +25,7 @@ SCENES: Mapping[str, dict[str, Any]] = {
     "torque": {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05},
     "foreshortening": {"effects.foreshortening": True, "effects.distal_bending": 1},
 }
+REAL = "typedef double real;\nstatic inline double flex_real(double x) { return x; }\n"
 FUNCTIONS = ("residual", "outputs", "motion_rate1", "motion_rate2")
 
 
@@ -38,7 +39,7 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 
 def _library(code: str, flags: tuple[str, ...], folder: Path) -> ctypes.CDLL:
     folder.mkdir()
-    files = runtime_sources("elementary") | {"function.c": code, "model_functions.h": ""}
+    files = runtime_sources("elementary") | {"function.c": code, "model_functions.h": REAL}
     for name, text in files.items():
         (folder / name).write_text(text)
     jobs = [CompileJob(n, (*GENERATED_FLAGS, "-fvisibility=default", *flags)) for n in files if n.endswith(".c")]
@@ -68,7 +69,7 @@ def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path) -> None:
     """Side by side or not, with vector types or without: a compiler must not decide about an FMU's numbers."""
     model = _model({})
     function = _function(model, name)
-    code = twin_code(function, twin_arguments(model, name))
+    code = function_code(function, twin_arguments(model, name))
     assert code is not None
     one_by_one = _results(_library(with_all_arguments(c_code(function)), (), tmp_path / "casadi"), function, 20)
     for flags in ((), ("-DFLEX_PLAIN",)):

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -26,7 +27,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import VariantError, run_variants
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import PeakMetrics, measuring, metrics_of
-from flexfmu.fmu_build.batch_build import in_lanes, lanes_of_processor
+from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.file import load_scene
 
@@ -280,9 +281,9 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
 
 
-def test_branches_have_no_lanes() -> None:
+def test_branches_have_no_lanes(tmp_path: Path) -> None:
     """A function that chooses would send all lanes one way."""
-    code = "static int casadi_f0(const casadi_real** arg) {\n  a0=1.;\n  a1=(a0<a2);\n  return 0;\n}"
-    with pytest.raises(ModelError, match=r"residual\.c has one"):
-        in_lanes("residual.c", code)
-    assert "a0=flex_real(1.);" in in_lanes("residual.c", code.replace("(a0<a2)", "(a0+a2)"))
+    with zipfile.ZipFile(tmp_path / "branches.fmu", "w") as archive:
+        archive.writestr("sources/model_residual.c", "casadi_real a1=(a0<a2);")
+    with pytest.raises(ModelError, match=r"model_residual\.c has one"):
+        batch_library(tmp_path / "branches.fmu", 1)

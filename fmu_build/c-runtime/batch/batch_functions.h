@@ -4,8 +4,6 @@
 
 #include "real.h"
 
-#define casadi_real real
-
 #if FLEX_WIDTH > 1
 #include "lanes_math.h"
 
