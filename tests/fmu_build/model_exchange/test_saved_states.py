@@ -46,19 +46,3 @@ def test_bytes_continue_in_another_process(instantiate: Any, plant_path: Any, tm
     command = [sys.executable, "-c", READER, str(path), str(folder), str(tmp_path / "state")]
     answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert answer.strip() == repr(tuple([float(value) for value in part] for part in expected))
-
-
-def test_rejected_steps_leave_no_trace(instantiate: Any) -> None:
-    """An importer that goes back in time and state gets the same numbers again, to the last bit."""
-    plant = instantiate(TORQUE)
-    plant.initialize()
-    plant.begin()
-    saved = plant.fmu.getFMUstate()
-    first = plant.rates
-    plant.fmu.setTime(1.0)
-    plant.x = plant.x + plant.nominals
-    plant.set(plant.inputs, plant.get(plant.inputs) + 3.0)
-    assert not np.array_equal(plant.rates, first)
-    plant.fmu.setFMUstate(saved)
-    plant.fmu.freeFMUstate(saved)
-    assert np.array_equal(plant.rates, first)
