@@ -7,6 +7,13 @@
 #define LIMITLESS -HUGE_VAL, HUGE_VAL
 #define FUNCTION(f) {f, 10, 1, 0, 0}
 
+/* the functions of a model, in the order of the contract */
+#define FUNCTIONS(d, u, y, r, m, o, forward, rate1, rate2, start, margin, scale)                                     \
+  .derive = FUNCTION(d), .initial_inputs = FUNCTION(u), .initial_coordinates = FUNCTION(y), .residual = FUNCTION(r), \
+  .mass_matrix = FUNCTION(m), .outputs = FUNCTION(o), .motion_forward = FUNCTION(forward),                           \
+  .motion_rate1 = FUNCTION(rate1), .motion_rate2 = FUNCTION(rate2), .start_forward = FUNCTION(start),                \
+  .singularity = FUNCTION(margin), .error_scale = FUNCTION(scale), .default_tolerance = 1e-6
+
 typedef const double **in;
 typedef double **out;
 
@@ -183,35 +190,14 @@ static const flex_variable oscillator_outputs[] = {
     {"v1", "m/s", 0.0, LIMITLESS, 0},  {"v2", "m/s", 0.0, LIMITLESS, 0},  {"v3", "m/s", 0.0, LIMITLESS, 0},
     {"a1", "m/s2", 0.0, LIMITLESS, 0}, {"a2", "m/s2", 0.0, LIMITLESS, 0}, {"a3", "m/s2", 0.0, LIMITLESS, 0}};
 
-const flex_model oscillators = {.name = "oscillators",
-                                .guid = "{oscillators}",
-                                .n = 3,
-                                .n_inputs = 3,
-                                .n_parameters = 4,
-                                .n_derived = 4,
-                                .n_outputs = 9,
-                                .max_input_order = 9,
-                                .input_variables = oscillator_inputs,
-                                .parameter_variables = oscillator_parameters,
-                                .output_variables = oscillator_outputs,
-                                .n_acceleration_terms = 3,
-                                .acceleration_terms = shown_accelerations,
-                                .static_start = 1,
-                                .default_tolerance = 1e-6,
-                                .minimum_margin = 0.0,
-                                .margin_name = "margin",
-                                .derive = FUNCTION(oscillators_derive),
-                                .initial_inputs = FUNCTION(oscillators_inputs),
-                                .initial_coordinates = FUNCTION(origin_3),
-                                .residual = FUNCTION(oscillators_residual),
-                                .mass_matrix = FUNCTION(oscillators_mass),
-                                .outputs = FUNCTION(oscillators_outputs),
-                                .motion_forward = FUNCTION(oscillators_forward),
-                                .motion_rate1 = FUNCTION(oscillators_rate1),
-                                .motion_rate2 = FUNCTION(oscillators_rate2),
-                                .start_forward = FUNCTION(oscillators_start_forward),
-                                .singularity = FUNCTION(ample_margin),
-                                .error_scale = FUNCTION(oscillators_scale)};
+const flex_model oscillators = {
+    .name = "oscillators", .guid = "{oscillators}", .n = 3, .n_inputs = 3, .n_parameters = 4, .n_derived = 4,
+    .n_outputs = 9, .max_input_order = 9, .input_variables = oscillator_inputs,
+    .parameter_variables = oscillator_parameters, .output_variables = oscillator_outputs, .n_acceleration_terms = 3,
+    .acceleration_terms = shown_accelerations, .static_start = 1, .minimum_margin = 0.0, .margin_name = "margin",
+    FUNCTIONS(oscillators_derive, oscillators_inputs, origin_3, oscillators_residual, oscillators_mass,
+              oscillators_outputs, oscillators_forward, oscillators_rate1, oscillators_rate2,
+              oscillators_start_forward, ample_margin, oscillators_scale)};
 
 /* pendulum */
 
@@ -245,29 +231,11 @@ static int pendulum_rate2(in arg, out res, int *iw, double *w, int mem) {
 static const flex_variable torque_input[] = {{"torque", "N.m", 0.0, -10.0, 10.0, 0}};
 static const flex_variable energy_output[] = {{"energy", "J", 0.0, LIMITLESS, 0}};
 
-const flex_model pendulum = {.name = "pendulum",
-                             .guid = "{pendulum}",
-                             .n = 1,
-                             .n_inputs = 1,
-                             .n_outputs = 1,
-                             .max_input_order = 9,
-                             .input_variables = torque_input,
-                             .output_variables = energy_output,
-                             .static_start = 1,
-                             .default_tolerance = 1e-6,
-                             .margin_name = "margin",
-                             .derive = FUNCTION(nothing_to_derive),
-                             .initial_inputs = FUNCTION(zero_input),
-                             .initial_coordinates = FUNCTION(origin_1),
-                             .residual = FUNCTION(pendulum_residual),
-                             .mass_matrix = FUNCTION(unit_mass_1),
-                             .outputs = FUNCTION(pendulum_energy),
-                             .motion_forward = FUNCTION(pendulum_forward),
-                             .motion_rate1 = FUNCTION(pendulum_rate1),
-                             .motion_rate2 = FUNCTION(pendulum_rate2),
-                             .start_forward = FUNCTION(origin_1),
-                             .singularity = FUNCTION(ample_margin),
-                             .error_scale = FUNCTION(unit_scale_1)};
+const flex_model pendulum = {
+    .name = "pendulum", .guid = "{pendulum}", .n = 1, .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
+    .input_variables = torque_input, .output_variables = energy_output, .static_start = 1, .margin_name = "margin",
+    FUNCTIONS(nothing_to_derive, zero_input, origin_1, pendulum_residual, unit_mass_1, pendulum_energy,
+              pendulum_forward, pendulum_rate1, pendulum_rate2, origin_1, ample_margin, unit_scale_1)};
 
 /* orbit */
 
@@ -297,25 +265,11 @@ static int unknown_rates(in arg, out res, int *iw, double *w, int mem) {
 static const flex_variable invariant_outputs[] = {{"energy", "J", 0.0, LIMITLESS, 0},
                                                   {"momentum", "kg.m2/s", 0.0, LIMITLESS, 0}};
 
-const flex_model orbit = {.name = "orbit",
-                          .guid = "{orbit}",
-                          .n = 2,
-                          .n_outputs = 2,
-                          .output_variables = invariant_outputs,
-                          .default_tolerance = 1e-6,
-                          .margin_name = "margin",
-                          .derive = FUNCTION(nothing_to_derive),
-                          .initial_inputs = FUNCTION(no_inputs),
-                          .initial_coordinates = FUNCTION(origin_2),
-                          .residual = FUNCTION(orbit_residual),
-                          .mass_matrix = FUNCTION(orbit_mass),
-                          .outputs = FUNCTION(orbit_invariants),
-                          .motion_forward = FUNCTION(unknown_rates),
-                          .motion_rate1 = FUNCTION(unknown_rates),
-                                    .motion_rate2 = FUNCTION(unknown_rates),
-                          .start_forward = FUNCTION(unknown_rates),
-                          .singularity = FUNCTION(ample_margin),
-                          .error_scale = FUNCTION(unit_scale_2)};
+const flex_model orbit = {
+    .name = "orbit", .guid = "{orbit}", .n = 2, .n_outputs = 2, .output_variables = invariant_outputs,
+    .margin_name = "margin",
+    FUNCTIONS(nothing_to_derive, no_inputs, origin_2, orbit_residual, orbit_mass, orbit_invariants, unknown_rates,
+              unknown_rates, unknown_rates, unknown_rates, ample_margin, unit_scale_2)};
 
 /* double pendulum with angles y from the vertical */
 
@@ -339,25 +293,12 @@ static int double_pendulum_energy(in arg, out res, int *iw, double *w, int mem) 
   return 0;
 }
 
-const flex_model double_pendulum = {.name = "double_pendulum",
-                                    .guid = "{double_pendulum}",
-                                    .n = 2,
-                                    .n_outputs = 1,
-                                    .output_variables = energy_output,
-                                    .default_tolerance = 1e-6,
-                                    .margin_name = "margin",
-                                    .derive = FUNCTION(nothing_to_derive),
-                                    .initial_inputs = FUNCTION(no_inputs),
-                                    .initial_coordinates = FUNCTION(origin_2),
-                                    .residual = FUNCTION(double_pendulum_residual),
-                                    .mass_matrix = FUNCTION(double_pendulum_mass),
-                                    .outputs = FUNCTION(double_pendulum_energy),
-                                    .motion_forward = FUNCTION(unknown_rates),
-                                    .motion_rate1 = FUNCTION(unknown_rates),
-                                    .motion_rate2 = FUNCTION(unknown_rates),
-                          .start_forward = FUNCTION(unknown_rates),
-                                    .singularity = FUNCTION(ample_margin),
-                                    .error_scale = FUNCTION(unit_scale_2)};
+const flex_model double_pendulum = {
+    .name = "double_pendulum", .guid = "{double_pendulum}", .n = 2, .n_outputs = 1,
+    .output_variables = energy_output, .margin_name = "margin",
+    FUNCTIONS(nothing_to_derive, no_inputs, origin_2, double_pendulum_residual, double_pendulum_mass,
+              double_pendulum_energy, unknown_rates, unknown_rates, unknown_rates, unknown_rates, ample_margin,
+              unit_scale_2)};
 
 /* rigid: u, u' and u'' of the input are all there is */
 
@@ -393,29 +334,12 @@ static int unit_floor(in arg, out res, int *iw, double *w, int mem) {
 static const flex_variable angle_input[] = {{"angle", "rad", 0.0, LIMITLESS, 0}};
 static const flex_variable square_output[] = {{"square", "rad2", 0.0, LIMITLESS, 0}};
 
-const flex_model rigid = {.name = "rigid",
-                          .guid = "{rigid}",
-                          .n_inputs = 1,
-                          .n_outputs = 1,
-                          .max_input_order = 9,
-                          .input_variables = angle_input,
-                          .output_variables = square_output,
-                          .static_start = 1,
-                          .default_tolerance = 1e-6,
-                          .minimum_margin = 0.0,
-                          .margin_name = "distance to the wall",
-                          .derive = FUNCTION(nothing_to_derive),
-                          .initial_inputs = FUNCTION(zero_input),
-                          .initial_coordinates = FUNCTION(no_inputs),
-                          .residual = FUNCTION(no_inputs),
-                          .mass_matrix = FUNCTION(no_inputs),
-                          .outputs = FUNCTION(rigid_outputs),
-                          .motion_forward = FUNCTION(rigid_forward),
-                          .motion_rate1 = FUNCTION(rigid_rate1),
-                          .motion_rate2 = FUNCTION(rigid_rate2),
-                          .start_forward = FUNCTION(no_inputs),
-                          .singularity = FUNCTION(margin_below_one),
-                          .error_scale = FUNCTION(unit_floor)};
+const flex_model rigid = {
+    .name = "rigid", .guid = "{rigid}", .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
+    .input_variables = angle_input, .output_variables = square_output, .static_start = 1, .minimum_margin = 0.0,
+    .margin_name = "distance to the wall",
+    FUNCTIONS(nothing_to_derive, zero_input, no_inputs, no_inputs, no_inputs, rigid_outputs, rigid_forward,
+              rigid_rate1, rigid_rate2, no_inputs, margin_below_one, unit_floor)};
 
 /* sliders: d = c, b, viscous, coupling, direction 1, direction 2 */
 
@@ -489,35 +413,13 @@ static const flex_variable sliders_shown[] = {{"y1", "m", 0.0, LIMITLESS, 0},   
 static const flex_term sliders_terms[] = {{4, 0}, {5, 1}};
 static const flex_friction sliders_frictions[] = {{0, 1, 4}, {1, 1, 5}};
 
-const flex_model sliders = {.name = "sliders",
-                            .guid = "{sliders}",
-                            .n = 2,
-                            .n_inputs = 1,
-                            .n_parameters = 4,
-                            .n_derived = 6,
-                            .n_outputs = 6,
-                            .max_input_order = 9,
-                            .input_variables = sliders_input,
-                            .parameter_variables = sliders_parameters,
-                            .output_variables = sliders_shown,
-                            .n_acceleration_terms = 2,
-                            .acceleration_terms = sliders_terms,
-                            .n_frictions = 2,
-                            .frictions = sliders_frictions,
-                            .default_tolerance = 1e-6,
-                            .margin_name = "margin",
-                            .derive = FUNCTION(sliders_derive),
-                            .initial_inputs = FUNCTION(zero_input),
-                            .initial_coordinates = FUNCTION(origin_2),
-                            .residual = FUNCTION(sliders_residual),
-                            .mass_matrix = FUNCTION(sliders_mass),
-                            .outputs = FUNCTION(sliders_outputs),
-                            .motion_forward = FUNCTION(sliders_forward),
-                            .motion_rate1 = FUNCTION(sliders_rate1),
-                            .motion_rate2 = FUNCTION(sliders_rate2),
-                            .start_forward = FUNCTION(sliders_start_forward),
-                            .singularity = FUNCTION(ample_margin),
-                            .error_scale = FUNCTION(sliders_scale)};
+const flex_model sliders = {
+    .name = "sliders", .guid = "{sliders}", .n = 2, .n_inputs = 1, .n_parameters = 4, .n_derived = 6, .n_outputs = 6,
+    .max_input_order = 9, .input_variables = sliders_input, .parameter_variables = sliders_parameters,
+    .output_variables = sliders_shown, .n_acceleration_terms = 2, .acceleration_terms = sliders_terms,
+    .n_frictions = 2, .frictions = sliders_frictions, .margin_name = "margin",
+    FUNCTIONS(sliders_derive, zero_input, origin_2, sliders_residual, sliders_mass, sliders_outputs, sliders_forward,
+              sliders_rate1, sliders_rate2, sliders_start_forward, ample_margin, sliders_scale)};
 
 /* fragile: d = limit, load */
 
@@ -571,35 +473,15 @@ static const int position_alone[] = {0, -1};
 static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS, 0}};
 
 // also the one that the FMI functions find
-#define FRAGILE_MODEL                                  \
-  {.name = "fragile",                                  \
-   .guid = "{fragile}",                                \
-   .n = 1,                                             \
-   .n_inputs = 1,                                      \
-   .n_parameters = 2,                                  \
-   .n_derived = 2,                                     \
-   .n_outputs = 1,                                     \
-   .max_input_order = 3,                               \
-   .input_variables = force_input,                     \
-   .parameter_variables = fragile_parameters,          \
-   .output_variables = position_output,                \
-   .state_outputs = position_alone,                    \
-   .static_start = 1,                                  \
-   .default_tolerance = 1e-6,                          \
-   .minimum_margin = 0.5,                              \
-   .margin_name = "distance between the elbows (m)",   \
-   .derive = FUNCTION(fragile_derive),                 \
-   .initial_inputs = FUNCTION(zero_input),             \
-   .initial_coordinates = FUNCTION(origin_1),          \
-   .residual = FUNCTION(fragile_residual),             \
-   .mass_matrix = FUNCTION(unit_mass_1),               \
-   .outputs = FUNCTION(first_coordinate),              \
-   .motion_forward = FUNCTION(fragile_forward),        \
-   .motion_rate1 = FUNCTION(fragile_rate1),            \
-   .motion_rate2 = FUNCTION(fragile_rate2),            \
-   .start_forward = FUNCTION(fragile_start_forward),   \
-   .singularity = FUNCTION(margin_below_two),          \
-   .error_scale = FUNCTION(unit_scale_1)}
+#define FRAGILE_MODEL                                                                                \
+  {.name = "fragile", .guid = "{fragile}", .n = 1, .n_inputs = 1, .n_parameters = 2, .n_derived = 2, \
+   .n_outputs = 1, .max_input_order = 3, .input_variables = force_input,                             \
+   .parameter_variables = fragile_parameters, .output_variables = position_output,                   \
+   .state_outputs = position_alone, .static_start = 1, .minimum_margin = 0.5,                        \
+   .margin_name = "distance between the elbows (m)",                                                 \
+   FUNCTIONS(fragile_derive, zero_input, origin_1, fragile_residual, unit_mass_1, first_coordinate,  \
+             fragile_forward, fragile_rate1, fragile_rate2, fragile_start_forward, margin_below_two, \
+             unit_scale_1)}
 
 const flex_model fragile = FRAGILE_MODEL;
 const flex_model flex_the_model = FRAGILE_MODEL;
