@@ -48,7 +48,16 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         tiles=[
             {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 5, errors[name])} for name in TILES
         ],
-        metrics=[_metric_row(name, metrics[name], errors[name]) for name in metrics],
+        metrics=[
+            {
+                "label": ALL_METRICS[name].label,
+                "name": name,
+                "value": display(name, value, error=errors[name]),
+                "error": display_error(name, value, errors[name]),
+                "description": ALL_METRICS[name].description,
+            }
+            for name, value in metrics.items()
+        ],
         plots=list(plots),
         parameters=_scene_rows(summary["scene"]),
         tables=_tables(summary),
@@ -58,14 +67,36 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
 
 def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Return title → rows of the tables below the plots, without empty tables."""
+    health, shaping, references = summary["health"], summary.get("shaping"), summary.get("references")
     tables = {
         "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
         "Stress of the links": stress_rows(summary.get("stresses", ())),
-        "Shaping": _shaping_rows(summary.get("shaping")),
-        "References for the flexible robot": _reference_rows(summary.get("references")),
-        "Learning": _learning_rows(summary.get("learning")),
-        "Health": _health_rows(summary["health"]),
-        "Slaves": _slave_rows(summary["slaves"]),
+        "Shaping": {
+            "added time": f"{1e3 * shaping['added_time']:.4g} ms",
+            "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
+        }
+        if shaping
+        else {},
+        "References for the flexible robot": {
+            "knots": f"{1e3 * references['knot_spacing']:.4g} ms apart, {1e3 * references['lead']:g} ms before and after the motion",
+            "joint jerk": f"up to {references['largest_joint_jerk']:.4g} rad/s³",
+            **({"warning": references["warning"]} if "warning" in references else {}),
+        }
+        if references
+        else {},
+        "Learning": {
+            f"cycle {number}": f"{_milliradians(each['rms'])} mrad RMS, {_milliradians(each['largest'])} mrad at most"
+            for number, each in enumerate(summary.get("learning", {}).get("tracking_errors", ()), start=1)
+        },
+        "Health": {
+            "outcome": health["outcome"],
+            "simulated": f"{health['end_time'] or 0.0:g} s of {health['stop_time']:g} s",
+            "communication step": f"{health['communication_step']:g} s",
+            "tolerance": f"{health['tolerance']:g}",
+            "input polynomials": f"degree {health['input_order']}",
+            **{name: f"{count:,}" for name, count in health["statistics"].items()},
+        },
+        "Slaves": {slave["name"]: slave["description"] + _sampling(slave) for slave in summary["slaves"]},
         "Signals": {
             delay["connection"]: delay["description"].removeprefix(f"{delay['connection']}: ")
             for delay in summary["delays"]
@@ -95,17 +126,6 @@ def _cycles(trajectory: Mapping[str, Any]) -> str:
     return f", there and back {times} with pauses of {trajectory['pause']:g} s"
 
 
-def _metric_row(name: str, value: float | None, error: float | None) -> dict[str, str]:
-    info = ALL_METRICS[name]
-    return {
-        "label": info.label,
-        "name": name,
-        "value": display(name, value, error=error),
-        "error": display_error(name, value, error),
-        "description": info.description,
-    }
-
-
 def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return the scene flattened to dotted keys; entries of arrays of tables have an index."""
     rows: dict[str, str] = {}
@@ -126,58 +146,13 @@ def _scene_value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _slave_rows(slaves: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the name of each slave → its description and sample time."""
-    rows = {}
-    for slave in slaves:
-        sampling = "" if slave["sample_time"] is None else f", every {slave['sample_time']:g} s"
-        if slave["sample_time"] is not None and slave["offset"]:
-            sampling += f" from {slave['offset']:g} s on"
-        rows[slave["name"]] = slave["description"] + sampling
-    return rows
-
-
-def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
-    """Return added time and path deviation of the shapers."""
-    if shaping is None:
-        return {}
-    return {
-        "added time": f"{1e3 * shaping['added_time']:.4g} ms",
-        "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
-    }
-
-
-def _reference_rows(references: Mapping[str, Any] | None) -> dict[str, str]:
-    """Return what references for the flexible robot are like."""
-    if references is None:
-        return {}
-    rows = {
-        "knots": f"{1e3 * references['knot_spacing']:.4g} ms apart, {1e3 * references['lead']:g} ms before and after the motion",
-        "joint jerk": f"up to {references['largest_joint_jerk']:.4g} rad/s³",
-    }
-    return rows | ({"warning": references["warning"]} if "warning" in references else {})
-
-
-def _learning_rows(learning: Mapping[str, Any] | None) -> dict[str, str]:
-    """Return the tracking errors of both joints for each cycle."""
-    if learning is None:
-        return {}
-    return {
-        f"cycle {number}": f"{_milliradians(each['rms'])} mrad RMS, {_milliradians(each['largest'])} mrad at most"
-        for number, each in enumerate(learning["tracking_errors"], start=1)
-    }
+def _sampling(slave: Mapping[str, Any]) -> str:
+    """Return the instants at which a slave samples; empty for one that doesn't."""
+    if slave["sample_time"] is None:
+        return ""
+    begin = f" from {slave['offset']:g} s on" if slave["offset"] else ""
+    return f", every {slave['sample_time']:g} s{begin}"
 
 
 def _milliradians(values: Iterable[float]) -> str:
     return " / ".join(f"{1e3 * value:.4g}" for value in values)
-
-
-def _health_rows(health: Mapping[str, Any]) -> dict[str, str]:
-    rows = {
-        "outcome": health["outcome"],
-        "simulated": f"{health['end_time'] or 0.0:g} s of {health['stop_time']:g} s",
-        "communication step": f"{health['communication_step']:g} s",
-        "tolerance": f"{health['tolerance']:g}",
-        "input polynomials": f"degree {health['input_order']}",
-    }
-    return rows | {name: f"{count:,}" for name, count in health["statistics"].items()}

@@ -33,7 +33,6 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.engine.master.delays import SignalDelay
     from flexfmu.cosim.experiment.scene_run import Run
     from flexfmu.model.scene.schema import Scene
 
@@ -120,24 +119,41 @@ def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
         learning: only for a repeated motion driven by torques: period [s] and tracking errors of both joints in each cycle [rad],
             and with `flexfmu run` the contraction of what is learned: factor, frequency [Hz] and place on the path.
     """
+    # the scene as plain data, without the keys of a path that the motion doesn't take
+    scene, plan = run.scene.model_dump(mode="json", exclude_none=True), run.plan
+    for each in scene["controller"]:
+        each.pop("response", None)  # thousands of numbers that follow from the rest
+    for key in PATH_KEYS if plan.source else ():
+        scene["trajectory"].pop(key, None)
+    rigid = plan.once.rigid or plan.once
+    optional: dict[str, Any] = {
+        "effect_choice": choice_summary(run.scene),
+        "motion": plan.source,
+        "shaping": {}
+        if rigid.task is rigid.along_path
+        else {"added_time": rigid.duration - rigid.along_path.duration, "path_deviation": rigid.deviation},
+        "references": {} if plan.design is None else reference_facts(plan),
+        "motors": _motors(run),
+        "stresses": _stresses(run),
+        **_cycles(run),
+    }
+    parts = asdict(run.timing)
     return {
-        "scene": _scene(run),
+        "scene": scene,
         "effects": describe_effects(run.scene),
-        **({"effect_choice": choice} if (choice := choice_summary(run.scene)) else {}),
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
         "errors": {name: measurement.error for name, measurement in measurements.items()},
         "own_metrics": {name: each.value if each.own is None else each.own for name, each in measurements.items()},
         "own_errors": {name: each.own_error for name, each in measurements.items()},
         "health": _health(run, measurements),
-        **({"motion": run.plan.source} if run.plan.source else {}),
-        **_shaping(run),
-        **_references(run),
-        **_motors(run),
-        **_stresses(run),
-        **_cycles(run),
+        **{key: found for key, found in optional.items() if found},
         "slaves": [asdict(slave) for slave in run.slaves],
-        "delays": [_delay(delay) for delay in run.delays],
-        "timing": _timing(run),
+        "delays": [
+            {name: getattr(delay, name) for name in ("connection", "seconds", "hold", "latency", "average")}
+            | {"description": str(delay)}
+            for delay in run.delays
+        ],
+        "timing": {**parts, "total": sum(parts.values())},
         "versions": dict(versions(run.fmu_path)),
         "units": run.recording.units,
     }
@@ -227,33 +243,6 @@ def _warning(run: Run, name: str, measurement: Metric) -> dict[str, Any]:
     return {"metric": name, "estimated_error": error, "message": sentence}
 
 
-def _scene(run: Run) -> dict[str, Any]:
-    """Return the scene as plain data, without the keys of a path that the motion doesn't take."""
-    data = run.scene.model_dump(mode="json", exclude_none=True)
-    for each in data["controller"]:
-        each.pop("response", None)  # thousands of numbers that follow from the rest
-    for key in PATH_KEYS if run.plan.source else ():
-        data["trajectory"].pop(key, None)
-    return data
-
-
-def _shaping(run: Run) -> dict[str, Any]:
-    """Return the time that shapers add [s] and the deviation of the rigid end effector from its path [m]; empty without."""
-    motion = run.plan.once.rigid or run.plan.once
-    if motion.task is motion.along_path:
-        return {}
-
-    added = motion.duration - motion.along_path.duration
-    return {"shaping": {"added_time": added, "path_deviation": motion.deviation}}
-
-
-def _references(run: Run) -> dict[str, Any]:
-    """Return facts of references for the flexible robot; empty for those of the rigid one."""
-    if run.plan.design is None:
-        return {}
-    return {"references": reference_facts(run.plan)}
-
-
 def _cycles(run: Run) -> dict[str, Any]:
     """Return number and period [s] of cycles, and RMS and largest tracking error of both joints [rad] in each.
 
@@ -262,60 +251,39 @@ def _cycles(run: Run) -> dict[str, Any]:
     repetition = run.plan.repetition
     if repetition is None:
         return {}
-
     found = {"cycles": {"number": repetition.cycles, "period": repetition.period, "motion": repetition.once.duration}}
     errors = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
     return {**found, "learning": {"period": repetition.period, "tracking_errors": errors}} if errors else found
 
 
-def _motors(run: Run) -> dict[str, Any]:
+def _motors(run: Run) -> list[dict[str, Any]]:
     """Return what each motor of the scene has to do against what it can; empty without motors."""
-    if run.scene.motor is None:
-        return {}
     try:
         loads = motor_loads(run)
     except ResultsError:  # not all signals were recorded
-        return {}
-    return {
-        "motors": [
-            {
-                "joint": load.joint,
-                "name": load.motor.name,
-                "margins": [{**asdict(margin), "use": margin.use} for margin in load.margins],
-                "critical": load.critical.name,
-                **{key: getattr(load, key) for key, _, _ in MOTOR_VALUES},
-                "exceeded": list(load.exceeded),
-            }
-            for load in loads
-        ]
-    }
+        return []
+    return [
+        {
+            "joint": load.joint,
+            "name": load.motor.name,
+            "margins": [{**asdict(margin), "use": margin.use} for margin in load.margins],
+            "critical": load.critical.name,
+            **{key: getattr(load, key) for key, _, _ in MOTOR_VALUES},
+            "exceeded": list(load.exceeded),
+        }
+        for load in loads
+    ]
 
 
-def _stresses(run: Run) -> dict[str, Any]:
+def _stresses(run: Run) -> list[dict[str, Any]]:
     """Return the peak stresses of the links; empty without the material's yield strength."""
     if run.scene.mechanism.material.yield_strength is None:
-        return {}
+        return []
     try:
         links = link_stresses(run)
     except ResultsError:  # the derivatives were not recorded
-        return {}
-    return {"stresses": [{**asdict(link), "safety": link.safety, "exceeded": list(link.exceeded)} for link in links]}
-
-
-def _delay(delay: SignalDelay) -> dict[str, Any]:
-    """Return the delay of a connection [s]: largest, by zero-order hold, latency of the source, and average."""
-    parts = {"hold": delay.hold, "latency": delay.latency, "average": delay.average}
-    return {"connection": delay.connection, "seconds": delay.seconds, **parts, "description": str(delay)}
-
-
-def _timing(run: Run) -> dict[str, float]:
-    parts = asdict(run.timing)
-    return {**parts, "total": sum(parts.values())}
-
-
-def chosen_set(scene: Scene) -> dict[str, Any]:
-    """Return the scene's values of the `effects` keys that an automatic choice may set."""
-    return scene.effects.model_dump(mode="json", include=set(CHOOSABLE))
+        return []
+    return [{**asdict(link), "safety": link.safety, "exceeded": list(link.exceeded)} for link in links]
 
 
 def choice_summary(scene: Scene) -> dict[str, Any]:
@@ -327,7 +295,7 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
     return {
         "tolerance": choice.tolerance,
         "of": list(choice.of),
-        "chosen": chosen_set(scene),
+        "chosen": scene.effects.model_dump(mode="json", include=set(CHOOSABLE)),
         "estimated_error": dict(zip(choice.of, choice.error, strict=True)),
         **({} if choice.verified is None else {"verified_error": dict(zip(choice.of, choice.verified, strict=True))}),
         "verified_in": choice.verified_in,
@@ -346,11 +314,8 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
 
 PACKAGES = ("flexfmu", "casadi", "fmpy", "numpy")
 
-_COMPILERS = {
-    b"GCC: (": re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+"),
-    b"clang version ": re.compile(rb"(?:\w+ )?clang version [\w.+-]+"),
-}
-"""Compiler signatures in binaries (section ``.comment`` of an ELF library), by a text that is quickly found."""
+_COMPILER = re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+|(?:[A-Z]\w+ )?clang version [\w.+-]+")
+"""Compiler signatures in binaries (section ``.comment`` of an ELF library)."""
 
 
 def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
@@ -371,13 +336,11 @@ def compiler_of(fmu: Path) -> str | None:
     """Return the compilers of the FMU's binaries by their signatures; None if there are none or the FMU can't be read."""
     try:
         with zipfile.ZipFile(fmu) as archive:
-            libraries = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]
-            contents = [archive.read(name) for name in libraries]
+            names = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]
+            signatures = {found for name in names for found in _COMPILER.findall(archive.read(name))}
     except (OSError, zipfile.BadZipFile):
         return None
-    known = [(content, form) for content in contents for text, form in _COMPILERS.items() if text in content]
-    signatures = [match for content, form in known for match in form.findall(content)]
-    return ", ".join(sorted({signature.decode("ascii", "replace") for signature in signatures})) or None
+    return ", ".join(sorted(each.decode("ascii", "replace") for each in signatures)) or None
 
 
 def _package(name: str) -> str | None:
