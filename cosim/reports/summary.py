@@ -314,7 +314,7 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
 
 PACKAGES = ("flexfmu", "casadi", "fmpy", "numpy")
 
-_COMPILER = re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+|(?:[A-Z]\w+ )?clang version [\w.+-]+")
+_COMPILER = re.compile(rb"(?:GCC: \([^)\0]*\)|clang version) [\w.+-]+")
 """Compiler signatures in binaries (section ``.comment`` of an ELF library)."""
 
 
