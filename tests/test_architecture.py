@@ -92,8 +92,6 @@ ALONE = {
     "cosim.control.shapers": "shapers in the loop",
     "cosim.control.disturbances": "blocks of disturbances, and sums for the loop",
     "cosim.design.gains.search": "the optimiser",
-    "cosim.design.margins.identified": "loops with code of a user",
-    "cosim.design.margins.peaks": "norms of lifted systems",
     "cosim.design.margins.pictures": "drawing",
     "cosim.design.plans.robustness": "a plan in other models",
     "cosim.design.plans.sequential_programme": "the search's optimiser",

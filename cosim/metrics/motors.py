@@ -23,8 +23,7 @@ import numpy as np
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.bernstein import bernstein_basis, cut, maximum_norm
-from flexfmu.cosim.metrics.segments import HermiteSegments
+from flexfmu.cosim.metrics.segments import HermiteSegments, bernstein_basis, cut, maximum_norm
 from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.motor import Motor

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import pairwise
 from math import atan, exp, inf, isfinite, log, nan, pi
 from typing import Any
 
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
 from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop, Perturbation
-from flexfmu.cosim.design.margins.peaks import RESOLVED, gain_of, largest, near, peak_of
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.trajectories.jets import RealArray
@@ -51,6 +51,15 @@ LOWEST = 1e-4
 
 EXACT = 1e-9
 """Relative error of critical factors, delays and crossings."""
+
+ABOUT = np.concatenate([[0.0], *([-x, x] for x in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0))])
+"""Frequencies about a pole, in units of its distance from the unit circle."""
+
+NARROWEST, RESOLVED = 1e-9, 0.02
+"""Smallest such distance, and largest one relative to the angle that equal ratios of frequencies don't resolve."""
+
+PEAK = 1e-5
+"""Relative gain of a peak at which its refinement ends."""
 
 ALL = "all"
 """Name of the row in which all channels change together."""
@@ -227,7 +236,7 @@ class _Cut:
         phase = _first(lambda x: self.eigenvalues(np.exp(-1j * x)), np.linspace(known, pi, PHASES + 1))
         delays = self._sample / DELAYS * np.arange(DELAYS * LONGEST + 1.0)
         delay = _first(lambda x: map(self._late, x.tolist()), delays)
-        peak = largest(lambda z: gain_of(self.opened.sensitivity.transfer(z)), self._angles)
+        peak = peak_of(lambda z: gain_of(self.opened.sensitivity.transfer(z)), self._angles)[1]
         bandwidth = self._crossing(lambda f: gain_of(np.linalg.inv(np.eye(f.shape[-1]) + f)) - 0.5**0.5, 1)
         return LoopMargins.of(name, gain, reduction, min(phase, pi), delay, disk, peak, bandwidth, crossover)
 
@@ -304,7 +313,7 @@ class _Cut:
             return gain_of(found * scales[:, :, np.newaxis] / scales[:, np.newaxis])
 
         if last.all():
-            return min(2.0, 2.0 / largest(lambda z: gain_of(skewed(z)), self._angles))
+            return min(2.0, 2.0 / peak_of(lambda z: gain_of(skewed(z)), self._angles)[1])
         # the best scaling at the frequency of the peak, beside those that were the best at others, until the peak stays
         shares, peak = [0.0], inf
         for _ in range(SCALINGS):
@@ -363,3 +372,38 @@ def _may_leave(before: ComplexArray, now: ComplexArray, after: ComplexArray) -> 
     bend = 2.0 * middle - first - last
     rise = (last - first) ** 2 / np.where(bend > 0.0, 8.0 * bend, inf)
     return bool(((middle >= first) & (middle >= last) & (rise > (1.0 - CLOSE) * (1.0 - middle))).any())
+
+
+def near(poles: NDArray[Any], turn: float, top: float, widest: float = inf) -> RealArray:
+    """Angles about poles, plus whole turns, from 0 to a top; only of those that are narrow beside the angle."""
+    poles = poles[np.abs(poles) > 1e-9]
+    width, angle = np.maximum(np.abs(np.log(np.abs(poles))), NARROWEST), np.angle(poles) + turn
+    narrow = width < widest * np.maximum(np.abs(angle), NARROWEST)
+    found = (angle[narrow, np.newaxis] + width[narrow, np.newaxis] * ABOUT).ravel()
+    return np.asarray(found[(found >= 0.0) & (found <= top)])
+
+
+def gain_of(matrices: Any) -> RealArray:
+    """Largest singular values (N,)."""
+    if matrices.shape[-1] == 1:
+        return np.asarray(np.abs(matrices[:, 0, 0]))
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(matrices @ matrices.conj().swapaxes(1, 2))[:, -1]))
+
+
+def peak_of(gain: Callable[[ComplexArray], RealArray], angles: RealArray) -> tuple[float, float]:
+    """The angle of the largest gain on the unit circle, and that gain: between the angles the largest maxima are refined."""
+    values = gain(np.exp(1j * angles))
+    while True:
+        before = values.max()
+        sides = np.pad(values, 1, constant_values=-inf)
+        maxima = np.flatnonzero((values >= sides[:-2]) & (values >= sides[2:]))
+        highest = maxima[np.argsort(values[maxima])[-3:]]
+        ends = angles[np.clip(highest + np.array([[-1], [0], [1]]), 0, len(angles) - 1)]
+        new = np.unique([a + share * (b - a) for a, b in pairwise(ends) for share in (0.25, 0.5, 0.75)])
+        angles, order = np.unique(np.concatenate([angles, new]), return_index=True)
+        values = np.concatenate([values, gain(np.exp(1j * new))])[order]
+        k = int(values.argmax())
+        near = values[max(k - 1, 0) : k + 2]
+        # the maximum lies above the middle of three values by less than what they differ
+        if values[k] <= (1.0 + PEAK) * before and near.min() >= (1.0 - 1e2 * PEAK) * values[k]:
+            return float(angles[k]), float(values[k])

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.lag import Lag
-from flexfmu.cosim.design.margins.identified import identified_block
-from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
+from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, identified_block, linear_block
 from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import InputError

@@ -1,5 +1,5 @@
 /* The largest norm, the last crossing of a level, and positive and negative parts, by bisection of Bernstein polynomials,
- * see flexfmu.cosim.metrics.bernstein. */
+ * see flexfmu.cosim.metrics.segments. */
 #include "arithmetic.h"
 
 #include <string.h>

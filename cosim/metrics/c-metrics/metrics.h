@@ -2,7 +2,7 @@
  * the analysis of flexfmu.cosim.metrics.segments.
  *
  * A segment has the derivatives of order 0 to m - 1 at both ends, of each channel. Over theta = 0 .. 1 its polynomial has
- * the two-point form, see flexfmu.cosim.metrics.bernstein:
+ * the two-point form, see flexfmu.cosim.metrics.segments:
  *
  *   p(theta) = sum over k < m of (theta (1 - theta))^k ((1 - theta) alpha_k + theta beta_k)
  *

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import cut, maximum_norm
-from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
+from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments, cut, maximum_norm
 
 
 def sine_segments(

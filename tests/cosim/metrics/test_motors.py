@@ -16,10 +16,10 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.bernstein import bernstein_basis
 from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.metrics.motors import MotorLoad, divided, largest_load_inertia, motor_loads, multiplied
+from flexfmu.cosim.metrics.segments import bernstein_basis
 from flexfmu.cosim.reports.plots import motor_plots
 from flexfmu.cosim.reports.summary import motor_rows, summarise
 from flexfmu.model.kinematics import load_mass_matrix

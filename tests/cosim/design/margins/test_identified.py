@@ -13,8 +13,7 @@ from blocks import context, delay, pd, pid, quantisation
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.filters import filter_block, low_pass, notch
-from flexfmu.cosim.design.margins.identified import identified_block
-from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, linear_block
+from flexfmu.cosim.design.margins.linear_blocks import LinearBlock, identified_block, linear_block
 from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
