@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import quad
 from scipy.special import fresnel
 
 from flexfmu.trajectories.blends import (
@@ -122,28 +121,6 @@ def test_equal_extents_make_a_blend_symmetric(kind: Callable[[float, float], Ble
     assert scaled(y - (size - u), rate).max() < 1e-12 * size
 
 
-@pytest.mark.parametrize(("height", "width"), [(0.025, 0.025), (0.025, 0.0445), (0.02, 0.175), (0.175, 0.02)])
-def test_length_is_the_integral_of_the_plain_formula(height: float, width: float) -> None:
-    """Protects the length against the Lamé curve written as two graphs, integrated by an adaptive rule."""
-
-    def half(across: float, along: float) -> float:
-        limit = along * 0.5 ** (1.0 / 3.0)
-        return float(
-            quad(lambda v: math.hypot(1.0, across / along * (v / along) ** 2 * (1.0 - (v / along) ** 3) ** (-2.0 / 3.0)), 0.0, limit, epsabs=0.0, epsrel=1e-13)[0]
-        )  # fmt: skip
-
-    assert LameBlend(height, width).curve.length == pytest.approx(half(width, height) + half(height, width), rel=1e-13)
-
-
-def test_blends_scale() -> None:
-    """Protects units: a blend ten times as large is ten times as long, its curvature a tenth."""
-    for kind in KINDS:
-        small, large = kind(0.02, 0.03).curve, kind(0.2, 0.3).curve
-        assert large.length == pytest.approx(10.0 * small.length, rel=1e-15)
-        x, y = large.jets(0.3 * large.length, 5), small.jets(0.3 * small.length, 5)
-        np.testing.assert_allclose(x[0].derivatives() * 10.0 ** np.arange(-1.0, 5.0)[:, None], y[0].derivatives(), 1e-9)
-
-
 @seeded
 @given(st.floats(0.002, 0.2), st.floats(0.5622, 1.7789))
 def test_curvature_rises_and_falls_linearly(height: float, ratio: float) -> None:
@@ -174,11 +151,6 @@ def test_parts_join_smoothly(ratio: float) -> None:
     np.testing.assert_allclose(left[:, 0], right[:, 0], rtol=0, atol=1e-14)
     np.testing.assert_allclose(left[:, 1:3], right[:, 1:3], rtol=0, atol=1e-13)
     assert np.abs(left[:, 3] - right[:, 3]).max() > 1.0
-
-
-def test_equal_extents_turn_by_equal_angles() -> None:
-    """Protects the symmetric pair of the paper."""
-    assert ClothoidPair(0.025, 0.025).first_turning == pytest.approx(math.pi / 4, rel=1e-15)
 
 
 def test_limits_of_the_ratio_follow_from_a_single_clothoid() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,18 +38,9 @@ def test_forward_kinematics_gives_the_path_back(five_bar: Any) -> None:
     assert np.all(q2 < 0.5 * math.pi)
 
 
-def test_each_derivative_is_the_integral_of_the_next(five_bar: Any) -> None:
+def test_each_derivative_is_the_integral_of_the_next(five_bar: Any, exact_derivatives: Callable[..., None]) -> None:
     """Protects every joint derivative to order 8 and both one-sided limits, by quadrature between breakpoints."""
-    trajectory = JointTrajectory(task(profile=bang_bang(), height=0.03), five_bar)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    for start, end in zip(trajectory.breakpoints[:-1], trajectory.breakpoints[1:], strict=True):
-        edges = np.linspace(start, end, 17)
-        half = 0.5 * np.diff(edges)
-        values = trajectory.evaluate((edges[:-1] + half * (nodes[:, None] + 1.0)).ravel(), 8)
-        integrals = np.einsum("n,i,knic->kc", weights, half, values.reshape(9, 40, 16, 2))
-        first, last = (trajectory.evaluate(t, 8, s)[:, 0] for t, s in ((start, "right"), (end, "left")))
-        scale = np.abs(values).max(axis=(1, 2))[:, None] * (end - start)
-        assert np.all(np.abs(last[:-1] - first[:-1] - integrals[1:]) <= 1e-11 * scale[1:] + 1e-14)
+    exact_derivatives(JointTrajectory(task(profile=bang_bang(), height=0.03), five_bar), 1e-14)
 
 
 def test_joints_stand_still_with_the_end_effector(five_bar: Any) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import factorial
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -115,11 +113,3 @@ def test_no_breakpoint_where_nothing_jumps() -> None:
     coefficients = np.stack([taylor, later, still, still], axis=1)
     motion = PiecewisePolynomial(np.array([0.0, 0.5, 1.0, 2.0, 3.0]), coefficients)
     assert motion.breakpoints == (0.0, 1.0, 3.0)
-
-
-def test_jets_are_derivatives() -> None:
-    """Taylor coefficients times factorials, of every order."""
-    taylor = np.random.default_rng(5).normal(size=(8, 1, 2))
-    motion = PiecewisePolynomial(np.array([0.0, 1.0]), taylor)
-    expected = [factorial(k) * taylor[k, 0] for k in range(8)]
-    np.testing.assert_allclose(motion.evaluate([0.0], 7)[:, 0], expected)

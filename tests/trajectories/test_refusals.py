@@ -15,7 +15,7 @@ from flexfmu.trajectories.blends import ClothoidPair, LameBlend, PolarPolynomial
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.piecewise import spline
-from flexfmu.trajectories.profiles import double_s, polynomial, seventh_degree_polynomial, trapezoidal
+from flexfmu.trajectories.profiles import double_s, evaluate_profile, polynomial, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.shapers.designs import design, extra_insensitive, specified_insensitivity, zero_vibration
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
 from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
@@ -63,6 +63,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: path(start=(1.0, 2.0, 3.0)), "path start must be two finite numbers"),
     # profiles
     *((lambda x=ramp: trapezoidal(x), f"ramp must be above 0 and at most 0.5 of the duration, got {ramp:g}") for ramp in (0.0, -0.1, 0.5000001, math.nan, math.inf)),
+    *((lambda x=eta: evaluate_profile(trapezoidal(0.5), x), "fraction of the duration must be between 0 and 1") for eta in (-1e-9, 1.1, math.nan)),
     (lambda: double_s(0.6, 0.1), "ramp must be above 0 and at most 0.5"),
     (lambda: double_s(0.3, 0.0), "jerk_phase must be above 0 and at most 0.25"),
     (lambda: double_s(0.2, 0.11), "jerk_phase must be at most half of ramp = 0.2, which is 0.1 of the duration, got 0.11"),

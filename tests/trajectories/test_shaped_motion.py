@@ -9,8 +9,8 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, sh
 from flexfmu.model.kinematics import RigidForwardKinematics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory
-from flexfmu.trajectories.profiles import bang_bang, cycloidal, evaluate_profile, trapezoidal
+from flexfmu.trajectories.joint import EndEffectorTrajectory
+from flexfmu.trajectories.profiles import evaluate_profile
 from flexfmu.trajectories.shapers.designs import SHAPERS, design
 from flexfmu.trajectories.shapers.sequence import (
     ImpulseSequence,
@@ -22,7 +22,7 @@ from flexfmu.trajectories.shapers.sequence import (
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 MODE = Oscillator(57.3, 0.08)
-PROFILES = [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.25}]
+PROFILES = [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.25}, {"kind": "cycloidal"}]
 
 
 @pytest.fixture(scope="module", params=PROFILES, ids=lambda profile: profile["kind"])
@@ -66,18 +66,6 @@ def test_one_sided_limits_at_shifted_breakpoints(motion: MotionPlan) -> None:
     rate = np.max(np.abs(shaped.evaluate(np.linspace(0.0, shaped.duration, 999), 3)[3]))
     np.testing.assert_allclose(left[2], shaped.evaluate(points - near, 2)[2], atol=2.0 * near * rate + 1e-9)
     np.testing.assert_allclose(right[2], shaped.evaluate(points + near, 2)[2], atol=2.0 * near * rate + 1e-9)
-
-
-def test_breakpoints_are_the_shifted_ones(motion: MotionPlan) -> None:
-    """Each impulse brings all breakpoints of the motion, shifted by its time; coinciding ones count once."""
-    sequence = design("zvdd", [MODE])
-    shaped = ShapedTrajectory(motion.joints, sequence)
-    for delay in sequence.times:
-        for point in motion.joints.breakpoints:
-            assert min(abs(point + delay - other) for other in shaped.breakpoints) < 1e-12
-    assert len(shaped.breakpoints) <= len(sequence.times) * len(motion.joints.breakpoints)
-    doubled = ShapedTrajectory(ShapedTrajectory(motion.joints, design("zv", [MODE])), design("zv", [MODE]))
-    assert len(doubled.breakpoints) == len(ShapedTrajectory(motion.joints, design("zvd", [MODE])).breakpoints)
 
 
 @pytest.mark.parametrize("name", ["zv", "mzv", "zvdd", "3-hump-ei"])
@@ -167,34 +155,6 @@ def test_shapers_longer_than_the_motion() -> None:
     np.testing.assert_allclose(
         waiting[0, 0], nominal.evaluate(0.5 * nominal.duration, 0)[0, 0], atol=1e-12
     )  # half of the path
-
-
-@pytest.mark.parametrize("profile", [bang_bang(), trapezoidal(0.125)])
-def test_shaped_tasks_make_joint_trajectories(profile: bang_bang | trapezoidal) -> None:
-    """The shaped motion along the path is a motion like any other: the inverse kinematics takes it, angles stay continuous."""
-    nominal = plan(load_scene("barnard2012-6kg"))
-    task = TaskTrajectory(nominal.profiled.path, profile, nominal.duration)
-    joints = JointTrajectory(shape_along_path(task, design("zvd", [MODE])), nominal.kinematics)
-    angles = joints.evaluate(np.linspace(0.0, joints.duration, 500), 0)[0]
-    assert np.max(np.abs(np.diff(angles, axis=0))) < 0.05
-
-
-@pytest.mark.parametrize("name", ["zvd", "um-zv"])
-def test_any_smooth_profile_is_shaped_along_the_path(name: str) -> None:
-    """A profile that is no polynomial is shaped like the others: s(t) = Σ A_i s(t - T_i), by the formula of the cycloid."""
-    nominal = plan(load_scene("barnard2012-6kg"))
-    task = TaskTrajectory(nominal.profiled.path, cycloidal(), nominal.duration)
-    sequence = design(name, [MODE])
-    shaped = shape_along_path(task, sequence)
-    time = np.linspace(0.0, shaped.duration, 333)
-    eta = np.clip((time - np.array(sequence.times)[:, None]) / nominal.duration, 0.0, 1.0)
-    speed, amplitudes = (1.0 - np.cos(2.0 * np.pi * eta)) / nominal.duration, np.array(sequence.amplitudes)
-    found = evaluate_profile(shaped.profile, time / shaped.duration, 1).rescale(1.0 / shaped.duration).derivatives()
-    np.testing.assert_allclose(found[0], amplitudes @ (eta - np.sin(2.0 * np.pi * eta) / (2.0 * np.pi)), atol=1e-14)
-    np.testing.assert_allclose(found[1], amplitudes @ speed, atol=1e-12 * speed.max())
-    assert path_deviation(shaped, task.path) < 1e-15
-    with pytest.raises(TrajectoryError, match="go backwards"):
-        shape_along_path(task, design("um-zv", [Oscillator(0.5)]))
 
 
 def test_two_shapers_along_the_path_are_both_applied(motion: MotionPlan) -> None:

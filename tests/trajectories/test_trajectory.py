@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,22 +29,14 @@ def planned(
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("blend", BLENDS)
-def test_each_derivative_is_the_integral_of_the_next(blend: Blend, profile: Profile) -> None:
+def test_each_derivative_is_the_integral_of_the_next(
+    blend: Blend, profile: Profile, exact_derivatives: Callable[..., None]
+) -> None:
     """Protects every derivative to order 8 and both one-sided limits, by quadrature between breakpoints.
 
     Between the limits at an interval's ends a derivative changes by the integral of the next one.
     """
-    trajectory = planned(blend, profile, height=0.03)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    for start, end in pairwise(trajectory.breakpoints):
-        edges = np.linspace(start, end, 17)
-        half = 0.5 * np.diff(edges)
-        times = edges[:-1] + half * (nodes[:, None] + 1.0)
-        values = trajectory.evaluate(times.ravel(), 8)
-        integrals = np.einsum("n,i,knic->kc", weights, half, values.reshape(9, 40, 16, 2))
-        first, last = (trajectory.evaluate(t, 8, s)[:, 0] for t, s in ((start, "right"), (end, "left")))
-        scale = np.abs(values).max(axis=(1, 2))[:, None] * (end - start)
-        assert np.all(np.abs(last[:-1] - first[:-1] - integrals[1:]) <= 1e-11 * scale[1:] + 1e-15)
+    exact_derivatives(planned(blend, profile, height=0.03), 1e-15)
 
 
 ETA = np.array([0.4, 0.45, 0.55])
