@@ -65,76 +65,51 @@ def bare_cost(drive: str) -> Cost:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect's keys when it is in, when it is out, and what it adds: states and parameters."""
+    """An effect's keys when it is in, when it is out, and what it adds: parameters and states."""
 
     on: dict[str, Any]
     off: dict[str, Any]
-    states: int = 0
     parameters: frozenset[str] = frozenset()
+    states: int = 0
 
 
+def switched(key: str, on: Any, off: Any, *parameters: str) -> Effect:
+    """An effect of one key, which adds parameters."""
+    return Effect({key: on}, {key: off}, frozenset(parameters))
+
+
+def damping(*parameters: str, **keys: Any) -> Effect:
+    """A damping, with its coefficients or with zeros."""
+    none = {key: value if key == "kind" else 0.0 for key, value in keys.items()}
+    return switched("effects.damping", keys, none, *parameters)
+
+
+THICK = {"effects.beam": "euler-bernoulli", "mechanism.material.poissons_ratio": 0.1}
+ELASTIC = {"effects.transmission": {"stiffness": 1e4}, "effects.motor_inertia": 0.1}
+STATIC = {"effects.proximal_axial": 1, "effects.quasi_static": ["proximal_axial"]}
+FRICTION = {"viscous": 0.0, "coulomb": 0.0}
+STICKING = {"kind": "stiction", "coulomb": 1.0}
 EFFECTS = {
     "proximal bending": Effect({"effects.proximal_bending": 2}, {}, states=4),
     "proximal axial": Effect({"effects.proximal_axial": 1}, {"effects.proximal_axial": 0}, states=4),
     "distal bending": Effect({"effects.distal_bending": 1}, {"effects.distal_bending": 0}, states=4),
     "distal axial": Effect({"effects.distal_axial": 2}, {}, states=4),
-    "static proximal axial": Effect(
-        {"effects.proximal_axial": 1, "effects.quasi_static": ["proximal_axial"]}, {"effects.quasi_static": []}
+    "static proximal axial": Effect(STATIC, {"effects.quasi_static": []}),
+    "shear": Effect({"effects.beam": "timoshenko"}, THICK, frozenset({"material.poissons_ratio"})),
+    "foreshortening": switched("effects.foreshortening", True, False),
+    "gravity": switched("effects.gravity", [1.0, 2.0], [0.0, 0.0], "gravity.x", "gravity.y"),
+    "point payload": switched("payload.mass", 1.0, 0.0, "payload.mass"),
+    "payload that turns": switched("payload.inertia", 0.1, 0.0, "payload.inertia"),
+    "modal damping": damping("damping.ratio", kind="modal", ratio=0.1),
+    "stiffness-proportional damping": damping("damping.time", kind="stiffness", time=1e-4),
+    "mass-proportional damping": damping("damping.rate", kind="mass", rate=1.0),
+    "Rayleigh damping": damping("damping.rate", "damping.time", kind="rayleigh", rate=1.0, time=1e-4),
+    "motor inertia": switched("effects.motor_inertia", 0.1, 0.0, "motor_inertia"),
+    "friction": switched("effects.joint_friction", {"viscous": 0.1}, FRICTION, "joint_friction.viscous"),
+    "friction that sticks": switched(
+        "effects.joint_friction", STICKING, {"kind": "stiction"}, "joint_friction.coulomb", "joint_friction.breakaway"
     ),
-    "shear and rotary inertia": Effect(
-        {"effects.beam": "timoshenko"},
-        {"effects.beam": "euler-bernoulli", "mechanism.material.poissons_ratio": 0.1},
-        parameters=frozenset({"material.poissons_ratio"}),
-    ),
-    "foreshortening": Effect({"effects.foreshortening": True}, {"effects.foreshortening": False}),
-    "gravity": Effect(
-        {"effects.gravity": [1.0, 2.0]},
-        {"effects.gravity": [0.0, 0.0]},
-        parameters=frozenset({"gravity.x", "gravity.y"}),
-    ),
-    "point payload": Effect({"payload.mass": 1.0}, {"payload.mass": 0.0}, parameters=frozenset({"payload.mass"})),
-    "payload that turns": Effect(
-        {"payload.inertia": 0.1}, {"payload.inertia": 0.0}, parameters=frozenset({"payload.inertia"})
-    ),
-    "modal damping": Effect(
-        {"effects.damping": {"kind": "modal", "ratio": 0.1}},
-        {"effects.damping": {"kind": "modal", "ratio": 0.0}},
-        parameters=frozenset({"damping.ratio"}),
-    ),
-    "stiffness-proportional damping": Effect(
-        {"effects.damping": {"kind": "stiffness", "time": 1e-4}},
-        {"effects.damping": {"kind": "stiffness", "time": 0.0}},
-        parameters=frozenset({"damping.time"}),
-    ),
-    "mass-proportional damping": Effect(
-        {"effects.damping": {"kind": "mass", "rate": 1.0}},
-        {"effects.damping": {"kind": "mass", "rate": 0.0}},
-        parameters=frozenset({"damping.rate"}),
-    ),
-    "Rayleigh damping": Effect(
-        {"effects.damping": {"kind": "rayleigh", "rate": 1.0, "time": 1e-4}},
-        {"effects.damping": {"kind": "rayleigh", "rate": 0.0, "time": 0.0}},
-        parameters=frozenset({"damping.rate", "damping.time"}),
-    ),
-    "motor inertia": Effect(
-        {"effects.motor_inertia": 0.1}, {"effects.motor_inertia": 0.0}, parameters=frozenset({"motor_inertia"})
-    ),
-    "friction": Effect(
-        {"effects.joint_friction": {"viscous": 0.1}},
-        {"effects.joint_friction": {"viscous": 0.0, "coulomb": 0.0}},
-        parameters=frozenset({"joint_friction.viscous"}),
-    ),
-    "friction that sticks": Effect(
-        {"effects.joint_friction": {"kind": "stiction", "coulomb": 1.0}},
-        {"effects.joint_friction": {"kind": "stiction"}},
-        parameters=frozenset({"joint_friction.coulomb", "joint_friction.breakaway"}),
-    ),
-    "elastic transmissions": Effect(
-        {"effects.transmission": {"stiffness": 1e4}, "effects.motor_inertia": 0.1},
-        {},
-        states=4,
-        parameters=frozenset({"transmission.stiffness", "motor_inertia"}),
-    ),
+    "elastic transmissions": Effect(ELASTIC, {}, frozenset({"transmission.stiffness", "motor_inertia"}), states=4),
 }
 
 
