@@ -357,35 +357,28 @@ def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tupl
     mass = (displacement * weights) @ displacement.T + slenderness.rotary * (rotation * weights) @ rotation.T
     stiffness = (curvature * weights) @ curvature.T + (shear * weights) @ shear.T / slenderness.shear
     _, vectors = eigh(stiffness, mass, subset_by_index=(0, modes - 1))
-    return tuple(
-        _polynomial_shape(_sum(displacements, vector[:count]), _sum(rotations, vector[count:]), mode, tip_held)
-        for mode, vector in enumerate(vectors.T, 1)
-    )
-
-
-def _sum(functions: list[Legendre], factors: RealArray) -> Legendre:
-    return sum((factor * f for factor, f in zip(factors, functions, strict=True)), Legendre([0.0], domain=[0.0, 1.0]))
-
-
-def _polynomial_shape(displacement: Legendre, rotation: Legendre, mode: int, tip_held: bool) -> Shape:
-    """A polynomial shape with unit modal mass and positive curvature at the clamp."""
-    # sign of the curvature at the clamp
-    sign = 1.0 if rotation.deriv()(0.0) > 0.0 else -1.0
-    value, turning = sign * displacement, sign * rotation
-    return Shape(
-        value=_evaluate(value),
-        slope=_evaluate(value.deriv()),
-        rotation=_evaluate(turning),
-        strain=_evaluate(turning.deriv()),
-        tip=0.0 if tip_held else float(value(1.0)),
-        wave_number=float(len(value.coef)),
-        text=(fixed_interface(mode) if tip_held else f"{ordinal(mode)} mode of a clamped beam")
-        + ", with shear and rotary inertia",
-    )
-
-
-def _evaluate(polynomial: Callable[[RealArray], RealArray]) -> Evaluate:
-    return lambda xi: np.asarray(polynomial(xi))
+    # unit modal mass, and positive curvature at the clamp
+    shapes = []
+    for mode, vector in enumerate(vectors.T, 1):
+        value, turning = (
+            sum((factor * f for factor, f in zip(factors, functions, strict=True)), Legendre([0.0], domain=[0.0, 1.0]))
+            for factors, functions in ((vector[:count], displacements), (vector[count:], rotations))
+        )
+        if turning.deriv()(0.0) <= 0.0:
+            value, turning = -value, -turning
+        text = fixed_interface(mode) if tip_held else f"{ordinal(mode)} mode of a clamped beam"
+        shapes.append(
+            Shape(
+                value=value,
+                slope=value.deriv(),
+                rotation=turning,
+                strain=turning.deriv(),
+                tip=0.0 if tip_held else float(value(1.0)),
+                wave_number=float(len(value.coef)),
+                text=f"{text}, with shear and rotary inertia",
+            )
+        )
+    return tuple(shapes)
 
 
 FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
@@ -396,34 +389,22 @@ FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
 )
 """Elastic families: link group and direction of deflection."""
 
-Shapes = Callable[[int], tuple[Shape, ...]]
-"""Number of modes → shapes."""
+_MODES: dict[tuple[Direction, LinkGroup], tuple[Callable[[int], Shape], ...]] = {
+    ("bending", "proximal"): (clamped_free_bending, clamped_pinned_bending),
+    ("bending", "distal"): (pinned_pinned_bending, pinned_pinned_bending),
+    ("axial", "proximal"): (fixed_free_axial, fixed_fixed_axial),
+    ("axial", "distal"): (fixed_free_axial, fixed_fixed_axial),
+}
+"""Family → shapes with a free tip, and with the tip held; the tip of a pinned-pinned link is at rest in both."""
 
 
 def family_shapes(basis: Basis, group: LinkGroup, direction: Direction, modes: int) -> tuple[Shape, ...]:
     """The first `modes` shapes of a family."""
-    return _SHAPES[basis, direction, group](modes)
-
-
-def _vibrations(shape: Callable[[int], Shape]) -> Shapes:
-    return lambda modes: tuple(shape(k) for k in range(1, modes + 1))
-
-
-def _static_and(static: Callable[[], Shape], held: Callable[[int], Shape]) -> Shapes:
-    return lambda modes: (static(), *_vibrations(held)(modes - 1)) if modes else ()
-
-
-_ASSUMED_AXIAL, _STATIC_AXIAL = _vibrations(fixed_free_axial), _static_and(tip_force_axial, fixed_fixed_axial)
-_SHAPES: dict[tuple[Basis, Direction, LinkGroup], Shapes] = {
-    ("assumed-modes", "bending", "proximal"): _vibrations(clamped_free_bending),
-    ("assumed-modes", "bending", "distal"): _vibrations(pinned_pinned_bending),
-    ("assumed-modes", "axial", "proximal"): _ASSUMED_AXIAL,
-    ("assumed-modes", "axial", "distal"): _ASSUMED_AXIAL,
-    ("craig-bampton", "bending", "proximal"): _static_and(tip_force_bending, clamped_pinned_bending),
-    ("craig-bampton", "bending", "distal"): _vibrations(pinned_pinned_bending),
-    ("craig-bampton", "axial", "proximal"): _STATIC_AXIAL,
-    ("craig-bampton", "axial", "distal"): _STATIC_AXIAL,
-}
+    free, held = _MODES[direction, group]
+    if basis == "assumed-modes" or free is held or not modes:
+        return tuple(free(k) for k in range(1, modes + 1))
+    static = tip_force_bending() if direction == "bending" else tip_force_axial()
+    return (static, *(held(k) for k in range(1, modes)))
 
 
 def scene_shapes(scene: Scene) -> dict[tuple[LinkGroup, Direction], tuple[Shape, ...]]:

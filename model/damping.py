@@ -29,10 +29,9 @@ class ModalDamping(StructuralDamping):
     """Modal damping C_ii = 2 ratio sqrt(K_ii M_ii) of every mode of every link."""
 
     note = EffectNote(
-        title="modal damping",
-        sentence="Modal damping C_ii = 2 ratio sqrt(K_ii M_ii) of every mode of every link.",
-        formula="R = ½ ∑ 2ζ √(K_kk M_kk) q̇_k²",
-        contributes=("dissipation R",),
+        "modal damping",
+        "Modal damping C_ii = 2 ratio sqrt(K_ii M_ii) of every mode of every link.",
+        "R = ½ ∑ 2ζ √(K_kk M_kk) q̇_k²",
     )
 
     @classmethod
@@ -77,10 +76,9 @@ class ProportionalDamping(StructuralDamping):
         # the note names these terms
         terms = [(kind, symbol) for kind, symbol, there in (("mass", "αM", rate), ("stiffness", "βK", time)) if there]
         self.note = EffectNote(
-            title=" and ".join(kind for kind, _ in terms) + " proportional damping",
-            sentence="Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh).",
-            formula=f"R = ½ q̇ᵀ ({' + '.join(symbol for _, symbol in terms)}) q̇",
-            contributes=("dissipation R",),
+            " and ".join(kind for kind, _ in terms) + " proportional damping",
+            "Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh).",
+            f"R = ½ q̇ᵀ ({' + '.join(symbol for _, symbol in terms)}) q̇",
         )
 
     def _power(self, family: Family, v: casadi.SX) -> casadi.SX:

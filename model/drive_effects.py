@@ -18,12 +18,7 @@ from flexfmu.model.symbolic import EffectNote
 class MotorInertia(Effect):
     """Inertia of each motor, referred to its joint."""
 
-    note = EffectNote(
-        title="motor inertia",
-        sentence="Inertia of each motor, referred to its joint.",
-        formula="T = ½ J (q̇₁² + q̇₂²)",
-        contributes=("kinetic energy T",),
-    )
+    note = EffectNote("motor inertia", "Inertia of each motor, referred to its joint.", "T = ½ J (q̇₁² + q̇₂²)")
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
@@ -42,12 +37,7 @@ class MotorInertia(Effect):
 class ViscousFriction(Effect):
     """Viscous friction torque at each motor."""
 
-    note = EffectNote(
-        title="viscous friction",
-        sentence="Viscous friction torque at each motor.",
-        formula="R = ½ d (q̇₁² + q̇₂²)",
-        contributes=("dissipation R",),
-    )
+    note = EffectNote("viscous friction", "Viscous friction torque at each motor.", "R = ½ d (q̇₁² + q̇₂²)")
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
@@ -70,10 +60,9 @@ class CoulombFriction(Effect):
     """
 
     note = EffectNote(
-        title="coulomb friction",
-        sentence="Dry friction at each motor, smoothed to the torque coulomb * w / sqrt(w² + velocity²).",
-        formula="R = c ∑ √(w² + q̇_i²)",
-        contributes=("dissipation R",),
+        "coulomb friction",
+        "Dry friction at each motor, smoothed to the torque coulomb * w / sqrt(w² + velocity²).",
+        "R = c ∑ √(w² + q̇_i²)",
     )
 
     @classmethod
@@ -129,10 +118,9 @@ class StickingFriction(Effect):
         self._directions = [registry.switch(f"joint{leg}_slip_direction") for leg in (1, 2)]
         falling = "" if self._velocity is None else " + (b - c) ∫ exp(-(v/w)²) dv"
         self.note = EffectNote(
-            title="sticking friction",
-            sentence="Dry friction that holds each motor up to its breakaway torque, and opposes its slip with less at higher rates.",
-            formula=f"R = ∑ c |q̇_i|{falling}; q̈_i = 0 up to |τ_i| = b",
-            contributes=("dissipation R", "sticking of the motors"),
+            "sticking friction",
+            "Dry friction that holds each motor up to its breakaway torque, and opposes its slip with less at higher rates.",
+            f"R = ∑ c |q̇_i|{falling}; q̈_i = 0 up to |τ_i| = b",
         )
 
     def _torque(self, direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
@@ -165,10 +153,9 @@ class ElasticTransmission(Effect):
     """Spring and damper between each motor and its proximal link."""
 
     note = EffectNote(
-        title="elastic transmission",
-        sentence="Spring and damper between each motor and its proximal link.",
-        formula="V = ½ k ∑ ϑ_i², R = ½ d ∑ ϑ̇_i², where ϑ is link angle minus motor angle",
-        contributes=("twist of the joints", "potential energy V", "dissipation R"),
+        "elastic transmission",
+        "Spring and damper between each motor and its proximal link.",
+        "V = ½ k ∑ ϑ_i², R = ½ d ∑ ϑ̇_i², where ϑ is link angle minus motor angle",
     )
 
     @classmethod

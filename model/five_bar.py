@@ -108,6 +108,25 @@ class FiveBar:
         return replace(self, redundant_force=redundant_force, forces=forces, elastic=elastic, position=position)
 
 
+CONTRIBUTIONS: Mapping[str, str] = {
+    "families": "elastic coordinates",
+    "joint_stiffness": "twist of the joints",
+    "shortening": "shortening of links",
+    "kinetic_energy": "kinetic energy T",
+    "first_moment": "weight",
+    "potential_energy": "potential energy V",
+    "dissipation": "dissipation R",
+    "stiction": "sticking of the motors",
+    "outputs": "outputs",
+}
+"""Hook of an effect → the part of the model to which an effect with a hook of its own contributes."""
+
+
+def _contributions(kind: type[Effect]) -> tuple[str, ...]:
+    """The parts of the model to which effects of a class contribute."""
+    return tuple(part for hook, part in CONTRIBUTIONS.items() if getattr(kind, hook) is not getattr(Effect, hook))
+
+
 @cache
 def effect_classes() -> tuple[type[Effect], ...]:
     """The classes that `flexfmu.model.scene.effects.EFFECTS` names, in its order."""
@@ -165,7 +184,7 @@ def assemble(scene: Scene) -> FiveBar:
         joint_stiffness=joint_stiffness,
         outputs=outputs,
         stiction=tuple(friction for effect in effects for friction in effect.stiction()),
-        notes=tuple(effect.note for effect in effects),
+        notes=tuple(replace(effect.note, contributes=_contributions(type(effect))) for effect in effects),
     )
 
 

@@ -43,10 +43,9 @@ class LinkInertia(Effect):
     """Inertia of the four links with their displacement fields, eqs. (4) to (9) of Barnard, Briot and Caro (2012)."""
 
     note = EffectNote(
-        title="link inertia",
-        sentence="Inertia of the four links with their displacement fields, eqs. (4) to (9) of Barnard, Briot and Caro (2012).",
-        formula="T = ½ ∑ ∫ |Ẋ|² dm, X = B + (x + u) e + w n, u and w the elastic displacements",
-        contributes=("kinetic energy T", "weight"),
+        "link inertia",
+        "Inertia of the four links with their displacement fields, eqs. (4) to (9) of Barnard, Briot and Caro (2012).",
+        "T = ½ ∑ ∫ |Ẋ|² dm, X = B + (x + u) e + w n, u and w the elastic displacements",
     )
 
     @classmethod
@@ -154,10 +153,9 @@ class RotaryInertia(Effect):
     """Rotary inertia of the links' cross sections and shear in their bending, after Timoshenko."""
 
     note = EffectNote(
-        title="rotary inertia",
-        sentence="Rotary inertia of the links' cross sections and shear in their bending, after Timoshenko.",
-        formula="T = ½ ∑ ∫ ρI (θ̇ + ψ̇)² dx, where ψ is the turning of the section against the frame",
-        contributes=("kinetic energy T",),
+        "rotary inertia",
+        "Rotary inertia of the links' cross sections and shear in their bending, after Timoshenko.",
+        "T = ½ ∑ ∫ ρI (θ̇ + ψ̇)² dx, where ψ is the turning of the section against the frame",
     )
 
     @classmethod
@@ -237,10 +235,9 @@ class ElasticFamily(Effect):
         bends = direction == "bending"
         energy = "EA u′²" if not bends else "EI w″²" if thick is None else "EI ψ′² + kGA (w′ − ψ)²"
         self.note = EffectNote(
-            title=f"{group} {'bending' if bends else 'elongation'}",
-            sentence=f"Elasticity of the {group} links, {direction}: {len(shapes)} mode(s) {how}.",
-            formula=f"V = ½ qᵀ K q = ½ ∑ ∫ {energy} dx",
-            contributes=("elastic coordinates", "potential energy V", "outputs"),
+            f"{group} {'bending' if bends else 'elongation'}",
+            f"Elasticity of the {group} links, {direction}: {len(shapes)} mode(s) {how}.",
+            f"V = ½ qᵀ K q = ½ ∑ ∫ {energy} dx",
         )
 
     def families(self) -> tuple[Family, ...]:
@@ -293,10 +290,9 @@ class Foreshortening(Effect):
     """Second-order shortening of bending links: geometric stiffening by rotation, payload, gravity and joint forces."""
 
     note = EffectNote(
-        title="foreshortening",
-        sentence="Second-order shortening of links that bend: geometric stiffening by rotation, payload, gravity and joint forces.",
-        formula="u = −1/(2l) ∑ ∫ φ_j′ φ_k′ dξ q_j q_k",
-        contributes=("shortening of links", "kinetic energy T", "weight"),
+        "foreshortening",
+        "Second-order shortening of links that bend: geometric stiffening by rotation, payload, gravity and joint forces.",
+        "u = −1/(2l) ∑ ∫ φ_j′ φ_k′ dξ q_j q_k",
     )
 
     @classmethod

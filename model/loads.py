@@ -16,12 +16,7 @@ from flexfmu.model.symbolic import EffectNote
 class PointPayload(Effect):
     """Point mass at the end effector."""
 
-    note = EffectNote(
-        title="point payload",
-        sentence="Point mass at the end effector.",
-        formula="T = ½ m |Ẋ|²",
-        contributes=("kinetic energy T", "weight"),
-    )
+    note = EffectNote("point payload", "Point mass at the end effector.", "T = ½ m |Ẋ|²")
 
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
@@ -49,10 +44,9 @@ class PayloadInertia(Effect):
     """
 
     note = EffectNote(
-        title="payload inertia",
-        sentence="Rotary inertia of the payload, which turns with the last cross section of link 12.",
-        formula="T = ½ J ω², where ω is the rate of the section",
-        contributes=("kinetic energy T",),
+        "payload inertia",
+        "Rotary inertia of the payload, which turns with the last cross section of link 12.",
+        "T = ½ J ω², where ω is the rate of the section",
     )
 
     @classmethod
@@ -79,10 +73,9 @@ class Gravity(Effect):
     """Uniform gravity of any direction in the plane, eq. (14) of Barnard, Briot and Caro (2012)."""
 
     note = EffectNote(
-        title="gravity",
-        sentence="Uniform gravity of any direction in the plane, eq. (14) of Barnard, Briot and Caro (2012).",
-        formula="V = −g · ∑ ∫ X dm",
-        contributes=("potential energy V",),
+        "gravity",
+        "Uniform gravity of any direction in the plane, eq. (14) of Barnard, Briot and Caro (2012).",
+        "V = −g · ∑ ∫ X dm",
     )
 
     @classmethod

@@ -103,7 +103,7 @@ class EffectNote:
         title: name of the effect.
         sentence: description in one sentence.
         formula: energy or dissipation function as text; may be empty.
-        contributes: parts of the model that the effect contributes to.
+        contributes: parts of the model that the effect contributes to; they follow from its hooks.
     """
 
     title: str

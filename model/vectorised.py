@@ -17,23 +17,15 @@ CHUNK = 4096
 """Points that are evaluated together, for the sake of memory."""
 
 
-def _twice(x: RealArray, out: RealArray) -> None:
-    np.add(x, x, out=out)
-
-
-def _nonzero_or_zero(condition: RealArray, x: RealArray, out: RealArray) -> None:
-    out[:] = np.where(condition != 0.0, x, 0.0)
-
-
 OPERATIONS: dict[int, Callable[..., Any]] = {
     casadi.OP_ADD: np.add, casadi.OP_SUB: np.subtract, casadi.OP_MUL: np.multiply, casadi.OP_DIV: np.divide,
     casadi.OP_NEG: np.negative, casadi.OP_SQ: np.square, casadi.OP_SQRT: np.sqrt, casadi.OP_INV: np.reciprocal,
-    casadi.OP_TWICE: _twice, casadi.OP_SIN: np.sin, casadi.OP_COS: np.cos, casadi.OP_TAN: np.tan, casadi.OP_EXP: np.exp,
+    casadi.OP_TWICE: lambda x, out: np.add(x, x, out=out), casadi.OP_SIN: np.sin, casadi.OP_COS: np.cos, casadi.OP_TAN: np.tan, casadi.OP_EXP: np.exp,
     casadi.OP_LOG: np.log, casadi.OP_TANH: np.tanh, casadi.OP_ATAN: np.arctan, casadi.OP_ASIN: np.arcsin,
     casadi.OP_ACOS: np.arccos, casadi.OP_SINH: np.sinh, casadi.OP_COSH: np.cosh, casadi.OP_ATAN2: np.arctan2, casadi.OP_POW: np.power, casadi.OP_CONSTPOW: np.power,
     casadi.OP_FABS: np.abs, casadi.OP_SIGN: np.sign, casadi.OP_FMIN: np.fmin, casadi.OP_FMAX: np.fmax,
     casadi.OP_ASSIGN: np.positive, casadi.OP_LT: np.less, casadi.OP_LE: np.less_equal, casadi.OP_EQ: np.equal,
-    casadi.OP_NE: np.not_equal, casadi.OP_AND: np.logical_and, casadi.OP_OR: np.logical_or, casadi.OP_NOT: np.logical_not, casadi.OP_IF_ELSE_ZERO: _nonzero_or_zero,
+    casadi.OP_NE: np.not_equal, casadi.OP_AND: np.logical_and, casadi.OP_OR: np.logical_or, casadi.OP_NOT: np.logical_not, casadi.OP_IF_ELSE_ZERO: lambda condition, x, out: np.copyto(out, np.where(condition != 0.0, x, 0.0)),
 }  # fmt: skip
 """CasADi's operation → function of arrays with ``out``."""
 

@@ -65,16 +65,6 @@ class Trajectory(Protocol):
 
 
 @runtime_checkable
-class Periodic(Protocol):
-    """A trajectory that repeats: after a period it has the same limits, strictly between 0 and its duration."""
-
-    @property
-    def period(self) -> float:
-        """Period [s]."""
-        ...
-
-
-@runtime_checkable
 class HasLimits(Protocol):
     """A trajectory that evaluates left limits at some times and right limits at others in one call."""
 

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray, SlaveVari
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, tabulate
 from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.trajectory import Periodic, Trajectory, limits
+from flexfmu.trajectories.trajectory import Trajectory, limits
 
 HERMITE_ORDER = 9
 """Degree of the Hermite polynomial through value and four derivatives at both ends of a step."""
@@ -102,7 +102,8 @@ class TrajectorySlave:
 
     Attributes:
         trajectory: the streamed trajectory.
-        period: period of the trajectory [s]; 0 if it doesn't repeat.
+        period: period of the trajectory [s], after which it has the same limits, strictly between 0 and its duration; 0 if it doesn't
+            repeat.
 
     Raises:
         InputError: the order isn't 0 to 9.
@@ -130,7 +131,7 @@ class TrajectorySlave:
     def follow(self, trajectory: Trajectory) -> None:
         """Stream this trajectory from the next run on."""
         self.trajectory = trajectory
-        self.period = trajectory.period if isinstance(trajectory, Periodic) else 0.0
+        self.period = float(getattr(trajectory, "period", 0.0))
         self.__dict__.pop("_tabulated", None)
         # the current points; their table and others; the next point, and the current values
         self._times = self._now = np.empty(0)

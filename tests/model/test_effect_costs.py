@@ -12,11 +12,8 @@ from typing import Any
 import pytest
 
 from flexfmu.fmu_build.codegen import generate_functions
-from flexfmu.model.beams import LinkGroup
 from flexfmu.model.effects import Effect as Base
-from flexfmu.model.effects import EffectContext
 from flexfmu.model.five_bar import effect_classes
-from flexfmu.model.parameters import ParameterRegistry, link_properties, mechanism_parameters
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -151,33 +148,6 @@ def test_the_papers_model_stays_small() -> None:
     assert model.functions["residual"].n_instructions() <= 953
     assert model.functions["mass_matrix"].n_instructions() <= 1195
     assert model.functions["outputs"].n_instructions() <= 747
-
-
-CONTRIBUTIONS = {
-    "families": "elastic coordinates",
-    "joint_stiffness": "twist of the joints",
-    "shortening": "shortening of links",
-    "kinetic_energy": "kinetic energy T",
-    "first_moment": "weight",
-    "potential_energy": "potential energy V",
-    "dissipation": "dissipation R",
-    "stiction": "sticking of the motors",
-    "outputs": "outputs",
-}
-"""Hook of an effect → what its note says if it has one of its own."""
-
-
-@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS.keys())
-def test_the_note_says_what_an_effect_contributes(effect: Effect) -> None:
-    """The documentation of an FMU names the parts of the model to which each effect contributes."""
-    scene, registry = bare("torque").replace(effect.on), ParameterRegistry()
-    parameters = mechanism_parameters(registry, scene.mechanism)
-    groups: tuple[LinkGroup, ...] = ("proximal", "distal")
-    links = {group: link_properties(registry, group, parameters) for group in groups}
-    context = EffectContext(scene, registry, links)
-    for each in (found for kind in effect_classes() for found in kind.from_scene(context)):
-        own = [text for hook, text in CONTRIBUTIONS.items() if getattr(type(each), hook) is not getattr(Base, hook)]
-        assert list(each.note.contributes) == own, each.note.title
 
 
 def test_every_effect_is_registered() -> None:

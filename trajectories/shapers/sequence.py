@@ -228,21 +228,15 @@ class ImpulseSequence:
         positive("sample time", sample_time, "s")
         shares: dict[int, float] = {}
         for time, amplitude in zip(self.times, self.amplitudes, strict=True):
-            # add impulses at the same sample
-            sample, later = sample_share(time, sample_time)
+            # an impulse within rounding of a sample belongs to that sample alone; impulses at the same sample are added
+            position = time / sample_time
+            sample = math.floor(position + SAME_IMPULSE * max(position, 1.0))
+            later = max(position - sample, 0.0)
             for index, share in ((sample, 1.0 - later), (sample + 1, later)):
                 if share:
                     shares[index] = shares.get(index, 0.0) + share * amplitude
         indices = sorted(shares)
         return ImpulseSequence(tuple(i * sample_time for i in indices), tuple(shares[i] for i in indices))
-
-
-def sample_share(time: float, sample_time: float) -> tuple[int, float]:
-    """Return the index of the sample at or before a time [s], and the share (0 to 1) of an impulse that the next sample gets."""
-    # an impulse within rounding of a sample belongs to that sample alone
-    position = time / sample_time
-    sample = math.floor(position + SAME_IMPULSE * max(position, 1.0))
-    return sample, max(position - sample, 0.0)
 
 
 def _numbers(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
