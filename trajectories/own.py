@@ -9,7 +9,6 @@ Source: L. N. Trefethen, *Approximation Theory and Approximation Practice*, SIAM
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from itertools import pairwise
 from math import comb
 from typing import Any, Protocol, cast
@@ -42,6 +41,19 @@ SAMPLES = 200
 
 AT_REST = 1e-6
 """Velocity relative to the largest one, below which the motion is at rest at its ends and does not jump at breakpoints."""
+
+
+_COARSE = chebyshev.chebvander(NODES, len(NODES) // 2)
+PREDICTION = _COARSE @ np.linalg.inv(_COARSE[::2])
+"""Matrix from values at every other node to those of their polynomial at all nodes."""
+
+CHEBYSHEV = np.linalg.inv(chebyshev.chebvander(NODES, len(NODES) - 1))[: DEGREE + 1]
+"""Matrix from values at the nodes to Chebyshev coefficients up to `DEGREE`; higher ones hold rounding errors."""
+
+_POWERS = np.array([np.pad(chebyshev.cheb2poly(row), (0, DEGREE - k)) for k, row in enumerate(np.eye(DEGREE + 1))])
+_SHIFT = [[comb(j, k) * (-1.0) ** (j - k) for j in range(DEGREE + 1)] for k in range(DEGREE + 1)]
+TAYLOR = np.array(_SHIFT) @ _POWERS.T
+"""Matrix from Chebyshev coefficients to Taylor coefficients about -1, powers of x = u - 1 in powers of u; whole numbers."""
 
 
 class OwnMotion(Protocol):
@@ -137,11 +149,10 @@ def _pieces(
     first = values[0]
     values = values - first
     # every other node predicts those between them
-    error = abs(_predicted() @ values[::2] - values).max()
+    error = abs(PREDICTION @ values[::2] - values).max()
     if error <= accuracy:
         # Chebyshev coefficients first: rounding errors of the highest stay as small as these
-        fitted, shift = _chebyshev(), _taylor()
-        coefficients = (shift @ (fitted @ values)) * half ** -np.arange(DEGREE + 1.0)[:, np.newaxis]
+        coefficients = (TAYLOR @ (CHEBYSHEV @ values)) * half ** -np.arange(DEGREE + 1.0)[:, np.newaxis]
         coefficients[0] += first
         return [(begin, coefficients)]
     middle = begin + half
@@ -152,30 +163,6 @@ def _pieces(
         )
     both = ((begin, middle), (middle, end))
     return [piece for left, right in both for piece in _pieces(sampled, left, right, accuracy, shortest)]
-
-
-@cache
-def _predicted() -> RealArray:
-    """Return the matrix from values at every other node to those of their polynomial at all nodes."""
-    coarse = len(NODES) // 2
-    every = chebyshev.chebvander(NODES, coarse)
-    return np.asarray(every @ np.linalg.inv(every[::2]))
-
-
-@cache
-def _chebyshev() -> RealArray:
-    """Return the matrix from values at the nodes to Chebyshev coefficients up to `DEGREE`; higher ones hold rounding errors."""
-    return np.asarray(np.linalg.inv(chebyshev.chebvander(NODES, len(NODES) - 1))[: DEGREE + 1])
-
-
-@cache
-def _taylor() -> RealArray:
-    """Return the matrix from Chebyshev coefficients to Taylor coefficients about -1; whole numbers."""
-    rows = map(chebyshev.cheb2poly, np.eye(DEGREE + 1))
-    powers = np.array([np.append(row, np.zeros(DEGREE + 1 - len(row))) for row in rows])
-    # powers of x = u - 1 in powers of u
-    shift = [[comb(j, k) * (-1.0) ** (j - k) for j in range(DEGREE + 1)] for k in range(DEGREE + 1)]
-    return np.asarray(np.array(shift) @ powers.T)
 
 
 def _check_velocity(motion: PiecewisePolynomial) -> None:

@@ -96,7 +96,7 @@ def _read(file: Path, coordinates: Coordinates | None, changed: int, size: int) 
         rows = _rows(stream.read())
     line, header = next(rows, (1, []))
     where = f"{file}, line {line}"
-    names = [_column(name, where) for name in header]
+    names = [_column(name, _UNITS, where) for name in header]
     if any(".reference." in each for each in header):
         # measured angles beside the references are what came of them
         names = [
@@ -144,10 +144,12 @@ def read_signal(path: str | Path, column: str, unit: str) -> tuple[RealArray, Re
         raise TrajectoryError(f"can't read {file}: {reason}") from None
     rows = _rows(text)
     line, header = next(rows, (1, []))
-    places = [
-        _place(header, names, unit, f"{file}, line {line}") for names, unit in ((("time", "t"), "s"), ((column,), unit))
-    ]
-    lines, found = _numbers(file, rows, len(header), [(header[place], place) for place in places])
+    where = f"{file}, line {line}"
+    names = [_column(each, {"time": "s", column: unit}, where) for each in header]
+    for name, wanted in (("time", "s"), (column, unit)):
+        if name not in names:
+            raise TrajectoryError(f"{where}: there is no column {name} [{wanted}]; columns: {', '.join(header)}")
+    lines, found = _numbers(file, rows, len(header), [(name, names.index(name)) for name in ("time", column)])
     if not found:
         raise TrajectoryError(f"{file} has no rows below its header")
     for line, ((before, _), (now, _)) in zip(lines[1:], pairwise(found), strict=True):
@@ -155,22 +157,6 @@ def read_signal(path: str | Path, column: str, unit: str) -> tuple[RealArray, Re
             raise TrajectoryError(f"{file}, line {line}: {now} s comes after {before} s; times have to ascend")
     times, values = np.array(found).T
     return times, values
-
-
-def _place(header: Sequence[str], names: Sequence[str], unit: str, where: str) -> int:
-    """Where a column with one of these names is.
-
-    Raises:
-        TrajectoryError: there is none, or it is in another unit.
-    """
-    for place, each in enumerate(header):
-        found = _HEADER.fullmatch(each)
-        name, stated = (found["name"], _plain(found["unit"])) if found else (each, unit)
-        if each in names or name in names:
-            if unit and each not in names and stated != unit:
-                raise TrajectoryError(f"{where}: column {name} is in {stated}; convert it to {unit}")
-            return place
-    raise TrajectoryError(f"{where}: there is no column {names[0]} [{unit}]; columns: {', '.join(header)}")
 
 
 def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -183,28 +169,24 @@ def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
             yield number, [cell.strip() for cell in cells]
 
 
-def _column(header: str, where: str) -> str:
-    """The name of a column; of other columns the header as it is.
+def _column(header: str, units: Mapping[str, str], where: str) -> str:
+    """The name of a column with one of these units; of other columns the header as it is.
 
     Raises:
-        TrajectoryError: a known column has another unit.
+        TrajectoryError: the column has another unit.
     """
-    found = _HEADER.fullmatch(header)
-    name, unit = (found["name"], found["unit"].strip()) if found else (header, None)
-    name = ALIASES.get(name, name)
-    expected = _UNITS.get(name)
-    if expected is None:
+    if header in units:
         return header
-    if unit is not None and _plain(unit) != expected:
-        raise TrajectoryError(
-            f"{where}: column {name} is in {unit}; convert it to {expected}, all columns are in SI units"
-        )
+    found = _HEADER.fullmatch(header)
+    name = found["name"] if found else header
+    name = name if name in units else ALIASES.get(name, name)
+    if name not in units:
+        return header
+    # a unit with powers as plain digits
+    unit = found["unit"].strip().replace("^", "").replace("²", "2").replace("³", "3") if found else units[name]
+    if units[name] and unit != units[name]:
+        raise TrajectoryError(f"{where}: column {name} is in {unit}; convert it to {units[name]}")
     return name
-
-
-def _plain(unit: str) -> str:
-    """A unit with powers as plain digits."""
-    return unit.strip().replace("^", "").replace("²", "2").replace("³", "3")
 
 
 def _chosen(names: Sequence[str], wanted: Coordinates | None, where: str) -> Coordinates:
