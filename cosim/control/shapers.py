@@ -1,13 +1,11 @@
-"""Input shapers of a loop: the impulse sequences of the scene file, the signals that they shape, and the block for sampled signals.
+"""Input shapers of a loop: the impulse sequences of the scene file, and the block for sampled signals.
 
 The block is an FIR filter; an impulse between two samples is split over both, not rounded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi
 import numpy as np
@@ -95,63 +93,41 @@ SHAPED = "shaped."
 """Prefix of the outputs' names."""
 
 
-@dataclass(frozen=True)
-class ShapedSignal:
-    """A signal to shape.
-
-    Attributes:
-        name, unit: of the input; the output is named ``shaped.<name>``.
-        before: value before the first sample: ``held`` for that of the first sample, as for the position of a robot at
-            rest, or ``zero``, as for its velocity and acceleration.
-    """
-
-    name: str
-    unit: str
-    before: Literal["held", "zero"]
-
-
-JOINT_REFERENCES = tuple(
-    ShapedSignal(f"joint{joint}.reference.{kind}", unit, "held" if kind == "position" else "zero")
+JOINT_REFERENCES = {
+    f"joint{joint}.reference.{kind}": unit
     for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s2"))
     for joint in (1, 2)
-)
-"""Reference position, velocity and acceleration of both joints."""
+}
+"""Signals that a shaper shapes → unit: position, velocity and acceleration of both joints."""
 
 
 def shaper_block(
-    sequence: ImpulseSequence,
-    sample_time: float,
-    signals: Sequence[ShapedSignal] = JOINT_REFERENCES,
-    *,
-    offset: float = 0.0,
-    name: str = "shaper",
+    sequence: ImpulseSequence, sample_time: float, *, offset: float = 0.0, name: str = "shaper"
 ) -> SymbolicBlock:
     """Build the block y_k = Σ w_i u_{k-i}; the weights w_i are the impulses, split over the samples.
 
-    Inputs are named like the signals, outputs ``shaped.<name>``. The delay line stores each signal's difference from
-    its value before the first sample, so it starts from zero at any start pose.
+    Inputs are named like the signals, outputs ``shaped.<name>``. Before the first sample the robot rests: positions have their first
+    value, velocities and accelerations are zero. The delay line stores each signal's difference from that value, so it starts from
+    zero at any start pose.
 
     Args:
         sequence: impulses.
         sample_time, offset: [s].
-        signals: signals to shape, each by itself.
         name: name of the block.
 
     Raises:
-        InputError: there is no signal, the sample time or offset is out of range, or the delay line is too long.
+        InputError: the sample time or offset is out of range, or the delay line is too long.
     """
     check_sampling(sample_time, offset, name)
-    if not signals:
-        raise InputError(f"{name}: a shaper needs at least one signal to shape")
-    weights = _weights(sequence, sample_time, name)
-    length, held = len(weights) - 1, [signal.before == "held" for signal in signals]
+    signals, weights = JOINT_REFERENCES, _weights(sequence, sample_time, name)
+    length, held = len(weights) - 1, [signal.endswith("position") for signal in signals]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # difference of each signal from its value before the first sample
         lines, kept, started = casadi.vertsplit(x, [0, length * len(signals), x.numel() - 1, x.numel()])
         first = [value for value, keep in zip(casadi.vertsplit(u), held, strict=True) if keep]
         origins = casadi.if_else(started, kept, casadi.vertcat(casadi.SX(0, 1), *first))
-        rows = iter(casadi.vertsplit(origins)) if any(held) else iter(())
+        rows = iter(casadi.vertsplit(origins))
         origin = casadi.vertcat(*(next(rows) if each else casadi.SX(0) for each in held))
         difference = u - origin
         # weighted sum of present and past differences
@@ -165,8 +141,8 @@ def shaper_block(
         equations,
         sample_time=sample_time,
         offset=offset,
-        inputs=[Variable(s.name, s.unit, f"{s.name} before shaping", "input", 0.0) for s in signals],
-        outputs=[Variable(SHAPED + s.name, s.unit, f"{s.name} after shaping", "output") for s in signals],
+        inputs=[Variable(each, unit, f"{each} before shaping", "input", 0.0) for each, unit in signals.items()],
+        outputs=[Variable(SHAPED + each, unit, f"{each} after shaping", "output") for each, unit in signals.items()],
         states=np.zeros(length * len(signals) + sum(held) + 1).tolist(),
     )
 

@@ -19,9 +19,8 @@ from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism
-from flexfmu.model.scene.motion import TrajectorySection
+from flexfmu.model.scene.motion import TableSection, TrajectorySection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.curves import Point, Side
 from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import RealArray

@@ -10,7 +10,7 @@ import numpy as np
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.assembly import bases, end_effector, motor_angles
 from flexfmu.model.scene.mechanism import Mechanism
-from flexfmu.model.scene.table import TableSection
+from flexfmu.model.scene.motion import TableSection
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet, RealArray
 from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory, check_margins

@@ -21,9 +21,10 @@ from flexfmu.model.scene.section import (
     as_tuple,
     named_kind,
     quantity,
+    tuples,
 )
 
-Matrix = Annotated[tuple[Annotated[tuple[float, ...], BeforeValidator(as_tuple)], ...], BeforeValidator(as_tuple)]
+Matrix = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(tuples)]
 SignalNames = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
 TorqueLimit = Annotated[PositivePerJoint | None, quantity("N.m")]
 
@@ -265,11 +266,6 @@ class DisturbanceObserverSection(SampledSection):
 Responses = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]
 
 
-def _tuples(value: Any) -> Any:
-    """Lists at all levels as tuples."""
-    return tuple(map(_tuples, value)) if isinstance(value, (list, tuple)) else value
-
-
 def _cut_off(value: Any) -> Any:
     """A cut-off, or a word for one."""
     if value in ("auto", "none", None) or (
@@ -304,7 +300,7 @@ class LearningSection(SampledSection):
     payload_error: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
     regularisation: Annotated[float, quantity("1", gt=0.0)] = 1e-3
     payload: Annotated[NotNegative | None, quantity("kg")] = None
-    response: Annotated[Responses | None, BeforeValidator(_tuples), quantity("rad/(N.m)")] = None
+    response: Annotated[Responses | None, BeforeValidator(tuples), quantity("rad/(N.m)")] = None
 
     @model_validator(mode="after")
     def _keys_fit_the_law(self) -> Self:

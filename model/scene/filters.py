@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from flexfmu.model.scene.imperfections import SignalSection
-from flexfmu.model.scene.section import NotNegative, Positive, quantity
+from flexfmu.model.scene.section import NotNegative, Positive, as_tuple, quantity
 
 MODE = re.compile(r"(mode|resonance) ([1-9]\d*)")
 """Names of frequencies: of the robot with its motors locked, or free."""
@@ -20,14 +20,8 @@ def _mode(name: str) -> str:
     return name
 
 
-def _coefficients(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
 Hertz = Annotated[Positive, quantity("Hz")]
-Coefficients = Annotated[
-    tuple[float, ...], BeforeValidator(_coefficients), Field(min_length=1, max_length=3), quantity("1")
-]
+Coefficients = Annotated[tuple[float, ...], BeforeValidator(as_tuple), Field(min_length=1, max_length=3), quantity("1")]
 
 
 class FilterSection(SignalSection):

@@ -1,4 +1,4 @@
-"""The section `trajectory`: the path, its blends, and the motion along it."""
+"""The section `trajectory`: the path, its blends, and the motion along it; or a motion from a CSV file (`kind = "table"`)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,18 @@ import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
-from pydantic import BeforeValidator, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    PrivateAttr,
+    SerializationInfo,
+    SerializerFunctionWrapHandler,
+    create_model,
+    model_serializer,
+    model_validator,
+)
 
+from flexfmu.model.scene.loop import from_scene_file
 from flexfmu.model.scene.mechanism import Length
 from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
 from flexfmu.trajectories.blends import BLENDS
@@ -66,6 +76,8 @@ def _field(parameter: Parameter | Coefficients) -> Any:
 
 # kinds and keys follow from the tables, which a type checker can't evaluate
 if TYPE_CHECKING:
+    from flexfmu.trajectories.table import MotionTable
+
     BlendName: TypeAlias = str
     Profile: TypeAlias = ProfileSection
 else:
@@ -174,3 +186,50 @@ def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[
     """The path, cached."""
     kind, *extent = corner
     return PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))
+
+
+class TableSection(MotionSection):
+    """A spline through the rows of a CSV file: times and positions, with or without derivatives; then a standstill of `dwell`.
+
+    `file` is relative to the scene file's folder. `coordinates` is what to read if the file has both. `degree` is that of the
+    spline, by default 5, with jerks 7. `noise` is the standard deviation of measured positions, [m] or [rad]: the spline passes
+    them at that distance. `duration` makes the motion faster or slower; by default it is that of the file.
+    """
+
+    kind: Literal["table"]
+    file: Annotated[str, AfterValidator(from_scene_file)]
+    coordinates: Literal["end-effector", "joints"] | None = None
+    degree: Literal[3, 5, 7] | None = None
+    noise: Annotated[float | None, quantity("m or rad", gt=0.0)] = None
+    duration: Seconds = 0.0
+    _table: MotionTable = PrivateAttr()
+
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        from flexfmu.trajectories.table_file import read_table  # which few scenes need
+
+        self._table = read_table(self.file, self.coordinates)
+        self._table.degree(self.degree, self.noise)
+        if self.references is not None and self._table.coordinates == "joints":
+            raise ValueError(
+                f'`references = "flexible"` needs a motion of the end effector, but {self.file} is one of the joints, which are '
+                "references already: leave out `references`"
+            )
+        if "duration" not in self.model_fields_set:
+            self.__dict__["duration"] = self._table.duration
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_the_duration_of_the_file(
+        self, serialize: SerializerFunctionWrapHandler, info: SerializationInfo
+    ) -> Any:
+        data = serialize(self)
+        # another file has another duration
+        if info.mode == "python" and "duration" not in self.model_fields_set:
+            data.pop("duration", None)
+        return data
+
+    @property
+    def table(self) -> MotionTable:
+        """Rows of the file."""
+        return self._table

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.section import NotNegative, Positive, Section, for_both, quantity
+from flexfmu.model.scene.section import NotNegativePerJoint, PositivePerJoint, Section, for_both, quantity
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 """Above 0, at most 1."""
@@ -41,10 +41,6 @@ class Motor:
     name: str = ""
 
 
-def _for_both_if_given(value: Any) -> Any:
-    return None if value is None else for_both(value)
-
-
 def _names_for_both(value: Any) -> Any:
     return (value, value) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
 
@@ -52,18 +48,14 @@ def _names_for_both(value: Any) -> Any:
 class MotorSection(Section):
     """Motor and gear of each joint: one value for both joints or a list of two; see `Motor`."""
 
-    continuous_torque: Annotated[tuple[Positive, Positive], BeforeValidator(for_both), quantity("N.m")]
-    peak_torque: Annotated[tuple[Positive, Positive], BeforeValidator(for_both), quantity("N.m")]
-    maximum_speed: Annotated[tuple[Positive, Positive], BeforeValidator(for_both), quantity("rad/s")]
-    rotor_inertia: Annotated[tuple[NotNegative, NotNegative], BeforeValidator(for_both), quantity("kg.m2")] = (0.0, 0.0)
-    gear_ratio: Annotated[tuple[Positive, Positive], BeforeValidator(for_both), quantity("1")] = (1.0, 1.0)
+    continuous_torque: Annotated[PositivePerJoint, quantity("N.m")]
+    peak_torque: Annotated[PositivePerJoint, quantity("N.m")]
+    maximum_speed: Annotated[PositivePerJoint, quantity("rad/s")]
+    rotor_inertia: Annotated[NotNegativePerJoint, quantity("kg.m2")] = (0.0, 0.0)
+    gear_ratio: Annotated[PositivePerJoint, quantity("1")] = (1.0, 1.0)
     gear_efficiency: Annotated[tuple[Fraction, Fraction], BeforeValidator(for_both), quantity("1")] = (1.0, 1.0)
-    torque_constant: Annotated[
-        tuple[Positive, Positive] | None, BeforeValidator(_for_both_if_given), quantity("N.m/A")
-    ] = None
-    winding_resistance: Annotated[
-        tuple[Positive, Positive] | None, BeforeValidator(_for_both_if_given), quantity("Ohm")
-    ] = None
+    torque_constant: Annotated[PositivePerJoint | None, quantity("N.m/A")] = None
+    winding_resistance: Annotated[PositivePerJoint | None, quantity("Ohm")] = None
     name: Annotated[tuple[str, str], BeforeValidator(_names_for_both)] = ("", "")
 
     @model_validator(mode="after")

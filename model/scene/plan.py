@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.section import NotNegative, Positive, SecondsOrZero, Section, as_tuple, quantity
+from flexfmu.model.scene.section import NotNegative, Positive, SecondsOrZero, Section, as_tuple, quantity, tuples
 
 Aim = Literal["time", "torque", "rms_torque", "energy", "residual"]
 """What a plan minimises."""
@@ -21,19 +21,11 @@ class Ratio(Section):
     ratio: Annotated[float, quantity("1", gt=0.0)]
 
 
-def _polygon(value: Any) -> Any:
-    return (
-        tuple(tuple(point) if isinstance(point, list) else point for point in value)
-        if isinstance(value, list)
-        else value
-    )
-
-
 class BoxRegion(Section):
     """A rectangle with its sides along x and y, between two opposite corners."""
 
     kind: Literal["box"]
-    corners: Annotated[tuple[tuple[float, float], tuple[float, float]], BeforeValidator(_polygon), quantity("m")]
+    corners: Annotated[tuple[tuple[float, float], tuple[float, float]], BeforeValidator(tuples), quantity("m")]
 
     @model_validator(mode="after")
     def _has_an_area(self) -> Self:
@@ -54,7 +46,7 @@ class PolygonRegion(Section):
     """A polygon by its corners, in any sense of rotation."""
 
     kind: Literal["polygon"]
-    points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(_polygon), Field(min_length=3), quantity("m")]
+    points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(tuples), Field(min_length=3), quantity("m")]
 
     @model_validator(mode="after")
     def _has_an_inside(self) -> Self:

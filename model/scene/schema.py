@@ -22,12 +22,11 @@ from flexfmu.model.scene.keys import set_value
 from flexfmu.model.scene.loop import FOLDER, ObjectSection, as_parts
 from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.messages import sentences
-from flexfmu.model.scene.motion import TrajectorySection, with_kind
+from flexfmu.model.scene.motion import TableSection, TrajectorySection, with_kind
 from flexfmu.model.scene.motor import MotorSection, one_table
 from flexfmu.model.scene.plan import PlanSection
 from flexfmu.model.scene.section import Section, as_tuple
 from flexfmu.model.scene.shapers import ShaperSection
-from flexfmu.model.scene.table import TableSection
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.curves import Point

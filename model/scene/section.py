@@ -39,6 +39,11 @@ def as_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
+def tuples(value: Any) -> Any:
+    """Lists at all levels as tuples."""
+    return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
+
+
 def named_kind(value: Any) -> Any:
     """The table `{ kind = value }` for a text: a table with `kind` alone may be written as this text."""
     return {"kind": value} if isinstance(value, str) else value

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
-from typing import Any, Required, TypedDict
+from typing import Any
 
 import casadi
 import numpy as np
@@ -21,18 +21,6 @@ Vector = Any
 
 Equations = Callable[[Vector, Vector, Vector], tuple[Vector, Vector]]
 """(x, u, p) → (y, next x), all column vectors."""
-
-
-class BlockOptions(TypedDict, total=False):
-    """What every function that makes a block takes beside its own arguments.
-
-    ``sample_time`` is the time between samples and ``offset`` the first sample instant [s]; ``name`` is the block's name, by default that of
-    its kind.
-    """
-
-    sample_time: Required[float]
-    offset: float
-    name: str
 
 
 def block(
@@ -58,7 +46,9 @@ def block(
     Args:
         kind, description: of the block.
         equations: (x, u, p) → (y, next x); called once, with symbols.
-        sample_time, offset, name: see `BlockOptions`.
+        sample_time: time between samples [s].
+        offset: first sample instant [s].
+        name: of the block, by default that of its kind.
         instants: further sample instants [s]; with an infinite sample time there are no others.
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of x.

@@ -18,8 +18,8 @@ from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
+from flexfmu.model.scene.motion import TableSection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.scene.table import TableSection
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 

@@ -11,7 +11,7 @@ from blocks import noise
 from scipy.stats import kstest, kurtosis, skew
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.cosim.control.imperfections.signal_blocks import JUMP, MODULI, MULTIPLIERS, start_states
 from flexfmu.cosim.engine.errors import InputError
 
 H = 2.5e-4

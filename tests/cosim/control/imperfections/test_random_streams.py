@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from flexfmu.cosim.control.imperfections.random_streams import (
+from flexfmu.cosim.control.imperfections.signal_blocks import (
     JUMP,
     LARGEST_SEED,
     MODULI,

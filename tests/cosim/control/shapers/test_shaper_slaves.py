@@ -30,7 +30,7 @@ def test_slave_fmu_and_closed_form_agree(name: str, tmp_path: Path) -> None:
     block = shaper_block(sequence, SAMPLE_TIME)
     fmu = build_fmu(block, tmp_path / "shaper.fmu").path
     shapers = [BlockSlave(block, "python"), FmuSlave(fmu, "exported")]
-    names = [signal.name for signal in JOINT_REFERENCES]
+    names = list(JOINT_REFERENCES)
     wires = [(f"trajectory.{each}", f"{shaper.name}.{each}") for shaper in shapers for each in names]
     system = connect([TrajectorySlave(motion), *shapers], wires)
     recording = simulate(system, 0.5, SAMPLE_TIME).recording
