@@ -30,9 +30,6 @@ Symbolic = TypeVar("Symbolic", "SymbolicModel", "SymbolicBlock")
 Naming = Literal["structured", "flat"]
 """Naming convention of the variables; FMI's attribute ``variableNamingConvention``."""
 
-NAMINGS: dict[str, Naming] = {"structured": "structured", "flat": "flat"}
-"""All naming conventions by their text."""
-
 _DERIVATIVE = re.compile(r"der\((?P<name>.+?)(?:,(?P<order>\d+))?\)")
 
 NAMES = "Names"

@@ -19,9 +19,9 @@ from flexfmu.cosim.cli.console import (
     show_note,
     usual_folder,
 )
-from flexfmu.cosim.cli.options import naming_convention
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.naming import Naming
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -34,7 +34,7 @@ def build(
     scene: str,
     output: Path | None = None,
     platform: list[str] | None = None,
-    naming: str = "structured",
+    naming: Naming = "structured",
     enumerations: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
@@ -50,7 +50,6 @@ def build(
     from flexfmu.model.choice_text import choice_sentence
 
     # choose effects where the scene leaves them open, then build
-    convention = naming_convention(naming)
     robot = load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
     with progress() as show:
@@ -62,7 +61,7 @@ def build(
             robot,
             output=target,
             platforms=platform or None,
-            naming=convention,
+            naming=naming,
             enumerations=enumerations,
             progress=lambda text: show(text, None),
         )
@@ -82,7 +81,7 @@ def fmus(
     out: Path | None = None,
     slave: list[str] | None = None,
     platform: list[str] | None = None,
-    naming: str = "structured",
+    naming: Naming = "structured",
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -97,13 +96,12 @@ def fmus(
     from flexfmu.cosim.exchange.slave_export import export_slaves
 
     # choose effects where the scene leaves them open, then export
-    convention = naming_convention(naming)
     robot = load_resolved(scene, settings)
     folder = out or usual_folder(robot.name, settings) / "fmus"
     with progress() as show:
         show("building the FMU of the robot", None)
         system = export_slaves(
-            robot, folder, names=slave or None, platforms=platform or None, naming=convention, progress=show
+            robot, folder, names=slave or None, platforms=platform or None, naming=naming, progress=show
         )
     # slaves by the names that the connections refer to
     slaves = [

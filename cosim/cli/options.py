@@ -10,14 +10,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from inspect import Parameter, Signature, getdoc, signature
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
-
-from flexfmu.cosim.engine.errors import InputError
-
-if TYPE_CHECKING:
-    from flexfmu.fmu_build.naming import Naming
 
 SHARED = """
     scene (SCENE): A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.
@@ -66,16 +61,3 @@ def _annotated(parameter: Parameter, kind: Any, described: dict[str, tuple[str, 
             shown.param_decls = [f"--{parameter.name.replace('_', '-')}"]
     annotated: Any = Annotated
     return annotated[kind, shown]
-
-
-def naming_convention(name: str) -> Naming:
-    """What the option ``naming`` stands for.
-
-    Raises:
-        InputError: there is no such naming convention.
-    """
-    from flexfmu.fmu_build.naming import NAMINGS
-
-    if name not in NAMINGS:
-        raise InputError(f"unknown naming convention {name!r}; choose from {', '.join(NAMINGS)}")
-    return NAMINGS[name]

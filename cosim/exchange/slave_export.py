@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.own_function import FunctionSlave
@@ -108,7 +108,7 @@ def export_slaves(
     step = scene.cosimulation.communication_step
     chosen = _chosen(system.slaves, names, step)
     # an FMU for each slave
-    options = BuildOptions(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
+    options = {"platforms": None if platforms is None else tuple(platforms), "naming": naming, "cache": cache}
     flat = namer(naming)
 
     def called(slave: Slave) -> Callable[[str], str]:
@@ -136,7 +136,7 @@ def export_slaves(
     return ExportedSystem(tuple(exported), joined, step, stop_time)
 
 
-def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: BuildOptions) -> None:
+def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: Mapping[str, Any]) -> None:
     """Build or copy the slave's FMU; the default experiment of a built one ends at ``stop_time`` [s]."""
     match slave:
         case FmuSlave() | SampledFmu() | FmuTask() if _is_copied(slave):
@@ -148,14 +148,6 @@ def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: Bu
         case TrajectorySlave():
             step = scene.cosimulation.communication_step
             build_fmu(Motion(slave.trajectory), path, stop_time=stop_time, step=step, **options)
-
-
-class BuildOptions(TypedDict):
-    """Options of `flexfmu.fmu_build.build.build_fmu`."""
-
-    platforms: tuple[str, ...] | None
-    naming: Naming
-    cache: bool
 
 
 def _is_copied(slave: Slave) -> bool:

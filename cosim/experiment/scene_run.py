@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.engine.fmu.file import open_fmu
@@ -212,19 +212,22 @@ class RestPositions:
     """End-effector positions at rest after a planned motion: static equilibria at the end pose, motors locked.
 
     The FMU calculates them by initialising at the end pose, a hundred times faster than the equations in CasADi, which are
-    used if the FMU can't.
+    used if the FMU can't. It is loaded at the first call and kept for others.
 
     Args:
         plan: the scene and its planned motion.
-        robot: the FMU, shared by motions of the same scene.
+        fmu_path: FMU of the robot.
     """
 
-    def __init__(self, plan: MotionPlan, robot: StaticEquilibria) -> None:
-        self._plan, self._robot = plan, robot
+    def __init__(self, plan: MotionPlan, fmu_path: Path) -> None:
+        self._plan, self._path = plan, fmu_path
+        self._kept: list[FmuSlave] = []
 
     def after(self, plan: MotionPlan) -> RestPositions:
-        """Rest positions after another motion of the same robot from the same start."""
-        return RestPositions(plan, self._robot)
+        """Rest positions after another motion of the same robot from the same start, by the same FMU."""
+        other = copy(self)
+        other._plan = plan
+        return other
 
     def at(self, parameters: Mapping[str, float]) -> RealArray:
         """Position (2,) [m] with these parameters of the robot that differ from the scene's.
@@ -233,91 +236,65 @@ class RestPositions:
             EquilibriumError: the end pose has no static equilibrium.
         """
         scene, (joints, position) = self._plan.scene, self._plan.end_pose
-        # a robot driven by torques gets its pose from the end effector, so its links must have the planned lengths
-        if scene.cosimulation.drive == "motion":
-            pose = {f"joint{i}.reference.position": float(angle) for i, angle in enumerate(joints, start=1)}
-        elif scene_with_parameters(scene, parameters).mechanism == scene.mechanism:
+        robot = partial(scene_with_parameters, scene, parameters)
+        pose = self._joint_pose
+        if scene.cosimulation.drive != "motion":
+            # a robot driven by torques gets its pose from the end effector, so its links must have the planned lengths
+            if robot().mechanism != scene.mechanism:
+                return _rest_by_equations(robot(), joints)
             pose = {f"start.{axis}": float(value) for axis, value in zip("xy", position, strict=True)}
-        else:
-            return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
         try:
-            return self._robot.position(parameters, pose)
+            with self._at_rest(parameters, pose) as slave:
+                names, found = [variable.name for variable in slave.variables], np.empty(2)
+                slave.get(np.array([names.index(name) for name in END_EFFECTOR]), found)
+            return found
         except CosimError:
-            return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
+            return _rest_by_equations(robot(), joints)
 
     def frequencies(self, parameters: Mapping[str, float]) -> RealArray:
         """Undamped natural frequencies [Hz] about the rest position, ascending, motors locked; arguments as for `at`.
 
-        The FMU linearises its own equations, which takes a millisecond. Empty where it can't, or torques drive the robot:
-        its motors aren't locked.
+        The FMU linearises its own equations, which takes a millisecond: with q'' = -K q for small elastic coordinates q, they are
+        the roots of the eigenvalues of K. Empty where it can't, or torques drive the robot: its motors aren't locked.
         """
         if self._plan.scene.cosimulation.drive != "motion":
             return np.empty(0)
-        pose = {f"joint{i}.reference.position": float(q) for i, q in enumerate(self._plan.end_pose[0], start=1)}
         try:
-            return self._robot.frequencies(parameters, pose)
+            with self._at_rest(parameters, self._joint_pose) as slave:
+                names = [variable.name for variable in slave.variables]
+                states = [name for name in names if f"der({name},2)" in names]
+                places = (
+                    np.array([names.index(text.format(name)) for name in states], dtype=np.intp)
+                    for text in ("der({},2)", "{}")
+                )
+                squares = np.linalg.eigvals(-slave.directional_derivatives(*places))
         except CosimError:
             return np.empty(0)
+        return np.asarray(np.sort(np.sqrt(squares.real[squares.real > 0.0]) / (2.0 * np.pi)))
 
+    @property
+    def _joint_pose(self) -> Mapping[str, float]:
+        """Inputs of a motion-driven robot at the end of the motion."""
+        return {f"joint{i}.reference.position": float(q) for i, q in enumerate(self._plan.end_pose[0], start=1)}
 
-class StaticEquilibria:
-    """The FMU of a scene's robot, initialised to find static equilibria; loaded at the first call and kept for others."""
-
-    def __init__(self, scene: Scene, fmu_path: Path) -> None:
-        self._scene, self._path = scene, fmu_path
-
-    def position(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> RealArray:
-        """End-effector position (2,) [m] at rest with these parameters that differ from the scene's.
-
-        Args:
-            parameters: FMU parameters; those that scenes don't have are ignored.
-            pose: inputs or parameters of the FMU that set the pose.
+    @contextmanager
+    def _at_rest(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> Iterator[FmuSlave]:
+        """The FMU, initialised: that finds the equilibrium, without a step; parameters that scenes don't have are ignored.
 
         Raises:
             CosimError: the FMU can't be loaded, or finds no equilibrium.
         """
-        with self._at_rest(parameters, pose) as slave:
-            position = np.empty(2)
-            slave.get(self._places[1], position)
-        return position
-
-    def frequencies(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> RealArray:
-        """Undamped natural frequencies [Hz] about the rest position of a motion-driven robot, ascending.
-
-        With q'' = -K q for small elastic coordinates q, they are the roots of the eigenvalues of K. Arguments and errors
-        as for `position`; also where the FMU has no directional derivatives.
-        """
-        with self._at_rest(parameters, pose) as slave:
-            names = [variable.name for variable in slave.variables]
-            states = [name for name in names if f"der({name},2)" in names]
-            places = (
-                np.array([names.index(text.format(name)) for name in states], dtype=np.intp)
-                for text in ("der({},2)", "{}")
-            )
-            squares = np.linalg.eigvals(-slave.directional_derivatives(*places))
-        return np.asarray(np.sort(np.sqrt(squares.real[squares.real > 0.0]) / (2.0 * np.pi)))
-
-    @contextmanager
-    def _at_rest(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> Iterator[FmuSlave]:
-        """The FMU, initialised: that finds the equilibrium, without a step."""
-        slave, (known, _) = self._slave, self._places
+        scene = self._plan.scene
+        if not self._kept:
+            values = parameters_for(scene, parameter_names(open_fmu(self._path).description))
+            self._kept.append(FmuSlave(self._path, "plant", {**values, INITIAL.name: "static"}, output_order=0))
+        slave, known = self._kept[0], scene_parameters(scene)
         slave.vary({**{name: value for name, value in parameters.items() if name in known}, **pose})
         slave.initialize(0.0, 1.0, None)
         try:
             yield slave
         finally:
             slave.terminate()
-
-    @cached_property
-    def _slave(self) -> FmuSlave:
-        values = parameters_for(self._scene, parameter_names(open_fmu(self._path).description))
-        return FmuSlave(self._path, "plant", {**values, INITIAL.name: "static"}, output_order=0)
-
-    @cached_property
-    def _places(self) -> tuple[Collection[str], NDArray[np.intp]]:
-        """Names of the parameters that matter to the robot, and indices of the end-effector position."""
-        names = [variable.name for variable in self._slave.variables]
-        return scene_parameters(self._scene).keys(), np.array([names.index(name) for name in END_EFFECTOR])
 
 
 def rest_position(run: Run) -> RealArray:
@@ -326,7 +303,7 @@ def rest_position(run: Run) -> RealArray:
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
     """
-    return (run.rests or RestPositions(run.plan, StaticEquilibria(run.scene, run.fmu_path))).at(run.parameters)
+    return (run.rests or RestPositions(run.plan, run.fmu_path)).at(run.parameters)
 
 
 def _rest_by_equations(robot: Scene, joints: RealArray) -> RealArray:

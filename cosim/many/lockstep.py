@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import Health, RestPositions, Run, StaticEquilibria, Timing
+from flexfmu.cosim.experiment.scene_run import Health, RestPositions, Run, Timing
 from flexfmu.cosim.experiment.system import REFERENCES, scene_system
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.fmu_build.choices import FIXED_STEP, INTEGRATOR
@@ -126,7 +126,7 @@ class SideBySide:
             input_order=parts.references.announced_order,
             health=Health({}, ()),
             timing=Timing(0.0, 0.0, 0.0, 0.0),
-            rests=RestPositions(loop.motion, StaticEquilibria(scene, fmu_path)),
+            rests=RestPositions(loop.motion, fmu_path),
             measure=measure_run,
         )
 

@@ -32,7 +32,7 @@ from flexfmu.cosim.experiment.run_checks import check_size, check_step, divergen
 from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
-from flexfmu.cosim.experiment.scene_run import NO_ORDER, Companion, Health, RestPositions, Run, StaticEquilibria, Timing
+from flexfmu.cosim.experiment.scene_run import NO_ORDER, Companion, Health, RestPositions, Run, Timing
 from flexfmu.cosim.experiment.system import PLANT, TORQUES, SceneSystem, coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
@@ -187,7 +187,7 @@ class PreparedScene:
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, caller_owned=objects)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
-        self._rests = RestPositions(self._loop.motion, StaticEquilibria(scene, self._fmu_path))
+        self._rests = RestPositions(self._loop.motion, self._fmu_path)
         # the simulator is made at the first run; a companion is prepared with the same options
         self._simulator: Simulator | None = None
         self._points: RealArray | None = None

@@ -33,7 +33,7 @@ from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import RestPositions, StaticEquilibria
+from flexfmu.cosim.experiment.scene_run import RestPositions
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.statics import damped_modes
@@ -133,7 +133,7 @@ def study_of(goals: Goals, payloads: int, step: float) -> MotionStudy:
     dwell = min(max(PERIODS / modes[0].frequency, LEAST_DWELL), MOST_DWELL) if modes else LEAST_DWELL
     # the robot, and its equilibria at the end
     path = build_scene(scene).path
-    rests = RestPositions(given, StaticEquilibria(scene, path))
+    rests = RestPositions(given, path)
     rest = np.array([rests.at(each) for each in variants])
     dwell += goals.wishes.settled_within
     robot = QuickRobot(scene, path, variants, rest, min(step, given.duration / 50.0), dwell)
