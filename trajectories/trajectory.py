@@ -152,10 +152,8 @@ class TaskTrajectory(HasLimits):
         tolerance = SAME_TIME * self.duration
         intervals, starts = self._shape.intervals, self.duration * self._shape.edges
         index = np.searchsorted(starts, time + np.where(left, -tolerance, tolerance), side="right") - 1
-        # standstill outside the motion; within it, intervals on congruent curves are evaluated together
+        # intervals on congruent curves are evaluated together
         result = np.zeros((order + 1, len(time), 2))
-        result[0, index < 0] = self.path.start
-        result[0, index == len(intervals)] = self.path.end
         for group in self._shape.congruent:
             here = [(intervals[i], np.flatnonzero(index == i)) for i in group if (index == i).any()]
             if not here:
@@ -175,6 +173,9 @@ class TaskTrajectory(HasLimits):
                 part = interval.piece.placed(points[:, :, begin : begin + where.size])
                 result[:, where] = Jet(part).derivatives()
                 begin += where.size
+        # standstill outside the motion, which both limits at its ends continue to the last bit
+        result[0, time <= tolerance] = self.path.start
+        result[0, time >= self.duration - tolerance] = self.path.end
         return result
 
     @cached_property

@@ -4,12 +4,12 @@ from flexfmu.cosim.control.shapers import Shaper as Shaper
 from flexfmu.model.scene.shapers import ImpulseShaperSection
 from flexfmu.model.scene.shapers import SpecifiedInsensitivitySection
 from flexfmu.trajectories.shapers.designs import extra_insensitive as extra_insensitive
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence as ImpulseSequence
-from flexfmu.trajectories.shapers.sequence import Oscillator as Oscillator
-from flexfmu.trajectories.shapers.designs import specified_insensitivity as specified_insensitivity
 from flexfmu.trajectories.shapers.designs import modified_zero_vibration as modified_zero_vibration
+from flexfmu.trajectories.shapers.designs import specified_insensitivity as specified_insensitivity
 from flexfmu.trajectories.shapers.designs import unity_magnitude as unity_magnitude
 from flexfmu.trajectories.shapers.designs import zero_vibration as zero_vibration
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence as ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import Oscillator as Oscillator
 from typing import Any
 from typing import Literal
 
