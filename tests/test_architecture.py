@@ -97,7 +97,6 @@ ALONE = {
     "cosim.design.shapers.figure": "drawing",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.engine.fmu.trajectory": "references within an FMU",
-    "cosim.experiment.recorded_instants": "choice of steps",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",
     "cosim.metrics.small_deflections": "limits of small deflections, which hard cases check too",

@@ -26,7 +26,7 @@ from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from threading import Lock
 from time import monotonic
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.model.one_thread import keep_one_blas_thread
@@ -52,31 +52,6 @@ TRIALS = 2
 
 class LostError(ResultsError):
     """The process that worked on an item has ended."""
-
-
-class Executor(Protocol[S, T]):
-    """Whatever works on items.
-
-    Attributes:
-        trials: how often an item is begun before it counts as failed.
-        most: largest number of items that travel together.
-        lost: raised by a future whose process has ended.
-    """
-
-    trials: int
-    most: int
-    lost: type[Exception]
-
-    def room(self) -> int:
-        """How many calls of `submit` may be under way now."""
-        ...
-
-    def submit(self, items: Sequence[S]) -> Any:
-        """The future, with ``result`` and ``add_done_callback``, of the items' results and of their time [s]."""
-        ...
-
-    def __enter__(self) -> Executor[S, T]: ...
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *others: object) -> None: ...
 
 
 def finished(
@@ -172,6 +147,11 @@ class Processes(Generic[S, T]):
         work: the result of an item.
         count: number of processes.
         leave: what a process does at its end.
+
+    Attributes:
+        trials: how often an item is begun before it counts as failed.
+        most: largest number of items that travel together.
+        lost: raised by a future whose process has ended.
     """
 
     trials, most = TRIALS, MOST_AHEAD
@@ -222,7 +202,9 @@ class Processes(Generic[S, T]):
         except (EOFError, OSError):
             process.join()
             self._start()
-            raise LostError(f"the process that simulated it ended with {_cause(process.exitcode)}") from None
+            code = process.exitcode or 0
+            cause = signal.Signals(-code).name if -code in {*signal.Signals} else f"status {code}"
+            raise LostError(f"the process that simulated it ended with {cause}") from None
         self._idle.put((process, pipe))
         if isinstance(found, BaseException):
             raise found
@@ -250,14 +232,6 @@ class Processes(Generic[S, T]):
         for _, pipe in self._all:
             pipe.close()
         self._unpacked.cleanup()
-
-
-def _cause(code: int | None) -> str:
-    """The signal or the status that a process has ended with."""
-    if code is not None and code < 0:
-        with contextlib.suppress(ValueError):
-            return signal.Signals(-code).name
-    return f"status {code}"
 
 
 def _serve(
@@ -294,6 +268,9 @@ class DaskWorkers(Generic[S, T]):
     Args:
         work: the result of an item; can be pickled.
         address: of the cluster's scheduler.
+
+    Attributes:
+        trials, most, lost: as of `Processes`.
 
     Raises:
         InputError: Dask isn't installed, or there is no scheduler at the address.
@@ -354,6 +331,10 @@ def _by_dask(text: bytes, items: Sequence[Any]) -> tuple[list[Any], float]:
     with _one_at_a_time, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return _timed(_loaded(text), items)
+
+
+Executor = Processes[S, T] | DaskWorkers[S, T]
+"""Whatever works on items."""
 
 
 def processors() -> int:

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from flexfmu.cosim.engine.dense_output import DenseOutput, resampled
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.hermite import hermite_derivatives
-from flexfmu.cosim.engine.results import Column, Recording, Selection
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.experiment.parameters import scene_values
+from flexfmu.cosim.experiment.recorded_instants import DERIVATIVES
 from flexfmu.cosim.experiment.scene_build import build_scene, depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.journal import locked
@@ -35,9 +35,7 @@ from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.schema import Scene
 
 PLANNED_WITH = (
-    "mechanism.base_half_distance",
-    "mechanism.proximal.length",
-    "mechanism.distal.length",
+    *("mechanism.base_half_distance", "mechanism.proximal.length", "mechanism.distal.length"),
     "trajectory.start",
 )
 """Parameters of the FMU that the planned motion depends on as well."""
@@ -88,16 +86,14 @@ class Group:
         if self.parameters is None:
             return Variant(changes, {})
         values: dict[str, float] = {}
+        new: Any
+        old: Any
         for key, names in self.parameters.items():
-            new, old = _components(scene, key), _components(self.scene, key)
+            new, old = (reduce(getattr, key.split("."), each) for each in (scene, self.scene))
+            if not isinstance(new, tuple):
+                new, old = (new,), (old,)  # numbers, not vectors
             values |= {name: a for name, a, b in zip(names, new, old, strict=True) if a != b}
         return Variant({key: value for key, value in changes.items() if not depends_on(key)}, values)
-
-
-def _components(scene: Scene, key: str) -> tuple[float, ...]:
-    """The number or the vector that a key is in a scene."""
-    value = reduce(getattr, key.split("."), scene)
-    return value if isinstance(value, tuple) else (value,)  # type: ignore[return-value]
 
 
 def groups_of(scene: Scene, cases: Cases) -> list[Group]:
@@ -112,8 +108,7 @@ def groups_of(scene: Scene, cases: Cases) -> list[Group]:
     building = [i for i, key in enumerate(keys) if depends_on(key) and i not in settable]
     members: dict[str, list[int]] = {}
     if building:
-        for number in range(len(cases)):
-            values = cases.rows[number]
+        for number, values in enumerate(cases.rows):
             members.setdefault(repr([values[i] for i in building]), []).append(number)
     # an effect that some case has must be in the FMU of all, also where the scene lacks it
     present: dict[str, Any] = {}
@@ -238,36 +233,13 @@ class RecordedMetrics:
             InputError: there is no such signal.
         """
         self.record.check(run.recording.columns)
-        some = self.record.of(run.recording)
-        return self.metrics(run), some if self.record.step is None else at_intervals(some, self.record.step)
-
-
-def at_intervals(recording: Recording, step: float) -> Recording:
-    """The recording at multiples of an interval [s] and at its end, by quintic Hermite interpolation; right limits at jumps."""
-    time = recording.time
-    count = int((time[-1] - time[0]) / step * (1.0 + 1e-12))
-    instants = np.append(time[0] + step * np.arange(count + 1), time[-1])
-    instants = instants[: -1 if time[-1] - instants[-2] <= 1e-9 * step else None]
-    left = np.clip(time.searchsorted(instants * (1.0 + 1e-14), "right") - 1, 0, time.size - 2)
-    # the last interval has a length, even where the end is there twice
-    while np.any(flat := time[left + 1] == time[left]) and left[flat].min() > 0:
-        left = np.where(flat, left - 1, left)
-    return Recording(
-        instants, {name: _interpolated(each, time, left, instants) for name, each in recording.columns.items()}
-    )
-
-
-def _interpolated(column: Column, time: RealArray, left: Any, instants: RealArray) -> Column:
-    """A signal at instants in the intervals that begin at the indices ``left``; without derivatives it is held."""
-    if column.first is None or column.second is None or column.texts is not None:
-        return Column(column.unit, column.values[left], texts=column.texts)
-    known = np.stack([column.values, column.first, column.second])
-    found = hermite_derivatives(known[:, left], known[:, left + 1], time[left + 1] - time[left])
-    # Taylor's sum from the left end
-    after, values = instants - time[left], np.zeros(instants.size)
-    for order in range(len(found) - 1, -1, -1):
-        values = found[order] + values * after / (order + 1)
-    return Column(column.unit, values)
+        some, step = self.record.of(run.recording), self.record.step
+        if step is not None:
+            # metrics need all communication points, those who look at the signals multiples of the interval
+            begin, end = some.time[0], some.time[-1]
+            instants = begin + step * np.arange(int((end - begin) / step) + 1)
+            some = resampled(some, DenseOutput(some.time, instants, DERIVATIVES), 0)
+        return self.metrics(run), some
 
 
 @dataclass(frozen=True)

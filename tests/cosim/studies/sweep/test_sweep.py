@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import flexfmu
-from flexfmu.cosim.cli.sweep import _print
+from flexfmu.cosim.cli.console import print_rich
+from flexfmu.cosim.cli.sweep import _shown
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.cosim.studies.sweep import work
@@ -207,11 +208,11 @@ def test_files(folder: Path) -> None:
     assert [float(line[3]) for line in lines] == [row["peak_torque_1"] for row in result]
     assert not (folder / "journal.csv").exists()
     recording = result.recording(1)
-    assert recording.time[:3].tolist() == [0.0, 0.0125, 0.025]
+    assert np.unique(recording.time)[:3].tolist() == [0.0, 0.0125, 0.025]
     assert recording.time[-1] == pytest.approx(0.22)
     # between communication points as exact as these
     run = flexfmu.run(SCENE.replace({"payload.mass": 2.0, "cosimulation.step": 1e-3 / 2.0}))
-    assert recording["joint1.torque"].values[1] == pytest.approx(
+    assert recording["joint1.torque"].values[recording.time == 0.0125][0] == pytest.approx(
         run.recording["joint1.torque"].values[run.recording.time == 0.0125][0], rel=1e-4
     )
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -368,7 +369,7 @@ def test_extremes_are_named_by_their_values(capsys: pytest.CaptureFixture[str], 
         "trajectory.blend": varied["trajectory.blend"][0],
     }
     assert "first payload.mass=3, trajectory.blend=lame" in repr(found)
-    _print(found, [tmp_path / "sweep.csv"], as_json=False)
+    print_rich(*_shown(found, [tmp_path / "sweep.csv"]))
     printed = capsys.readouterr().out
     assert "payload.mass=1, trajectory.blend=lame" in printed
     assert "payload.mass=2, trajectory.blend=lame" in printed
