@@ -157,14 +157,12 @@ class SampleStep:
         """Whether it steps from the sample instant."""
         return self.state.size == TASK_NUMBERS
 
-    def failure(self, status: int, time: float) -> BaseException:
+    def failure(self, status: int, begin: float, time: float) -> BaseException:
         """The error of a step that failed at the instant ``time`` [s]."""
         first, step, *count = self.state.tolist()
-        return (
-            self._error(status, first + count[0] * step, step)
-            if count
-            else self._error(status, first, step or time - first)
-        )
+        if count:
+            return self._error(status, first + count[0] * step, step)
+        return self._error(status, first, step or time - first)
 
 
 TASK_NUMBERS = 3

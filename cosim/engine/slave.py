@@ -90,7 +90,30 @@ TEXTS = Texts()
 
 
 class Slave(Protocol):
-    """A model that can be initialised, set, stepped and read."""
+    """A model that can be initialised, set, stepped and read.
+
+    A slave may state more about itself by these attributes:
+
+    - ``feedthrough``: output → inputs that it depends on at the same instant; an output left out depends on all. Without the
+      attribute every output depends on all inputs.
+    - ``rates_follow_inputs``: True if outputs stay continuous when inputs jump, while their derivatives jump. At an exchange the
+      master updates it after its inputs, unless that order alone would close a loop.
+    - ``largest_step``: largest communication step [s], over which polynomials approximate its signals well; the master divides
+      longer ones.
+    - ``needs_regular_steps``: True if all communication steps must have the same length, as for an FMU that can't handle a
+      variable communication step size.
+    - ``period``: beside ``breakpoints``, the period [s] of outputs that repeat, 0 for others: what the master calculates for the points of one period can be
+      used for the next ones.
+    - ``latency``: output → its delay at low frequency [s], without the hold between samples, for the list of delays; undelayed
+      outputs are left out.
+    - ``lacking``: output → lowest order of its derivatives that isn't available, see `GivesOutputDerivatives`; outputs with all
+      orders are left out.
+    - ``can_save``: False if it has the methods of `SavesState`, but can't: an FMU that doesn't state canGetAndSetFMUstate.
+    - ``offset``: for a `Sampled` slave the time from the start to its first sample instant [s], zero or positive; until then its
+      outputs keep their initial values.
+    - ``instants``: for a `Sampled` slave further sample instants, times from the start [s], ascending; with an infinite sample
+      time it samples at these alone.
+    """
 
     @property
     def name(self) -> str:
@@ -138,30 +161,12 @@ class GivesOutputDerivatives(Protocol):
 
 
 @runtime_checkable
-class LacksDerivatives(GivesOutputDerivatives, Protocol):
-    """Provides fewer derivatives of some outputs than of others."""
-
-    @property
-    def lacking(self) -> Mapping[str, int]:
-        """Output → lowest order of its derivatives that isn't available; outputs with all orders are left out."""
-
-
-@runtime_checkable
 class HasBreakpoints(Protocol):
     """Has jumps at instants known before the run; the master makes each of them a communication point."""
 
     @property
     def breakpoints(self) -> Sequence[float]:
         """Instants [s], ascending, at which the outputs or their derivatives jump."""
-
-
-@runtime_checkable
-class Repeats(HasBreakpoints, Protocol):
-    """Its outputs repeat: what the master calculates for the points of one period can be used for the next ones."""
-
-    @property
-    def period(self) -> float:
-        """Period [s]; 0 for outputs that don't repeat."""
 
 
 @runtime_checkable
@@ -194,10 +199,7 @@ class PredictsOutputs(HasBreakpoints, Protocol):
 
 @runtime_checkable
 class Sampled(Protocol):
-    """Runs at its own instants start + offset + k * sample_time and holds its outputs in between; it is never stepped.
-
-    The offset is zero unless the slave is a `HasOffset`.
-    """
+    """Runs at its own instants start + offset + k * sample_time and holds its outputs in between; it is never stepped."""
 
     @property
     def sample_time(self) -> float:
@@ -205,24 +207,6 @@ class Sampled(Protocol):
 
     def sample(self, time: float) -> None:
         """Calculate new outputs from the inputs just set, and the state for the next sample instant."""
-
-
-@runtime_checkable
-class HasOffset(Protocol):
-    """Has its first sample instant after the start; until then its outputs keep their initial values."""
-
-    @property
-    def offset(self) -> float:
-        """Time from the start to the first sample instant [s], zero or positive."""
-
-
-@runtime_checkable
-class HasInstants(Sampled, Protocol):
-    """Samples at further instants; with an infinite sample time at these alone."""
-
-    @property
-    def instants(self) -> Sequence[float]:
-        """Times from the start [s], ascending."""
 
 
 @runtime_checkable
@@ -240,78 +224,17 @@ class SamplesInTwoPhases(Sampled, Protocol):
 
 
 @runtime_checkable
-class HasLatency(Protocol):
-    """States by how much its outputs lag behind its inputs, for the list of delays."""
-
-    @property
-    def latency(self) -> Mapping[str, float]:
-        """Output → its delay at low frequency [s], without the hold between samples; undelayed outputs are left out."""
-
-
-@runtime_checkable
-class LimitsStep(Protocol):
-    """Limits its communication step to lengths over which polynomials approximate its signals well."""
-
-    @property
-    def largest_step(self) -> float:
-        """Largest communication step [s]; the master divides longer ones."""
-
-
-@runtime_checkable
-class RatesFollowInputs(Protocol):
-    """Has outputs that stay continuous when inputs jump, while their derivatives jump.
-
-    At an exchange the master updates it after its inputs, unless that order alone would close a loop.
-    """
-
-    @property
-    def rates_follow_inputs(self) -> bool: ...
-
-
-@runtime_checkable
-class MayNeedRegularSteps(Protocol):
-    """May require equal communication steps: an FMU that can't handle a variable communication step size."""
-
-    @property
-    def needs_regular_steps(self) -> bool:
-        """Whether all communication steps must have the same length."""
-
-
-@runtime_checkable
-class DeclaresFeedthrough(Protocol):
-    """Declares its direct feedthrough; without this, every output depends on all inputs."""
-
-    @property
-    def feedthrough(self) -> Mapping[str, Sequence[str]]:
-        """Output → inputs that it depends on at the same instant; an output left out depends on all."""
-
-
-@runtime_checkable
 class SavesState(Protocol):
-    """Can save its state and restore it (rollback)."""
+    """Can save its state and restore it (rollback).
+
+    With a method ``release(state)`` it frees a saved state that won't be restored again, or keeps its memory for the next one.
+    """
 
     def save(self) -> object:
         """Return the complete state at the current time, inputs included."""
 
     def restore(self, state: object) -> None:
         """Restore a state returned by `save`; may be repeated."""
-
-
-@runtime_checkable
-class MaySaveState(SavesState, Protocol):
-    """Has `save` and `restore`, but may not support them: an FMU only if it states canGetAndSetFMUstate."""
-
-    @property
-    def can_save(self) -> bool:
-        """Whether states can be saved."""
-
-
-@runtime_checkable
-class ReleasesStates(SavesState, Protocol):
-    """Has saved states whose memory must be freed."""
-
-    def release(self, state: object) -> None:
-        """Free a saved state that won't be restored again, or keep its memory for the next one."""
 
 
 @runtime_checkable
@@ -359,26 +282,27 @@ def input_order(slave: Slave) -> int:
 def output_order(slave: Slave, outputs: Iterable[int] = ()) -> int:
     """Return the highest order of derivatives that the slave provides for all outputs of these indices; 0 for none."""
     highest = slave.max_output_order if isinstance(slave, GivesOutputDerivatives) else 0
-    if isinstance(slave, LacksDerivatives):
+    lacking: Mapping[str, int] = getattr(slave, "lacking", {}) if highest else {}
+    if lacking:
         names = [slave.variables[index].name for index in outputs]
-        return min([highest, *(slave.lacking[name] - 1 for name in names if name in slave.lacking)])
+        return min([highest, *(lacking[name] - 1 for name in names if name in lacking)])
     return highest
 
 
 def offset(slave: Slave) -> float:
     """Return the time from the start to the first sample instant [s]."""
-    return slave.offset if isinstance(slave, HasOffset) else 0.0
+    return float(getattr(slave, "offset", 0.0))
 
 
 def can_save(slave: Slave) -> bool:
     """Return whether the slave can save and restore its state."""
-    return isinstance(slave, SavesState) and (not isinstance(slave, MaySaveState) or slave.can_save)
+    return isinstance(slave, SavesState) and bool(getattr(slave, "can_save", True))
 
 
 def feedthrough(slave: Slave) -> dict[str, tuple[str, ...]]:
     """Return the direct feedthrough: output → inputs that it depends on at the same instant."""
     inputs = tuple(variable.name for variable in slave.variables if variable.causality == "input")
-    declared = slave.feedthrough if isinstance(slave, DeclaresFeedthrough) else {}
+    declared: Mapping[str, Sequence[str]] = getattr(slave, "feedthrough", {})
     outputs = (variable.name for variable in slave.variables if variable.causality == "output")
     return {name: tuple(declared.get(name, inputs)) for name in outputs}
 

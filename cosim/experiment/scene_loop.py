@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
-from flexfmu.cosim.engine.slave import HasOffset, Sampled, Slave
+from flexfmu.cosim.engine.slave import Sampled, Slave, offset
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan, plan_own, shape_joints
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
@@ -197,10 +197,7 @@ def _with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: S
     if not takers:
         return tuple(controllers)
     # one clock, at whose instants the sum is up to date
-    clocks = {
-        (each.sample_time, each.offset if isinstance(each, HasOffset) else 0.0) if isinstance(each, Sampled) else None
-        for each in takers
-    }
+    clocks = {(each.sample_time, offset(each)) if isinstance(each, Sampled) else None for each in takers}
     clock = clocks.pop()
     if clocks or clock is None:
         signal, owners = next(iter(several.items()))

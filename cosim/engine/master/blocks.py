@@ -19,11 +19,7 @@ from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import (
     COINCIDENT,
     HasBreakpoints,
-    HasInstants,
-    LimitsStep,
-    MayNeedRegularSteps,
     RealArray,
-    Repeats,
     Sampled,
     offset,
 )
@@ -176,20 +172,20 @@ def system_grid(
     """
     # sample instants, breakpoints, and the period of a repeated motion
     clocks = [
-        Clock(s.name, s.sample_time, offset(s), tuple(s.instants) if isinstance(s, HasInstants) else ())
+        Clock(s.name, s.sample_time, offset(s), tuple(getattr(s, "instants", ())))
         for s in system.slaves
         if isinstance(s, Sampled)
     ]
     marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
-    period = max((slave.period for slave in system.slaves if isinstance(slave, Repeats)), default=0.0)
+    period = max((getattr(s, "period", 0.0) for s in system.slaves if isinstance(s, HasBreakpoints)), default=0.0)
     # divide the communication step for slaves that limit it
     parts = 1
     for slave in system.slaves:
-        if isinstance(slave, LimitsStep):
-            wanted = step / slave.largest_step
+        if (largest := getattr(slave, "largest_step", None)) is not None:
+            wanted = step / largest
             if not wanted < MAXIMUM_RATIO:
                 raise InputError(
-                    f"{slave.name} needs steps of {slave.largest_step:g} s, {wanted:.3g} of them in a communication step of "
+                    f"{slave.name} needs steps of {largest:g} s, {wanted:.3g} of them in a communication step of "
                     f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
                 )
             parts = max(parts, ceil(wanted - COINCIDENT))
@@ -213,7 +209,7 @@ def check_regular_steps(system: System, grid: RunGrid, step: float, varies: bool
     if largest - least <= COINCIDENT * largest and not varies:
         return
     for slave in system.slaves:
-        if isinstance(slave, MayNeedRegularSteps) and slave.needs_regular_steps and not isinstance(slave, Sampled):
+        if getattr(slave, "needs_regular_steps", False) and not isinstance(slave, Sampled):
             found = f"this run lands on breakpoints, sample instants and its end in steps of {least:.6g} s to {largest:.6g} s"
             found = "step control chooses them as they come" if varies else found
             raise InputError(

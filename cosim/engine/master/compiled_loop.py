@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from ctypes import CFUNCTYPE, POINTER, Structure, addressof, byref, c_double, c_int, c_size_t, c_ubyte, c_void_p, cast
-from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache, cached_property, partial
 from typing import Any, Protocol, runtime_checkable
@@ -102,74 +101,62 @@ class CProgress(Structure):
     _fields_ = (("points", c_size_t), ("records", c_size_t), ("instruction", c_size_t), ("status", c_int))
 
 
-@dataclass
 class Instruction:
     """One instruction of the loop in C.
 
-    Attributes:
+    Args:
         kind: what it does.
         when: at which points it is executed.
         owner: index of the slave that is called.
-        failure: creates the exception if it fails.
-        numbers: values of the fields ``count`` and ``stride``, if it uses them.
-        addresses: field → pointer.
-        kept: the objects that the pointers refer to, to keep them alive.
-        table: returns the table of the current block; None without a table.
+        failure: creates the exception if it fails; None if it can't.
+        kept: further objects that pointers refer to, to keep them alive.
+        fields: fields of ``master_instruction``; an array stands for its address, and is kept alive.
+
+    Attributes:
+        table: returns the table of the current block, which the source is in; None without a table.
         offset: distance of the source from the beginning of the table [bytes].
     """
 
-    kind: Opcode
-    when: When
-    owner: int
-    failure: Failure
-    numbers: dict[str, int] = field(default_factory=dict)
-    addresses: dict[str, int | None] = field(default_factory=dict)
-    kept: tuple[Any, ...] = ()
-    table: Callable[[], RealArray] | None = None
-    offset: int = 0
+    def __init__(
+        self, kind: Opcode, when: When, owner: int, failure: Failure | None = None, kept: object = None, **fields: Any
+    ) -> None:
+        self.kind, self.when, self.owner, self.fields, self._kept = kind, when, owner, fields, kept
+        self.failure = failure or (lambda status, begin, end: AssertionError(f"status {status} of {kind.name}"))
+        self.table: Callable[[], RealArray] | None = None
+        self.offset = 0
 
     def read_from(self, table: Callable[[], RealArray]) -> None:
         """Read from a table that is another array in each block; now it is that of the source."""
-        self.table, self.offset = table, (self.addresses["source"] or 0) - address(table())
+        self.table, self.offset = table, address(self.fields["source"]) - address(table())
 
     def due(self, flags: NDArray[np.uint8]) -> None:
         """Execute the instruction only at the points whose flag is set."""
-        self.when = When.WHEN_DUE
-        self.addresses["due"] = flags.ctypes.data_as(c_void_p).value
-        self.kept = (*self.kept, flags)
+        self.when, self.fields["due"] = When.WHEN_DUE, flags
+
+    def pack(self, packed: CInstruction) -> None:
+        """Write the instruction into C's memory."""
+        packed.kind, packed.condition, packed.owner = self.kind, self.when, self.owner
+        for name, value in self.fields.items():
+            setattr(packed, name, address(value) if isinstance(value, np.ndarray) else value)
 
 
 def pack(instructions: Sequence[Instruction]) -> Any:
     """The instructions as a C array."""
     packed = (CInstruction * max(len(instructions), 1))()
     for each, one in zip(packed, instructions, strict=False):
-        each.kind, each.condition, each.owner = one.kind, one.when, one.owner
-        for name, value in {**one.numbers, **one.addresses}.items():
-            setattr(each, name, value)
+        one.pack(each)
     return packed
 
 
-def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -> Instruction:
+def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure, **fields: Any) -> Instruction:
     """fmi2GetReal, fmi2SetReal, or the functions for their derivatives, with bound arguments."""
     _, references, count, *orders, target = call.args
-    pointers = {**_reached(call), "references": references, "target": target}
-    kind = Opcode.DERIVATIVES if orders else Opcode.VALUES
-    more = {"orders": orders[0]} if orders else {}
-    return Instruction(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
-
-
-def refresh(call: Refresh, send: partial[int], when: When, owner: int, failure: Failure) -> Instruction:
-    """fmi2SetReal of the values that are taken, unless they are those sent last."""
-    packed, columns = fmi_transfer(send, when, owner, failure), call.take.indices.astype(np.int64)
-    packed.kind = Opcode.REFRESH
-    packed.addresses |= {"source": address(call.take.source), "columns": address(columns)}
-    packed.kept = (*packed.kept, call, columns)
-    return packed
-
-
-def fmi_step(call: partial[int], owner: int, failure: Failure) -> Instruction:
-    """fmi2DoStep with noSetFMUStatePriorToCurrentPoint = true: the slave is never rolled back."""
-    return Instruction(Opcode.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
+    fields = {"references": references, "count": count, "target": target, **_reached(call), **fields}
+    if orders:
+        return Instruction(Opcode.DERIVATIVES, when, owner, failure, call, orders=orders[0], **fields)
+    # a source is copied into the target first, where it differs
+    kind = Opcode.REFRESH if "source" in fields else Opcode.VALUES
+    return Instruction(kind, when, owner, failure, call, **fields)
 
 
 def _reached(call: partial[int]) -> dict[str, int | None]:
@@ -179,27 +166,10 @@ def _reached(call: partial[int]) -> dict[str, int | None]:
 
 def evaluation(call: Evaluation, when: When, owner: int, again: Reevaluation | None = None) -> Instruction:
     """Evaluates the equations of a block; with ``again`` only if its inputs have changed."""
-    pointers: dict[str, int | None] = {"function": call.function, "component": addressof(call.argument)}
-    packed = Instruction(Opcode.EVALUATE, when, owner, _never, {}, pointers, (call,))
+    fields: dict[str, Any] = {"function": call.function, "component": addressof(call.argument)}
     if again is not None:
-        packed.numbers["count"] = again.inputs.size
-        packed.addresses |= {"source": address(again.inputs), "target": address(again.seen)}
-        packed.kept = (call, again)
-    return packed
-
-
-def sample_step(call: SampleStep, when: When, owner: int) -> Instruction:
-    """fmi2DoStep of a sampled FMU to its sample instant, or of a task from it."""
-    kind = Opcode.TASK if call.is_task else Opcode.SAMPLE
-    pointers = {**_reached(call.step), "target": address(call.state)}
-    return Instruction(kind, when, owner, lambda status, begin, end: call.failure(status, end), {}, pointers, (call,))
-
-
-def copy(source: RealArray, target: RealArray, when: When, owner: int, stride: int = 0) -> Instruction:
-    """Copies ``source`` into ``target``, which are contiguous; with a stride from row ``point`` of a table."""
-    numbers = {"count": target.size, "stride": stride}
-    pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
-    return Instruction(Opcode.COPY, when, owner, _never, numbers, pointers, (source, target))
+        fields |= {"count": again.inputs.size, "source": again.inputs, "target": again.seen}
+    return Instruction(Opcode.EVALUATE, when, owner, kept=call, **fields)
 
 
 def gather(
@@ -209,37 +179,13 @@ def gather(
 
     With a stride ``source`` is a table, and the columns count from the beginning of its row ``point``.
     """
-    flat = source.reshape(-1), target.reshape(-1)
+    fields: dict[str, Any] = {"count": columns.size, "stride": stride}
     if is_range(columns) and is_range(places):
-        return copy(flat[0][columns[0] :], flat[1][places[0] : places[-1] + 1], when, owner, stride)
+        source, target = source.reshape(-1)[columns[0] :], target.reshape(-1)[places[0] : places[-1] + 1]
+        return Instruction(Opcode.COPY, when, owner, source=source, target=target, **fields)
     columns, places = (np.ascontiguousarray(each, dtype=np.int64) for each in (columns, places))
-    pointers: dict[str, int | None] = {
-        "source": address(source),
-        "columns": address(columns),
-        "target": address(target),
-        "places": address(places),
-    }
-    kept = (source, columns, target, places)
-    numbers = {"count": columns.size, "stride": stride}
-    return Instruction(Opcode.GATHER, when, owner, _never, numbers, pointers, kept)
-
-
-def combine(kind: Opcode, source: RealArray, target: RealArray, places: Indices, when: When, owner: int) -> Instruction:
-    """``target.flat[places] *= source`` or ``+= source``, by the kind; the source doesn't change."""
-    source, places = np.ascontiguousarray(source), np.ascontiguousarray(places, dtype=np.int64)
-    pointers: dict[str, int | None] = {
-        "source": address(source),
-        "target": address(target),
-        "places": address(places),
-    }
-    return Instruction(kind, when, owner, _never, {"count": places.size}, pointers, (source, target, places))
-
-
-def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Instruction:
-    """Fails if a signal isn't finite."""
-    return Instruction(
-        Opcode.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
-    )
+    fields |= {"source": source, "columns": columns, "target": target, "places": places}
+    return Instruction(Opcode.GATHER, when, owner, **fields)
 
 
 def python_callback(function: Callable[[int, float, float], object], when: When, owner: int) -> Instruction:
@@ -259,8 +205,7 @@ def python_callback(function: Callable[[int, float, float], object], when: When,
         return raised.pop() if raised else KeyboardInterrupt()
 
     callback = CALLBACK(guarded)
-    pointers: dict[str, int | None] = {"function": pointer(callback)}
-    return Instruction(Opcode.CALL, when, owner, failure, {}, pointers, (callback,))
+    return Instruction(Opcode.CALL, when, owner, failure, callback, function=pointer(callback))
 
 
 def pointer(function: Any) -> int | None:
@@ -272,11 +217,6 @@ def pointer(function: Any) -> int | None:
 def flags(values: Sequence[bool] | NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Flags as bytes, as C reads them."""
     return np.array(values, dtype=c_ubyte)
-
-
-def _never(status: int, begin: float, end: float) -> BaseException:
-    """The `Failure` of instructions that can't fail."""
-    return AssertionError(f"status {status} of an instruction that can't fail")
 
 
 RunProgram = Callable[[CProgram, int, CProgress], int]
@@ -352,14 +292,17 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
         case Action.READ:
             if outputs.indices.size:
                 yield from _transfer(outputs.transfer, when, i)
-                yield finite(outputs.signals, when, i, lambda status, begin, end: outputs.not_finite(end))
+                signals, failure = outputs.signals, lambda status, begin, end: outputs.not_finite(end)
+                yield Instruction(Opcode.FINITE, when, i, failure, count=signals.size, target=signals)
         case Action.FEED:
             for group in inputs.groups:
                 yield from _extrapolation(group, inputs.fed, when, i)
             yield from _transfer(inputs.send, when, i)
         case Action.STEP if isinstance(slave, StepsInC) and (bound := slave.bound_step()) is not None:
-            step, failure = bound
-            yield fmi_step(step, i, lambda status, begin, end: failure(status, begin, end - begin))
+            # noSetFMUStatePriorToCurrentPoint = true: the slave is never rolled back
+            step, error = bound
+            failed = lambda status, begin, end: error(status, begin, end - begin)  # noqa: E731
+            yield Instruction(Opcode.STEP, When.ALWAYS, i, failed, step, **_reached(step))
         # samples
         case Action.SAMPLE | Action.OUTPUT | Action.UPDATE:
             due = np.frombuffer(schedule.due[i], np.uint8)
@@ -382,7 +325,8 @@ def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
     for call in calls:
         match call:
             case SampleStep():
-                yield sample_step(call, when, i)
+                kind, step = Opcode.TASK if call.is_task else Opcode.SAMPLE, call.step
+                yield Instruction(kind, when, i, call.failure, call, target=call.state, **_reached(step))
             case Reevaluation():
                 yield evaluation(call.evaluation, when, i, call)
             case _:
@@ -413,8 +357,13 @@ def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -
     places = rows * fed.shape[1] + np.arange(fed.shape[1])[group.slots]
     yield gather(group.source.signals, columns.ravel(), fed, places.ravel(), when, owner)
     if mapping is not None:
-        yield combine(Opcode.MULTIPLY, np.tile(mapping.factor, count), fed, places.ravel(), when, owner)
-        yield combine(Opcode.ADD, mapping.offset, fed, places[0], when, owner)
+        factor, offset, places = (
+            np.tile(mapping.factor, count),
+            np.ascontiguousarray(mapping.offset),
+            places.astype(np.int64),
+        )
+        for kind, source, where in ((Opcode.MULTIPLY, factor, places.ravel()), (Opcode.ADD, offset, places[0])):
+            yield Instruction(kind, when, owner, count=where.size, source=source, target=fed, places=where)
 
 
 def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
@@ -435,8 +384,8 @@ def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
         case Take() if call.target.flags.c_contiguous:
             yield gather(call.source, call.indices, call.target, np.arange(call.target.size), when, owner)
         case Refresh() if isinstance(call.send, Checked) and isinstance(call.send.call, partial):
-            failure = call.send.error
-            yield refresh(call, call.send.call, when, owner, lambda status, begin, end: failure(status))
+            error, fields = call.send.error, {"source": call.take.source, "columns": call.take.indices.astype(np.int64)}
+            yield fmi_transfer(call.send.call, when, owner, lambda status, begin, end: error(status), **fields)
         case _:
             yield python_callback(lambda point, begin, end: call(), when, owner)
 

@@ -12,7 +12,7 @@ import numpy as np
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
 from flexfmu.cosim.engine.master.plan import sampling_positions
 from flexfmu.cosim.engine.master.system import Connection, System, in_one_call
-from flexfmu.cosim.engine.slave import HasLatency, Sampled, Slave, offset
+from flexfmu.cosim.engine.slave import Sampled, Slave, offset
 
 ROUNDING = 1e-9
 """Instants that differ by less than this fraction of a sample time coincide."""
@@ -103,7 +103,7 @@ def _delay(
     elif isinstance(source, Sampled):
         hold = source.sample_time
     # latency of the source itself
-    latencies = source.latency if isinstance(source, HasLatency) else {}
+    latencies: Mapping[str, float] = getattr(source, "latency", {})
     latency = latencies.get(source.variables[connection.output].name, 0.0)
     return SignalDelay(system.describe(connection), seconds, coupling.transport, coupling.order, hold, latency, mean)
 

@@ -69,7 +69,6 @@ class StateKeeper:
     def release(self) -> None:
         """Release the states."""
         for slave, state in self._states:
-            # faster than isinstance(slave, ReleasesStates), since it is checked thousands of times
             if (release := getattr(slave, "release", None)) is not None:
                 release(state)
         self._states = []

@@ -20,7 +20,6 @@ from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
 from flexfmu.cosim.engine.slave import (
     TAKES,
     Causality,
-    RatesFollowInputs,
     Sampled,
     SamplesInTwoPhases,
     Slave,
@@ -65,11 +64,13 @@ def target_of(slaves: Sequence[Slave], connection: Connection) -> VariableKey:
 def dependencies(slaves: Sequence[Slave], connections: Sequence[Connection]) -> Graph:
     """The graph of all variables that determines the order of calls.
 
-    A slave that samples in one call, or whose output derivatives depend on its inputs (`RatesFollowInputs`), is called
+    A slave that samples in one call, or whose output derivatives depend on its inputs (``rates_follow_inputs``), is called
     when all of its inputs are up to date, whatever feedthrough it declares. If only this rule closes a loop, the
     declared feedthrough counts instead: inputs without feedthrough may then be one sample old.
     """
-    one_call = {i for i, slave in enumerate(slaves) if in_one_call(slave) or isinstance(slave, RatesFollowInputs)}
+    one_call = {
+        i for i, slave in enumerate(slaves) if in_one_call(slave) or getattr(slave, "rates_follow_inputs", False)
+    }
     # slaves in loops if all outputs of these slaves depended on all inputs
     closing = one_call & _in_loops(declared(slaves, connections, one_call))
     # slaves in loops with their declared feedthrough: these loops are algebraic

@@ -17,8 +17,6 @@ from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import (
     BindsBuffers,
-    DeclaresFeedthrough,
-    HasOffset,
     Indices,
     RealArray,
     SamplesInTwoPhases,
@@ -79,7 +77,7 @@ class Clock:
 def test_protocols() -> None:
     """The master offers everything to a block that it offers to sampled slaves."""
     slave = BlockSlave(running_sum())
-    for protocol in (SamplesInTwoPhases, HasOffset, SavesState, DeclaresFeedthrough, BindsBuffers):
+    for protocol in (SamplesInTwoPhases, SavesState, BindsBuffers):
         assert isinstance(slave, protocol)
 
 
