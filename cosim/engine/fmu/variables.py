@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from itertools import zip_longest
 from math import isclose, prod
 from numbers import Real
@@ -21,7 +20,7 @@ import numpy as np
 from attrs import asdict, define, evolve
 from fmpy.model_description import ModelVariable, Unknown
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.engine.fmu.calls import FMI3
 from flexfmu.cosim.engine.slave import TEXTS, Causality, SlaveVariable
 
@@ -168,11 +167,7 @@ def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Seque
     result = []
     for name, value in parameters.items():
         if name not in known:
-            # suggest the closest name, or list all parameters
-            near = get_close_matches(name, known, n=1)
-            names = ", ".join(name for name, v in known.items() if v.causality == "parameter") or "none"
-            remedy = f"did you mean {near[0]!r}?" if near else f"it has: {names}"
-            raise InputError(f"the FMU has no parameter {name!r}; {remedy}")
+            raise InputError(f"the FMU has no parameter {name!r}; {suggestion(name, known)}")
         variable = known[name]
         lasting = variable.initial != "approx"
         result.append(Setting(name, _handle(variable), _in_range(variable, typed(variable, value)), lasting))

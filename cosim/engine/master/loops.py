@@ -16,7 +16,6 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError, LoopError
 from flexfmu.cosim.engine.master.iteration import IterationResult, LoopSolver
 from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall
-from flexfmu.cosim.engine.master.system import AlgebraicLoop
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, SavesState, Slave, can_save
 
 INSTANT_REMEDY = (
@@ -173,31 +172,35 @@ class LoopCall(NamedTuple):
     read: OutputPort | None
 
 
-def solve_at_instant(
-    loop: AlgebraicLoop,
+def solution(
+    solver: LoopSolver,
+    name: str,
     calls: Sequence[LoopCall],
-    sampling: Sequence[tuple[Slave, Sequence[int]]],
+    repeated: Sequence[tuple[Slave, Sequence[int] | None]],
     signals: LoopSignals,
     active: c_int,
+    *,
+    at_instant: bool,
 ) -> TimedCall:
-    """A call that iterates an algebraic loop until its signals agree at ``end``, the time of the instant.
+    """A call that iterates a loop until its signals agree: at an instant, or those assumed at the end of a step with those reached.
 
     The call raises `LoopError` if the iteration doesn't converge.
 
     Args:
-        loop: the loop.
+        solver: solves for the signals.
+        name: the loop, for messages.
         calls: the calls of one round.
-        sampling: slaves of the loop that sample in one call, and whether each is due at each point; they are rolled
-            back before each round.
-        signals: unknowns of the loop.
+        repeated: slaves that are rolled back before each round, and whether each is called at each point; None for always.
+        signals: the unknowns.
         active: set to the index of the slave that is being called.
+        at_instant: whether the loop is an algebraic one at the instant ``end``, else a step.
     """
 
     def solve(point: int, begin: float, end: float) -> None:
-        with StateKeeper([slave for slave, due in sampling if due[point]]) as states:
+        with StateKeeper([slave for slave, due in repeated if due is None or due[point]]) as states:
 
             def around(values: RealArray) -> RealArray:
-                """One round of calls from the assumed unknowns; G(v)."""
+                """One round of calls with the assumed unknowns; G(v)."""
                 states.restore()
                 passed = np.empty_like(values)
                 signals.scatter(values)
@@ -205,56 +208,16 @@ def solve_at_instant(
                     active.value = slave
                     call(point, begin, end)
                     # keep what the call has read, and feed the following slaves with the assumed values
-                    if read is not None:
+                    if at_instant and read is not None:
                         signals.take(read, passed)
                         signals.scatter(values)
-                return passed
+                return passed if at_instant else signals.gather()
 
-            solution = loop.solver.solve(around, signals.gather(), signals.scale)
-        signals.scatter(signals.accept(solution, loop.name, end, INSTANT_REMEDY))
-
-    return solve
-
-
-def solve_step(
-    solver: LoopSolver,
-    name: str,
-    slaves: Sequence[Slave],
-    calls: Sequence[LoopCall],
-    signals: LoopSignals,
-    active: c_int,
-) -> TimedCall:
-    """A call that iterates a step of slaves in a closed loop until the assumed signals at its end agree with those reached.
-
-    The call raises `LoopError` if the iteration doesn't converge.
-
-    Args:
-        solver: solves for these signals.
-        name: the loop, for messages.
-        slaves: the slaves of the loop.
-        calls: the calls of one step.
-        signals: the unknowns, assumed signals at the end of the step.
-        active: set to the index of the slave that is being called.
-
-    Raises:
-        InputError: a slave can't save and restore its state.
-    """
-    check_can_save(slaves, "repeating a step")
-
-    def solve(point: int, begin: float, end: float) -> None:
-        with StateKeeper(slaves) as states:
-
-            def around(values: RealArray) -> RealArray:
-                """One step of all slaves with the assumed signals at its end; G(v)."""
-                states.restore()
-                signals.scatter(values)
-                for slave, call, _ in calls:
-                    active.value = slave
-                    call(point, begin, end)
-                return signals.gather()
-
-            # initial guess: extrapolate the signals over the step
-            solution = solver.solve(around, signals.extrapolated(end - begin), signals.scale)
-        signals.accept(solution, name, end, STEP_REMEDY)
+            # over a step the guess is an extrapolation
+            guess = signals.gather() if at_instant else signals.extrapolated(end - begin)
+            found = solver.solve(around, guess, signals.scale)
+        agreed = signals.accept(found, name, end, INSTANT_REMEDY if at_instant else STEP_REMEDY)
+        if at_instant:
+            signals.scatter(agreed)
 
     return solve

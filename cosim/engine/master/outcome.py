@@ -8,12 +8,11 @@ from step to step with growing amplitude, the gain of its loop is too high for t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import LoopError, NotFiniteError, SlaveEnded, SlaveError, StepSizeError, WorkError
 from flexfmu.cosim.engine.master.delays import SignalDelay
@@ -75,14 +74,7 @@ def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
         time: (N,) recorded instants [s]; of two equal ones the last counts.
         signals: (name, values (N,)) of signals in closed loops.
     """
-    known = list(signals)
-    if not known:
-        return None
-    last = _right_limits(time)
-    if last.sum() <= WINDOW * WINDOWS:
-        return None
-    instants = time[last]
-    return _fastest(_judge(instants, name, values[last]) for name, values in known)
+    return _fastest(_judge(*each) for each in _right_limits(time, signals) if each[0].size > WINDOW * WINDOWS)
 
 
 def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
@@ -92,17 +84,16 @@ def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
         time: (N,) recorded instants [s]; of two equal ones the last counts.
         signals: (name, values (N,)) of signals in closed loops, those of sampled slaves included.
     """
-    known = list(signals)
-    if not known:
-        return None
-    last = _right_limits(time)
-    instants = time[last]
-    return _fastest(_overshooting(instants, name, values[last]) for name, values in known)
+    return _fastest(_overshooting(*each) for each in _right_limits(time, signals))
 
 
-def _right_limits(time: RealArray) -> NDArray[np.bool_]:
-    """(N,) whether the instant is the last of equal ones."""
-    return np.append(np.diff(time) > 0.0, True) if time.size else np.zeros(0, dtype=np.bool_)
+def _right_limits(
+    time: RealArray, signals: Iterable[tuple[str, RealArray]]
+) -> Iterator[tuple[RealArray, str, RealArray]]:
+    """Instants, name and values of each signal, at the last of equal instants."""
+    for name, values in signals:
+        last = np.append(np.diff(time) > 0.0, np.ones(min(time.size, 1), dtype=np.bool_))
+        yield time[last], name, values[last]
 
 
 def _fastest(found: Iterable[Instability | None]) -> Instability | None:

@@ -19,9 +19,9 @@ from flexfmu.cosim.engine.master.loops import (
     LoopCall,
     LoopSignals,
     StateKeeper,
+    check_can_save,
     needs_rollback,
-    solve_at_instant,
-    solve_step,
+    solution,
 )
 from flexfmu.cosim.engine.master.plan import Action, Operation, When, make_plan
 from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall, columns, wire
@@ -219,18 +219,21 @@ class Schedule:
             for each in body
         ]
         if isinstance(loop, AlgebraicLoop):
+            # slaves that sample in one call are rolled back
             sampling = [
                 (self.slaves[each.slave], self.due[each.slave]) for each in body if each.action is Action.SAMPLE
             ]
             # all rounds of an exchange share the loop's unknowns and their magnitudes
             signals = self._unknowns.setdefault(loop.name, self._unknowns_at_instant(loop))
-            return solve_at_instant(loop, calls, sampling, signals, self.active)
+            return solution(loop.solver, loop.name, calls, sampling, signals, self.active, at_instant=True)
         assert loop is not None
         assert loop.solver is not None
         name = ", ".join(self._system.describe(each) for each in loop.torn)
         signals = self._unknowns.setdefault(name, self._unknowns_of_step(loop))
         members = [self.slaves[i] for i in loop.slaves]
-        return solve_step(loop.solver, name, members, calls, signals, self.active)
+        check_can_save(members, "repeating a step")
+        repeated = [(slave, None) for slave in members]
+        return solution(loop.solver, name, calls, repeated, signals, self.active, at_instant=False)
 
     def _unknowns_at_instant(self, loop: AlgebraicLoop) -> LoopSignals:
         """The unknowns of an algebraic loop, with as many derivatives as its couplings pass round."""

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import ceil, exp, inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.errors import InputError, LoopError, SlaveError, StepSizeError, WorkError
+from flexfmu.cosim.engine.errors import InputError, LoopError, SlaveError, StepSizeError, WorkError, suggestion
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
 from flexfmu.cosim.engine.master.loops import StateKeeper
 from flexfmu.cosim.engine.master.ports import InputPort, OutputPort
@@ -390,9 +389,7 @@ def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[MonitoredSi
     columns: dict[OutputPort, list[int]] = {}
     for name in names:
         if name not in known:
-            hint = get_close_matches(name, known, n=1, cutoff=0.0)
-            remedy = f"; did you mean {hint[0]!r}?" if hint else ", nor any other"
-            raise InputError(f"step control can't watch {name!r}: there is no such output{remedy}")
+            raise InputError(f"step control can't watch {name!r}: there is no such output; {suggestion(name, known)}")
         port, column = known[name]
         columns.setdefault(port, []).append(column)
     return [_values(port, each) for port, each in columns.items()]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from python_slave import PythonSlave
 
-from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, connect
@@ -156,13 +155,6 @@ def test_a_sampled_slave_in_a_loop(kind: type[Accumulator]) -> None:
     held = [expected[0], expected[0], expected[1], expected[1], expected[2]]
     np.testing.assert_allclose(result.recording["controller.y"].values[last], held, rtol=1e-9)
     np.testing.assert_allclose(result.recording["plant.y"].values[last], 3.0 * np.array(held), rtol=1e-9)
-
-
-def test_a_sampled_slave_that_cannot_be_repeated() -> None:
-    """It is named while wiring, with the way out."""
-    wires = [("controller.y", "plant.u"), ("plant.y", "controller.u")]
-    with pytest.raises(WiringError, match=r"controller can't be repeated to solve the algebraic loop .*two phases"):
-        connect([Accumulator(), Function("plant", lambda u, w: 3.0 * u)], wires, loops=Anderson())
 
 
 def test_a_loop_without_a_solution() -> None:

@@ -6,11 +6,10 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning
+from flexfmu.cosim.engine.errors import InputError, SlaveWarning
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu, fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
@@ -75,10 +74,6 @@ def test_every_type_goes_in_and_out(event_fmu: Path) -> None:
     assert text.texts is not None
     assert text.texts[int(text.values[-1])] == "Grüße"
     assert slave.remarks == ()
-    with pytest.raises(InputError, match=r"UInt8\.in must be at least 0 and at most 255, got 256"):
-        FmuSlave(event_fmu, parameters={"UInt8.in": 256})
-    with pytest.raises(InputError, match=r"n must be at least 0 and at most 4, got 5"):
-        FmuSlave(event_fmu, parameters={"n": 5})
 
 
 def test_connected_signals_of_all_types(event_fmu: Path) -> None:
@@ -109,10 +104,6 @@ def test_arrays_and_structural_parameters(event_fmu: Path) -> None:
     assert slave.feedthrough["y[2]"] == ("u[1]", "u[2]", "u[3]")
     _, result = run(event_fmu, **{"A[1,2]": 10.0, "u[2]": 4.0})
     assert [result.recording[f"guest.y[{i}]"].values[-1] for i in (1, 2)] == [41.0, 4.0]
-    with pytest.raises(
-        InputError, match=r"A is an array: give 4 values, row by row, or single ones such as A\[1,1\]; got 3"
-    ):
-        FmuSlave(event_fmu, parameters={"A": [1.0, 2.0, 3.0]})
     with pytest.raises(InputError, match="structural parameters can't vary"):
         slave.vary({"n": 4})
 
@@ -179,42 +170,6 @@ def test_sampled_and_with_resources(event_fmu: Path, tmp_path: Path) -> None:
     where = result.recording["guest.resources"]
     assert where.texts is not None
     assert Path(where.texts[int(where.values[-1])], "some text.txt").is_file()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            [
-                (
-                    '<Int32 name="ticks"',
-                    '<Clock name="beat" valueReference="50" causality="input" intervalVariability="triggered"/><Int32 name="ticks"',
-                )
-            ],
-            r"has clocks \(beat\), which this program doesn't run; export it without them",
-        ),
-        (
-            [("CoSimulation modelIdentifier", "ScheduledExecution modelIdentifier")],
-            "for scheduled execution only; export it for co-simulation",
-        ),
-        ([("CoSimulation modelIdentifier", "ModelExchange modelIdentifier")], "for model exchange only"),
-        ([('fmiVersion="3.0"', 'fmiVersion="4.0"')], "FMI 4.0|Unsupported FMI version"),
-    ],
-)
-def test_what_is_refused(event_fmu: Path, tmp_path: Path, changes: list[tuple[str, str]], message: str) -> None:
-    """An FMI 3.0 FMU that can't be run is refused in one sentence that says what to do."""
-    with pytest.raises(FmuFileError, match=message):
-        fmu_slave(variant(event_fmu, tmp_path / "other.fmu", *changes))
-
-
-def test_a_missing_platform_is_named_as_fmi3_names_it(event_fmu: Path, tmp_path: Path) -> None:
-    """Folders of binaries have other names than in FMI 2.0."""
-    path = tmp_path / "moved.fmu"
-    with zipfile.ZipFile(event_fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            target.writestr(name.replace(fmpy.platform_tuple, "riscv-linux"), source.read(name))
-    with pytest.raises(FmuFileError, match=rf"no binary for {fmpy.platform_tuple} \(it has: riscv-linux\)"):
-        fmu_slave(path)
 
 
 def test_the_validator_checks_the_description(event_fmu: Path, tmp_path: Path) -> None:

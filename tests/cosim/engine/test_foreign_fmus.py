@@ -18,7 +18,7 @@ import pytest
 from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT
-from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning, WiringError
+from flexfmu.cosim.engine.errors import FmuFileError, SlaveWarning, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
@@ -26,7 +26,6 @@ from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.model.scene.loop import FmuSection
 
 Make = Callable[..., Path]
 
@@ -98,8 +97,6 @@ def test_nobody_hears_of_derivatives_that_nobody_asks_for(make_decay: Make) -> N
     result, told = remarks(lambda: alone(held))
     assert result.recording["decay.x"].first is None
     assert not told
-    with pytest.raises(InputError, match="output_order must be zero or positive, got -1"):
-        FmuSlave(path, output_order=-1)
 
 
 def test_coupling_goes_without_absent_derivatives(make_decay: Make) -> None:
@@ -116,13 +113,6 @@ def test_coupling_goes_without_absent_derivatives(make_decay: Make) -> None:
         )
 
     np.testing.assert_array_equal(second(able, trouble="refuses"), second(plain))
-
-
-def test_scenes_have_the_output_order() -> None:
-    """A scene's FMU takes `output_order`, zero or positive."""
-    assert FmuSection(kind="fmu", path="a.fmu", output_order=0).output_order == 0
-    with pytest.raises(ValueError, match="output_order"):
-        FmuSection(kind="fmu", path="a.fmu", output_order=-1)
 
 
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
@@ -225,22 +215,6 @@ def test_types_of_foreign_signals(foreign_fmu: Path) -> None:
     result = simulate(connect(slaves, [("first.steps", "second.u")]), 1.0, 0.5)
     assert result.recording["first.steps"].values.tolist() == [0.0, 1.0, 2.0]
     assert result.recording["second.x"].values[1] == pytest.approx(np.exp(-0.5), rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("trouble", 99, r"trouble must be one of 1 \(none\), 2 \(fails\), .*, got 99"),
-        ("trouble", "nix", "trouble must be one of none, fails, .*, got 'nix'"),
-        ("inverted", 2, "inverted must be true or false, got 2"),
-        ("inverted", -0.5, "inverted must be true or false, got -0.5"),
-        ("inverted", "yes", "inverted is a number, got 'yes'"),
-    ],
-)
-def test_values_that_are_none_of_the_variable(foreign_fmu: Path, name: str, value: float | str, message: str) -> None:
-    """What is no item of an enumeration, or neither true nor false, is refused with what there is."""
-    with pytest.raises(InputError, match=message):
-        fmu_slave(foreign_fmu, "decay", {name: value})
 
 
 def test_booleans_in_all_spellings(foreign_fmu: Path) -> None:
@@ -373,21 +347,6 @@ def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path) -> None:
     assert json.loads(done.stdout)["outcome"] == "ended_by_slave"
     assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.55)
     assert "a licence of 1000 lines" in done.stderr
-
-
-FMI_1 = """<fmiModelDescription fmiVersion="1.0" modelName="old" modelIdentifier="old" guid="1" numberOfContinuousStates="0"
-numberOfEventIndicators="0"><ModelVariables/><Implementation><CoSimulation_StandAlone><Capabilities/></CoSimulation_StandAlone>
-</Implementation></fmiModelDescription>"""
-
-
-def test_fmi_1_gets_a_clear_line(tmp_path: Path) -> None:
-    """The version that isn't run is named, in one line with what to do."""
-    path = tmp_path / "old.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", FMI_1)
-    with pytest.raises(FmuFileError, match=r"is an FMU of FMI 1\.0; .*export it") as caught:
-        FmuSlave(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_libraries_that_lack_functions(make_decay: Make, tmp_path: Path) -> None:

@@ -63,23 +63,6 @@ def test_sample_instants_are_points() -> None:
     assert grid.times.tolist() == [*(0.1 * np.arange(10)), 1.0]
 
 
-@pytest.mark.parametrize(
-    ("start", "stop", "step", "problem"),
-    [
-        (0, 1, 0, "step must be above 0 s and finite, got 0 s"),
-        (0, 1, -1, "got -1 s"),
-        (0, 1, np.nan, "got nan s"),
-        (1, 1, 0.1, "must end after its start, got start 1 s, stop 1 s"),
-        (0, np.nan, 0.1, "stop nan s"),
-        (0, 1, 1e-9, r"makes 1e\+09 steps; take a larger one"),
-    ],
-)
-def test_senseless_grids_are_refused(start: float, stop: float, step: float, problem: str) -> None:
-    """A step in the wrong unit is an error, not a full memory, and the error names what is wrong."""
-    with pytest.raises(InputError, match=problem):
-        time_grid(start, stop, step)
-
-
 def test_a_sample_time_far_below_the_step_is_refused_with_values_that_do() -> None:
     """What is recommended isn't what was given: both recommendations make a grid."""
     with pytest.raises(InputError, match=r"take at least 2e-07 s, or a communication step of at most 0\.0001 s"):

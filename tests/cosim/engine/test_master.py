@@ -234,15 +234,6 @@ def test_the_first_failure_is_told() -> None:
     assert result.message == "troublemaker failed at 0.3 s: ZeroDivisionError: by zero"
 
 
-def test_progress_is_told() -> None:
-    """Progress rises to one and doesn't come more often than about a hundred times."""
-    told: list[float] = []
-    simulate(connect([Recorder()], []), stop=1.0, step=1e-3, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert 90 <= len(told) <= 110
-
-
 def test_a_start_value_stays_where_nothing_is_connected() -> None:
     """An input that is not connected keeps its start value."""
     result = simulate(connect([Recorder()], []), stop=0.5, step=0.1)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from python_slave import PythonSlave, SampledSlave
 
-from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.couplings import Transport
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.grid import Clock, time_grid
@@ -89,37 +88,6 @@ def test_a_slave_is_sampled_at_its_instants() -> None:
     np.testing.assert_allclose(sampler.times, [0.1, 0.35, 0.6, 0.85], rtol=1e-15)
     y = result.recording["controller.y"].values
     assert set(y[result.recording.time < 0.1].tolist()) == {-1.0}
-
-
-@pytest.mark.parametrize(
-    ("sample_time", "offset", "words"),
-    [
-        (np.pi * 1e-4, 0.0, ["sample time of 0.000314159265359 s", "step of 0.0002 s", "0.0004 s", "0.00015707963"]),
-        (1e-3, 0.000123457, ["offset of 0.000123457 s", "step of 0.0002 s", "0.0002 s"]),
-        (7.77777e-6, 0.0, ["sample time of 7.77777e-06 s", "7.69230769231e-06 s"]),
-        (0.0, 0.0, ["sample time of 0.0 s"]),
-        (-1e-3, 0.0, ["sample time of -0.001 s"]),
-        (1e-3, -1e-3, ["offset must be zero or positive, got -0.001 s"]),
-        (float("nan"), 0.0, ["sample time of nan s"]),
-    ],
-)
-def test_what_does_not_fit_is_refused(sample_time: float, offset: float, words: list[str]) -> None:
-    """A sample time or offset without a common tick with the communication step is refused: both are named, and values
-    that fit."""
-    with pytest.raises(InputError) as caught:
-        simulate(connect([Sampler("controller", sample_time, offset)], []), 1.0, 2e-4)
-    message = str(caught.value)
-    assert message.startswith("controller: ")
-    assert "\n" not in message
-    for word in words:
-        assert word in message
-
-
-def test_clocks_that_fit_alone_but_not_together() -> None:
-    """Sample times whose common tick is far too small are named together."""
-    clocks = [Clock("a", 1e-3 / 997), Clock("b", 1e-3 / 991), Clock("c", 1e-3)]
-    with pytest.raises(InputError, match=r"the sample times of a .* b .* have no common tick"):
-        time_grid(0.0, 1.0, 1e-3, clocks=clocks)
 
 
 def test_a_held_output_arrives_at_once() -> None:

@@ -74,14 +74,6 @@ def test_a_signal_that_does_not_exist() -> None:
         PreparedScene(SCENE, record=Selection([]))
 
 
-def test_odd_selections() -> None:
-    """An order that nobody records, and a name where names are asked for."""
-    with pytest.raises(InputError, match="order 0, 1 or 2, got 3"):
-        Selection(order=3)
-    with pytest.raises(InputError, match="a list of names"):
-        Selection("joint1.torque")
-
-
 class Counter(PythonSlave):
     """Two outputs that count steps, and a note of which were read."""
 

@@ -240,13 +240,3 @@ def test_steps_change_within_limits(error: float, change: float) -> None:
     between, the next step aims at 0.9 of what the error of first order allows."""
     assert StepDoubling().next_step(0.01, error, 1) == pytest.approx(0.01 * change)
     assert StepDoubling(largest=0.015).next_step(0.01, error, 1) == pytest.approx(min(0.01 * change, 0.015))
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [{"tolerance": 0.0}, {"tolerance": 2.0}, {"absolute": -1.0}, {"smallest": 0.0}, {"smallest": 2.0, "largest": 1.0}],
-)
-def test_senseless_control(arguments: dict[str, float]) -> None:
-    """Numbers out of range are refused."""
-    with pytest.raises(InputError, match="step control needs"):
-        StepDoubling(**arguments)

@@ -130,13 +130,6 @@ def test_only_known_communication_points() -> None:
         slave.announce(0.05)
 
 
-@pytest.mark.parametrize("order", [-1, 10])
-def test_impossible_orders(order: int) -> None:
-    """Only degrees that can be made are accepted."""
-    with pytest.raises(InputError, match="must be 0 to 9"):
-        TrajectorySlave(Swing(), order=order)
-
-
 @pytest.mark.parametrize("order", [4, 6, 8, 9])
 def test_few_points_are_as_good_as_many(order: int) -> None:
     """A master that chooses its steps on the way asks for a few points again and again: it gets what a grid of many gives,

@@ -1,0 +1,279 @@
+"""What is refused: one table of calls, and of the words that say why and what to do instead."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from python_slave import PythonSlave, SampledSlave
+
+from flexfmu.cosim.engine.errors import AlgebraicLoopError, FmuFileError, InputError, WiringError
+from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.grid import Clock, time_grid
+from flexfmu.cosim.engine.master.iteration import Anderson
+from flexfmu.cosim.engine.master.simulator import simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import Wire, connect
+from flexfmu.cosim.engine.results import FORMATS, Recording, Selection
+from flexfmu.cosim.engine.slave import SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.model.scene.loop import FmuSection
+
+FMI_1 = """<fmiModelDescription fmiVersion="1.0" modelName="old" modelIdentifier="old" guid="1" numberOfContinuousStates="0"
+numberOfEventIndicators="0"><ModelVariables/><Implementation><CoSimulation_StandAlone><Capabilities/></CoSimulation_StandAlone>
+</Implementation></fmiModelDescription>"""
+
+ORDER = (
+    '<CoSimulation canInterpolateInputs="true" ',
+    '<VendorAnnotations><Tool name="flexfmu"><InputDerivatives maxOrder="many"/></Tool></VendorAnnotations><ModelVariables>',
+)
+
+CLOCK = (
+    '<Int32 name="ticks"',
+    '<Clock name="beat" valueReference="50" causality="input" intervalVariability="triggered"/><Int32 name="ticks"',
+)
+
+
+class Block(PythonSlave):
+    """Inputs u1 and u2, outputs y1 and y2, all with direct feedthrough unless the feedthrough says otherwise."""
+
+    def __init__(self, name: str, unit: str = "m", **feedthrough: tuple[str, ...]) -> None:
+        inputs = [SlaveVariable(f"u{i}", "input", "m", 0.0) for i in (1, 2)]
+        self.variables = (*inputs, *(SlaveVariable(output, "output", unit) for output in ("y1", "y2")))
+        self.feedthrough = feedthrough
+        super().__init__(name)
+
+
+class Sampler(SampledSlave):
+    """Samples in one call, with direct feedthrough."""
+
+    variables = (SlaveVariable("u1", "input", "m", 0.0), SlaveVariable("y1", "output", "m"))
+
+    def __init__(self, sample_time: float = 0.1, offset: float = 0.0) -> None:
+        super().__init__("sampler")
+        self.sample_time, self.offset = sample_time, offset
+
+    def sample(self, time: float) -> None:
+        self.memory[1] = self.memory[0]
+
+
+def wired(*wires: Wire, unit: str = "m", **more: Any) -> None:
+    """Two slaves whose outputs follow from states."""
+    connect([Block(name, unit, y1=(), y2=()) for name in ("a", "b")], wires, **more)
+
+
+def sampled(sample_time: float, offset: float = 0.0) -> None:
+    """A slave with these times at a communication step of 0.2 ms."""
+    simulate(connect([Sampler(sample_time, offset)], []), 1.0, 2e-4)
+
+
+def changed(path: Path, folder: Path, old: str = "", new: str = "", platform: str = "") -> Path:
+    """The FMU with another description, or for another platform."""
+    other = folder / "other.fmu"
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(other, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name.endswith(".xml") and old:
+                assert old.encode() in content
+                content = content.replace(old.encode(), new.encode())
+            parts = name.split("/")
+            target.writestr(
+                "/".join(["binaries", platform, *parts[2:]]) if platform and len(parts) > 2 else name, content
+            )
+    return other
+
+
+def written(folder: Path, text: str, name: str = "") -> Path:
+    """A file with this text, or an archive with such a file."""
+    path = folder / "broken.fmu"
+    if not name:
+        path.write_text(text)
+        return path
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(name, text)
+    return path
+
+
+Call = Callable[[Any], object]
+
+MODEL_EXCHANGE = "CoSimulation modelIdentifier", "ModelExchange modelIdentifier"
+SCHEDULED = "CoSimulation modelIdentifier", "ScheduledExecution modelIdentifier"
+
+CASES: list[tuple[type[Exception], str, Call]] = [
+    # step control, references, loops
+    (InputError, "step control needs", lambda it: StepDoubling(tolerance=0.0)),
+    (InputError, "step control needs", lambda it: StepDoubling(tolerance=2.0)),
+    (InputError, "step control needs", lambda it: StepDoubling(absolute=-1.0)),
+    (InputError, "step control needs", lambda it: StepDoubling(smallest=0.0)),
+    (InputError, "step control needs", lambda it: StepDoubling(smallest=2.0, largest=1.0)),
+    (InputError, "must be 0 to 9", lambda it: TrajectorySlave(it.swing, order=-1)),
+    (InputError, "must be 0 to 9", lambda it: TrajectorySlave(it.swing, order=10)),
+    # grids: a step in the wrong unit is an error, not a full memory
+    (InputError, "step must be above 0 s and finite, got 0 s", lambda it: time_grid(0.0, 1.0, 0)),
+    (InputError, "got -1 s", lambda it: time_grid(0.0, 1.0, -1)),
+    (InputError, "got nan s", lambda it: time_grid(0.0, 1.0, np.nan)),
+    (InputError, "must end after its start, got start 1 s, stop 1 s", lambda it: time_grid(1, 1, 0.1)),
+    (InputError, "stop nan s", lambda it: time_grid(0.0, np.nan, 0.1)),
+    (InputError, r"makes 1e\+09 steps; take a larger one", lambda it: time_grid(0.0, 1.0, 1e-9)),
+    # sample times without a common tick with the communication step are named, and values that fit
+    (
+        InputError,
+        r"sampler: .*sample time of 0\.000314159265359 s.*step of 0\.0002 s",
+        lambda it: sampled(np.pi * 1e-4),
+    ),
+    (InputError, r"sampler: .*0\.0004 s.*0\.00015707963", lambda it: sampled(np.pi * 1e-4)),
+    (InputError, r"sampler: .*offset of 0\.000123457 s.*step of 0\.0002 s", lambda it: sampled(1e-3, 0.000123457)),
+    (InputError, r"sample time of 7\.77777e-06 s.*7\.69230769231e-06 s", lambda it: sampled(7.77777e-6)),
+    (InputError, r"sampler: .*sample time of 0\.0 s", lambda it: sampled(0.0)),
+    (InputError, r"sampler: .*sample time of -0\.001 s", lambda it: sampled(-1e-3)),
+    (InputError, r"sampler: .*offset must be zero or positive, got -0\.001 s", lambda it: sampled(1e-3, -1e-3)),
+    (InputError, "sampler: .*sample time of nan s", lambda it: sampled(float("nan"))),
+    (
+        InputError,
+        "the sample times of a .* b .* have no common tick",
+        lambda it: time_grid(0.0, 1.0, 1e-3, clocks=[Clock("a", 1e-3 / 997), Clock("b", 1e-3 / 991), Clock("c", 1e-3)]),
+    ),
+    # wiring
+    (WiringError, "a.y9.*no such output; did you mean a.y", lambda it: wired(("a.y9", "b.u1"))),
+    (WiringError, "b.w1.*no such input; did you mean b.u", lambda it: wired(("a.y1", "b.w1"))),
+    (WiringError, "there is no slave 'c'; slaves: a, b", lambda it: wired(("c.y1", "b.u1"))),
+    (WiringError, "'a.u1' is no output", lambda it: wired(("a.u1", "b.u1"))),
+    (WiringError, "'b.y1' is no input", lambda it: wired(("a.y1", "b.y1"))),
+    (WiringError, "there is no slave 'y1'", lambda it: wired(("y1", "b.u1"))),
+    (WiringError, r"a\.y1 is in rad, b\.u1 in m", lambda it: wired(("a.y1", "b.u1"), unit="rad")),
+    (WiringError, r"b\.u1 is connected twice", lambda it: wired(("a.y1", "b.u1"), ("a.y2", "b.u1"))),
+    (WiringError, "two slaves are named 'a'", lambda it: connect([Block("a"), Block("a")], [])),
+    (WiringError, "take a name without a dot", lambda it: connect([Block("a.b")], [])),
+    (WiringError, "take a name without a dot", lambda it: connect([Block("")], [])),
+    (
+        WiringError,
+        "sampler can't be repeated to solve the algebraic loop .*two phases",
+        lambda it: connect([Sampler(), Block("b")], [("sampler.y1", "b.u1"), ("b.y1", "sampler.u1")], loops=Anderson()),
+    ),
+    # a slave that says nothing about feedthrough is taken to pass everything on
+    (
+        AlgebraicLoopError,
+        "a.y1 -> b.u1 -> b.y1 -> a.u2 -> a.y1; put a slave with a state",
+        lambda it: connect([Block("a"), Block("b", y1=("u1",))], [("a.y1", "b.u1"), ("b.y1", "a.u2")]),
+    ),
+    (
+        InputError,
+        "n has the type 'Int'; a variable is one of Real,",
+        lambda it: SlaveVariable("n", "output", type=it.int),
+    ),
+    # signals and files
+    (InputError, "order 0, 1 or 2, got 3", lambda it: Selection(order=3)),
+    (InputError, "a list of names", lambda it: Selection("joint1.torque")),
+    (InputError, "interval of the recorded instants must be above 0 s", lambda it: Selection(step=0.0)),
+    (
+        InputError,
+        f"no format 'xlsx' of results; choose from {', '.join(FORMATS)}",
+        lambda it: it.recording.write("a.xlsx"),
+    ),
+    (InputError, r"read from \.csv, \.parquet and \.mat files", lambda it: Recording.read("results.mcap")),
+    # parameters of FMUs
+    (InputError, "no parameter 'rats'; did you mean 'rate'", lambda it: fmu_slave(it.fmi2, "it", {"rats": 1.0})),
+    (
+        InputError,
+        "must be one of none, fails, ends, forgets",
+        lambda it: fmu_slave(it.fmi2, "it", {"trouble": "sings"}),
+    ),
+    (
+        InputError,
+        r"must be one of 1 \(none\), 2 \(fails\), .*, got 99",
+        lambda it: fmu_slave(it.fmi2, "it", {"trouble": 99}),
+    ),
+    (InputError, r"trouble must be a whole number, got 0\.5", lambda it: fmu_slave(it.fmi2, "it", {"trouble": 0.5})),
+    (InputError, "inverted must be true or false, got 2", lambda it: fmu_slave(it.fmi2, "it", {"inverted": 2})),
+    (InputError, "inverted must be true or false, got -0.5", lambda it: fmu_slave(it.fmi2, "it", {"inverted": -0.5})),
+    (InputError, "inverted is a number, got 'yes'", lambda it: fmu_slave(it.fmi2, "it", {"inverted": "yes"})),
+    (InputError, "rate is a number", lambda it: fmu_slave(it.fmi2, "it", {"rate": "fast"})),
+    (
+        InputError,
+        r"rate must be one number, got \[1\.0, 2\.0\]",
+        lambda it: FmuSlave(it.fmi2, "it", {"rate": [1.0, 2.0]}),
+    ),
+    (InputError, r"rate must be a finite number, got 10", lambda it: FmuSlave(it.fmi2, "it", {"rate": 10**400})),
+    (InputError, "rate must be a finite number, got inf$", lambda it: FmuSlave(it.fmi2, "it", {"rate": float("inf")})),
+    (
+        InputError,
+        r"UInt8\.in must be at least 0 and at most 255, got 256",
+        lambda it: FmuSlave(it.fmi3, "it", {"UInt8.in": 256}),
+    ),
+    (InputError, "n must be at least 0 and at most 4, got 5", lambda it: FmuSlave(it.fmi3, "it", {"n": 5})),
+    (
+        InputError,
+        r"A is an array: give 4 values, row by row, .* A\[1,1\]; got 3",
+        lambda it: FmuSlave(it.fmi3, "it", {"A": [1, 2, 3]}),
+    ),
+    (InputError, "output_order must be zero or positive, got -1", lambda it: FmuSlave(it.fmi2, output_order=-1)),
+    (ValueError, "output_order", lambda it: FmuSection(kind="fmu", path="a.fmu", output_order=-1)),
+    (InputError, r"an offset of 0\.1 s needs a sample time", lambda it: fmu_slave(it.fmi2, offset=0.1)),
+    # FMUs that are broken, of another kind, or for another platform
+    (FmuFileError, "No such file", lambda it: FmuSlave(it.folder / "none.fmu")),
+    (FmuFileError, "not a zip", lambda it: FmuSlave(written(it.folder, "no zip"))),
+    (FmuFileError, "broken FMU", lambda it: FmuSlave(written(it.folder, "", "readme.txt"))),
+    (
+        FmuFileError,
+        r"is an FMU of FMI 1\.0; .*export it",
+        lambda it: FmuSlave(written(it.folder, FMI_1, "modelDescription.xml")),
+    ),
+    (FmuFileError, "model exchange|broken", lambda it: FmuSlave(changed(it.fmi2, it.folder, *MODEL_EXCHANGE))),
+    (FmuFileError, "for model exchange only", lambda it: FmuSlave(changed(it.fmi3, it.folder, *MODEL_EXCHANGE))),
+    (
+        FmuFileError,
+        "for scheduled execution only; export",
+        lambda it: FmuSlave(changed(it.fmi3, it.folder, *SCHEDULED)),
+    ),
+    (
+        FmuFileError,
+        r"has clocks \(beat\), which .* export it without",
+        lambda it: FmuSlave(changed(it.fmi3, it.folder, *CLOCK)),
+    ),
+    (
+        FmuFileError,
+        "FMI 4.0|Unsupported FMI version",
+        lambda it: FmuSlave(changed(it.fmi3, it.folder, 'fmiVersion="3.0"', 'fmiVersion="4.0"')),
+    ),
+    (
+        FmuFileError,
+        r"InputDerivatives are .'maxOrder': 'many'",
+        lambda it: FmuSlave(it.decay(("<CoSimulation ", ORDER[0]), ("<ModelVariables>", ORDER[1]))),
+    ),
+    (
+        FmuFileError,
+        "has no binary for .* .it has: amiga64",
+        lambda it: FmuSlave(changed(it.fmi2, it.folder, platform="amiga64")),
+    ),
+    (
+        FmuFileError,
+        rf"no binary for {fmpy.platform_tuple} \(it has: riscv-linux\)",
+        lambda it: FmuSlave(changed(it.fmi3, it.folder, platform="riscv-linux")),
+    ),
+]
+
+
+@pytest.mark.parametrize(("error", "words", "call"), CASES, ids=[words for _, words, _ in CASES])
+def test_what_is_refused(
+    foreign_fmu: Path,
+    event_fmu: Path,
+    make_decay: Callable[..., Path],
+    tmp_path: Path,
+    error: type[Exception],
+    words: str,
+    call: Call,
+) -> None:
+    """Before anything runs, in one line with the name, the value and a remedy."""
+    recording = Recording(np.arange(2.0), {})
+    it = SimpleNamespace(fmi2=foreign_fmu, fmi3=event_fmu, decay=make_decay, folder=tmp_path, recording=recording)
+    it.swing, it.int = object(), "Int"
+    with pytest.raises(error, match=words) as caught:
+        call(it)
+    assert "\n" not in str(caught.value) or error is ValueError
