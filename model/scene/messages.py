@@ -43,9 +43,9 @@ def _unknown(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[str, str
     keys, model, _, kinds = _locate(location, root)
     name, known = keys[-1], list(model.model_fields) if model is not None else []
     # a key of another kind, of which a section whose kind was changed has many
-    homes = [str(tag) for each in kinds if name in each.model_fields for tag in _tags(each)]
+    homes = [str(tag) for each in kinds if name in each.model_fields for tag in tags_of(each)]
     if model is not None and 0 < len(homes) <= MOST_HOMES:
-        own = _tags(model)[0]
+        own = tags_of(model)[0]
         remedy = f"{{they}} to kind {' or '.join(map(repr, homes))}, not to {own!r}; remove {{them}}, or set `{'.'.join(keys[:-1])}` as a whole"
         return ".".join(keys), remedy
     close = [GAINS[name]] if GAINS.get(name) in known else difflib.get_close_matches(name, known, n=1)
@@ -67,11 +67,11 @@ def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
     if kind == "value_error":
         return f"{f'in `{key}`: ' if key else ''}{context['error']}"
     # tables and their kinds
-    if kind == "tuple_type" and any(_sections(annotation)):
+    if kind == "tuple_type" and any(sections_in(annotation)):
         remedy = f"instead of [{key}]" if isinstance(value, dict) else f"and the keys below it, got {value!r}"
         return f"`{key}` is a list of tables: write [[{key}]] {remedy}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        kinds = [tag for each in _sections(annotation) if each is not ObjectSection for tag in _tags(each)]
+        kinds = [tag for each in sections_in(annotation) if each is not ObjectSection for tag in tags_of(each)]
         found = (
             "but is missing"
             if kind == "union_tag_not_found"
@@ -152,7 +152,7 @@ def _locate(
             holder = model
             extra = field.json_schema_extra
             unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-            variants, kinds = list(_sections(field.annotation)), []
+            variants, kinds = list(sections_in(field.annotation)), []
         elif isinstance(part, int):
             keys[-1] += f"[{part}]"
         # the tag of a kind; where it can't be one, the same word is a key
@@ -164,20 +164,20 @@ def _locate(
     return keys, holder, unit, kinds
 
 
-def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
+def sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
     """All section types in the annotation of a field."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
-        yield from _sections(part)
+        yield from sections_in(part)
 
 
 def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | None:
     """The section whose `kind` may be `tag`; None if there is none."""
-    return next((model for model in variants if tag in _tags(model)), None)
+    return next((model for model in variants if tag in tags_of(model)), None)
 
 
-def _tags(section: type[BaseModel]) -> tuple[Any, ...]:
+def tags_of(section: type[BaseModel]) -> tuple[Any, ...]:
     """What the `kind` of a section may be; none if it has no kind."""
     kind = section.model_fields.get("kind")
     return () if kind is None else get_args(kind.annotation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isclose, isfinite, pi, tan
+from math import isclose, pi, tan
 from typing import Any, Literal, TypedDict, Unpack, get_args
 
 import casadi
@@ -243,20 +243,36 @@ def from_control(
     names_in = _names(inputs, system.input_labels, "inputs")
     names_out = _names(outputs, system.output_labels, "outputs")
     check_units(units, [*names_in, *names_out], "linear system")
-    # discretise a continuous system, check the sample time of a discrete one
+    dt = system.dt
+    if dt is None:
+        raise InputError("the system has no time base (dt is None); set dt = 0 for continuous, or its sample time in s")
     if system.isctime(strict=True):
-        method, sample_time = _explicit(method, sample_time)
+        # neither method nor sample time has a default
+        if method is None or sample_time is None:
+            raise InputError(
+                f"the system is continuous: say how to discretise it, method= one of {', '.join(get_args(Method))}, "
+                "and with which sample_time= in s; or discretise it with control.c2d"
+            )
+        if method not in get_args(Method):
+            raise InputError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
+        check_sampling(sample_time, 0.0, "the system")
         matrices = _discretise(matrices, method, sample_time, prewarp)
     else:
         if method is not None or prewarp is not None:
             raise InputError("the system is discrete and is taken as it is; leave out method and prewarp")
-        sample_time = _own_sample_time(system.dt, sample_time)
-
+        # its own sample time, or the argument where its dt is True
+        if dt is True and sample_time is None:
+            raise InputError("the system is discrete without a sample time (dt is True); say sample_time= in s")
+        if dt is not True and sample_time is not None and not isclose(dt, sample_time, rel_tol=SAME_SAMPLE_TIME):
+            raise InputError(
+                f"the system has the sample time {dt} s, not {sample_time} s; leave out sample_time, or design it anew"
+            )
+        sample_time = sample_time if dt is True and sample_time is not None else float(dt)
     # a signal without a unit connects to any unit
-    def signals(names: Sequence[str]) -> tuple[Signal, ...]:
-        return tuple(Signal(name, units.get(name, "1")) for name in names)
-
-    return LinearSystem(*matrices, sample_time, signals(names_in), signals(names_out))
+    signals_in, signals_out = (
+        tuple(Signal(name, units.get(name, "1")) for name in names) for names in (names_in, names_out)
+    )
+    return LinearSystem(*matrices, sample_time, signals_in, signals_out)
 
 
 def dotted(label: str) -> str:
@@ -295,39 +311,6 @@ def _names(given: Sequence[str] | None, labels: Sequence[str], what: str) -> lis
             f"{what} must be a sequence of {len(labels)} names, one for each of {list(labels)}, got {given!r}"
         )
     return list(given)
-
-
-def _explicit(method: Method | None, sample_time: float | None) -> tuple[Method, float]:
-    """Check the method and the sample time [s] of a discretisation; neither has a default."""
-    # both must be there
-    if method is None or sample_time is None:
-        raise InputError(
-            f"the system is continuous: say how to discretise it, method= one of {', '.join(get_args(Method))}, "
-            "and with which sample_time= in s; or discretise it with control.c2d"
-        )
-    # and be admissible
-    if method not in get_args(Method):
-        raise InputError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
-    if not (isfinite(sample_time) and sample_time > 0.0):
-        raise InputError(f"the sample time must be positive, got {sample_time} s; 1e-3 s is 1 kHz")
-    return method, sample_time
-
-
-def _own_sample_time(dt: Any, sample_time: float | None) -> float:
-    """Return the sample time of a discrete system [s]: its own, or the argument where its ``dt`` is True."""
-    if dt is None:
-        raise InputError("the system has no time base (dt is None); set dt = 0 for continuous, or its sample time in s")
-    # True: discrete, without a sample time
-    if dt is True:
-        if sample_time is None:
-            raise InputError("the system is discrete without a sample time (dt is True); say sample_time= in s")
-        return sample_time
-    # two sample times must agree
-    if sample_time is not None and not isclose(dt, sample_time, rel_tol=SAME_SAMPLE_TIME):
-        raise InputError(
-            f"the system has the sample time {dt} s, not {sample_time} s; leave out sample_time, or design it anew"
-        )
-    return float(dt)
 
 
 def _discretise(matrices: Any, method: Method, sample_time: float, prewarp: float | None) -> Matrices:

@@ -73,31 +73,6 @@ def test_gaussian_tails(gauss: np.ndarray) -> None:
     assert np.abs(gauss).max() < sqrt(-2 * np.log(1 / MODULI[0]))
 
 
-def test_noise_is_white(gauss: np.ndarray) -> None:
-    """No autocorrelation, and none of the squares: the amplitude doesn't breathe."""
-    for y in gauss.T:
-        for values in (y, y**2):
-            scaled = (values - values.mean()) / values.std()
-            for lag in range(1, 21):
-                assert abs(np.mean(scaled[lag:] * scaled[:-lag])) < SIX_SIGMA / sqrt(COUNT)
-
-
-def test_channels_are_independent(gauss: np.ndarray) -> None:
-    """Both joints' encoders don't err together, at the same sample or around it."""
-    for lag in range(-5, 6):
-        pair = gauss[5:-5, 0], np.roll(gauss[:, 1], lag)[5:-5]
-        assert abs(np.corrcoef(*pair)[0, 1]) < SIX_SIGMA / sqrt(COUNT)
-
-
-def test_uniform_moments(run: Any) -> None:
-    """The variance is half_width² / 3, and no value lies outside."""
-    y = run(noise(half_width=0.3, seed=5, sample_time=H), np.zeros(COUNT))[:, 0]
-    assert np.abs(y).max() < 0.3
-    assert abs(y.mean()) < SIX_SIGMA * 0.3 / sqrt(3 * COUNT)
-    assert y.var() == pytest.approx(0.03, rel=SIX_SIGMA * sqrt(0.8 / COUNT))
-    assert kstest(y, "uniform", args=(-0.3, 0.6)).pvalue > 1e-6
-
-
 @pytest.mark.parametrize("key", ["standard_deviation", "half_width"])
 def test_seed_is_a_parameter(key: str, run: Any) -> None:
     """The same seed gives the same noise, another one another; an importer can choose it."""

@@ -57,12 +57,6 @@ def numbers(names: list[str], seed: int, count: int) -> np.ndarray:
     return np.array(step.mapaccum(count)(start, casadi.DM(0, count))[1]).T.reshape(count, n)
 
 
-@pytest.fixture(scope="module")
-def sample() -> np.ndarray:
-    """200 000 numbers of three streams."""
-    return numbers(["noise/joint1.position", "noise/joint2.position", "jitter"], 1, 200_000)
-
-
 @settings(max_examples=60)
 @given(seed=SEEDS, name=st.text(max_size=20))
 def test_seeding_is_exact(seed: int, name: str) -> None:
@@ -131,36 +125,6 @@ def test_multipliers_have_full_period() -> None:
                 rest //= prime
         assert rest == 1
         assert pow(a, m - 1, m) == 1
-
-
-def test_uniformity(sample: np.ndarray) -> None:
-    """Mean, variance and distribution are those of the uniform one in (0, 1)."""
-    count = len(sample)
-    for u in sample.T:
-        assert abs(u.mean() - 0.5) < SIX_SIGMA * sqrt(1 / 12 / count)
-        assert abs(u.var() - 1 / 12) < SIX_SIGMA * sqrt(1 / 180 / count)
-        assert kstest(u, "uniform").pvalue > 1e-6
-
-
-def test_pairs_are_uniform(sample: np.ndarray) -> None:
-    """Pairs of successive numbers fill a 64 x 64 grid evenly: Gauss numbers are made of such pairs."""
-    for u in sample.T:
-        cells = np.floor(64 * u).astype(int).reshape(-1, 2)
-        counts = np.bincount(64 * cells[:, 0] + cells[:, 1], minlength=4096)
-        expected = len(cells) / 4096
-        chi_squared = ((counts - expected) ** 2).sum() / expected
-        assert abs(chi_squared - 4095) < SIX_SIGMA * sqrt(2 * 4095)
-
-
-def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Correlation, in standard deviations of that of independent numbers."""
-    return float(np.corrcoef(a, b)[0, 1] * sqrt(len(a)))
-
-
-def test_successive_numbers_are_uncorrelated(sample: np.ndarray) -> None:
-    """White noise: no correlation at any of fifty lags."""
-    for u in sample.T:
-        assert max(abs(correlation(u[lag:], u[:-lag])) for lag in range(1, 51)) < SIX_SIGMA
 
 
 def test_streams_are_uncorrelated() -> None:

@@ -19,7 +19,7 @@ from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.cosim.engine.binding import Phase
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
-from flexfmu.model.scene.messages import _sections, _tags
+from flexfmu.model.scene.messages import sections_in, tags_of
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -69,7 +69,7 @@ def assert_rounding(found: Any, exact: Any, name: str = "") -> None:
 def test_no_kind_is_left_out() -> None:
     """A new kind of controller, imperfection, filter or disturbance is tried in other importers, too."""
     fields = [Scene.model_fields[key].annotation for key in ("controller", "imperfection", "filter", "disturbance")]
-    tags = {tag for field in fields for section in _sections(field) for tag in _tags(section)}
+    tags = {tag for field in fields for section in sections_in(field) for tag in tags_of(section)}
     others = {"python", "fmu", "object", "payload-error"}
     assert tags - others <= {name.partition(":")[0] for name in KINDS}
 
