@@ -72,8 +72,7 @@ def tune(
 
     from flexfmu.cosim.design.gains.goals import split
     from flexfmu.cosim.design.gains.robustness import parse_band
-    from flexfmu.cosim.design.gains.tuned_files import summary, write_tuned, write_tuning
-    from flexfmu.cosim.design.gains.tuner import tune_scene
+    from flexfmu.cosim.design.gains.tuner import summary, tune_scene, write_tuned, write_tuning
     from flexfmu.model.scene.keys import parse_setting
 
     check_scene_file(output)

@@ -583,8 +583,7 @@ def tune(
         ResultsError: all trials failed, or a file can't be written.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.cosim.design.gains.tuned_files import write_tuned, write_tuning
-    from flexfmu.cosim.design.gains.tuner import tune_scene
+    from flexfmu.cosim.design.gains.tuner import tune_scene, write_tuned, write_tuning
 
     folder = None if out is None else Path(out)
     result = tune_scene(

@@ -129,13 +129,13 @@ class Study:
             MissingCompilerError: there is no C compiler.
         """
         try:
-            return self._tried(values)
+            return self._figures(values)
         except MissingCompilerError:
             raise
         except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
             return Trial(values, {}, str(error))
 
-    def _tried(self, values: tuple[float, ...]) -> Trial:
+    def _figures(self, values: tuple[float, ...]) -> Trial:
         scene = self.changed(values)
         names = list(dict.fromkeys(part for goal in self.goals if not goal.is_margin for part in goal.parts))
         prepared = PreparedScene(scene)
@@ -239,8 +239,15 @@ class TrialJournal:
 
     def __init__(self, folder: Path, study: Study, *, restart: bool = False) -> None:
         self._lines, self.trials = Journal(folder / FILE, restart=restart), dict[tuple[float, ...], Trial]()
-        head = json.loads(json.dumps(_about(study)))
-        found = [_read(line) for _, line in self._lines.read()]
+        # what determines the trials of equal values
+        about = {
+            "scene": study.scene.model_dump(mode="json", exclude_none=True),
+            **({"files": files} if (files := file_digests(study.scene)) else {}),
+            "keys": [each.key for each in study.over],
+            "figures": sorted({part for goal in study.goals for part in goal.parts}),
+            "payload band": study.band,
+        }
+        head, found = json.loads(json.dumps(about)), [_read(line) for _, line in self._lines.read()]
         if not found:
             self._lines.append(f"{json.dumps(head)}\n")
         elif found[0] != head:
@@ -248,10 +255,9 @@ class TrialJournal:
             raise InputError(
                 f"{folder} has another tuning (other {part}): give another folder with --out, or --restart to discard it"
             )
-        for each in found[1:]:
-            if each is not None:
-                trial = Trial(tuple(each["values"]), each["figures"], each["message"])
-                self.trials[trial.values] = trial
+        for each in filter(None, found[1:]):
+            trial = Trial(tuple(each["values"]), each["figures"], each["message"])
+            self.trials[trial.values] = trial
 
     def add(self, trial: Trial) -> None:
         """Keep a trial.
@@ -261,18 +267,6 @@ class TrialJournal:
         """
         line = {"values": trial.values, "figures": dict(trial.figures), "message": trial.message}
         self._lines.append(f"{json.dumps(line)}\n")
-
-
-def _about(study: Study) -> dict[str, Any]:
-    """What determines the trials of equal values."""
-    names = sorted({part for goal in study.goals for part in goal.parts})
-    return {
-        "scene": study.scene.model_dump(mode="json", exclude_none=True),
-        **({"files": files} if (files := file_digests(study.scene)) else {}),
-        "keys": [each.key for each in study.over],
-        "figures": names,
-        "payload band": study.band,
-    }
 
 
 def _read(line: bytes) -> dict[str, Any] | None:

@@ -9,23 +9,29 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import nan
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tomlkit
 
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, TrialJournal, check_keys
+from flexfmu.cosim.design.scene_files import changed_document, toml_item
 from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.files import OutputFolder, write_whole
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
+from flexfmu.cosim.reports.terminal import to_json
 from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.keys import full_key, value_at
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -272,6 +278,8 @@ def tune_study(
         ResultsError: all trials failed, or the journal can't be written.
         MissingCompilerError: there is no C compiler.
     """
+    from scipy.stats.qmc import Sobol  # takes a third of a second to import
+
     count = len(study.over)
     first = min(FIRST << (count - 1), MOST_FIRST)
     total = first + USUAL * count + 1 if trials is None else trials
@@ -280,10 +288,14 @@ def tune_study(
         raise InputError(f"there is no method {method!r} of tuning; choose from {', '.join(METHODS)}")
     if total < 2:
         raise InputError(f"tuning needs at least 2 trials, the given values and others, got {total}")
+    # the first points of a scrambled Sobol sequence
+    number = total - 1 if method == "sample" else min(first, total - 1)
+    shares = Sobol(count, seed=seed).random_base2(max(number - 1, 0).bit_length())[:number]
+    points = [tuple(each.at(share) for each, share in zip(study.over, row, strict=True)) for row in shares.tolist()]
     with mapping(study.tried, processes) as tried:
         search = Search(study, tried, total, journal, show)
         try:
-            search.try_all([(), *_sobol(study, min(first, total - 1) if method != "sample" else total - 1, seed)])
+            search.try_all([(), *points])
             if method != "sample":
                 descend_by_gradients(search)
             interrupted = False
@@ -299,10 +311,91 @@ def tune_study(
     return TuneResult(study, search.done[0], best, tuple(search.done), interrupted)
 
 
-def _sobol(study: Study, count: int, seed: int) -> list[tuple[float, ...]]:
-    """The first points of a scrambled Sobol sequence."""
-    from scipy.stats.qmc import Sobol
+def summary(result: TuneResult) -> dict[str, Any]:
+    """Return the tuning as plain data, in SI units.
 
-    sequence = Sobol(len(study.over), seed=seed)
-    shares = sequence.random_base2(max(count - 1, 0).bit_length())[:count]
-    return [tuple(each.at(share) for each, share in zip(study.over, row, strict=True)) for row in shares.tolist()]
+    Keys:
+        scene: name.
+        keys: for each key low, high, given (None where the joints differ) and tuned.
+        minimise: name, unit, given and tuned.
+        conditions: text, unit, limit, given and tuned of each; None for an infinite margin too.
+        within_limits, interrupted, trials: whether the best trial keeps all limits, whether Ctrl-C ended the tuning, and the number of
+            its trials.
+    """
+    study, given, best = result.study, result.given, result.best
+
+    def finite(value: float | None) -> float | None:
+        return value if value is not None and isfinite(value) else None
+
+    return {
+        "scene": study.scene.name,
+        "keys": {
+            each.key: {"low": each.low, "high": each.high, "given": own, "tuned": result.values.get(each.key, own)}
+            for each, own in zip(study.over, study.given(), strict=True)
+        },
+        "minimise": {
+            "name": study.minimise.name,
+            "unit": study.minimise.unit,
+            "given": finite(study.minimise.of(given.figures)),
+            "tuned": finite(study.minimise.of(best.figures)),
+        },
+        "conditions": [
+            {
+                "text": each.text,
+                "unit": each.goal.unit,
+                "limit": each.limit.limit,
+                "given": finite(each.closest(given.figures)),
+                "tuned": finite(each.closest(best.figures)),
+            }
+            for each in study.conditions
+        ],
+        "payload_band": study.band,
+        "within_limits": result.is_feasible,
+        "interrupted": result.interrupted,
+        "trials": len(result.trials),
+    }
+
+
+def write_tuning(result: TuneResult, folder: Path) -> list[Path]:
+    """Write trials and figures into a folder; return the files, ``tune.csv`` and ``tune.json``.
+
+    Raises:
+        ResultsError: a file can't be written.
+    """
+    out = OutputFolder(folder)
+    out.prepare()
+    return [out.write("tune.csv", result.to_csv()), out.write("tune.json", to_json(summary(result)))]
+
+
+def write_tuned(
+    result: TuneResult, target: Path, source: str | Path | None = None, changes: Mapping[str, Any] | None = None
+) -> Path:
+    """Write the tuned scene.
+
+    Args:
+        result: the tuning.
+        target: the new file.
+        source: the scene file, whose comments stay; None for a file without comments.
+        changes: dotted key → value that the scene differed from the file in.
+
+    Raises:
+        ResultsError: the file can't be written.
+        SceneError: the file doesn't give the scene that was tuned.
+    """
+    if source is None:
+        document = tomlkit.document()
+        for key, value in result.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True).items():
+            document.add(key, toml_item(value))
+    else:
+        # tuned keys with their whole values: one number for both joints, or both
+        data, tuned = result.scene.model_dump(mode="json", exclude_none=True), dict[str, Any]()
+        for key in result.values:
+            whole = full_key(data, key)
+            whole = whole.rpartition("[")[0] if whole.endswith("]") else whole
+            value = value_at(data, whole)
+            same = isinstance(value, list) and len(value) == 2 and value[0] == value[1]
+            tuned[whole] = value[0] if same else value
+        document = changed_document(source, target, {**(changes or {}), **tuned})
+    write_whole(target, tomlkit.dumps(document))
+    load_scene(target)
+    return target

@@ -16,8 +16,7 @@ import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.trial import FILE, Interval, Study, Trial, TrialJournal
-from flexfmu.cosim.design.gains.tuned_files import summary, write_tuned, write_tuning
-from flexfmu.cosim.design.gains.tuner import tune_scene, tune_study
+from flexfmu.cosim.design.gains.tuner import summary, tune_scene, tune_study, write_tuned, write_tuning
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.model.scene.errors import SceneError
