@@ -36,7 +36,6 @@ from effect_search import FAMILIES, all_sets, set_size, smallest
 from flexfmu.cosim.design.effects.choice import EXACT, MEASURED, choose_verified, followed, observe
 from flexfmu.cosim.design.effects.estimator import scales
 from flexfmu.cosim.design.effects.search import SAFETY, one_more
-from flexfmu.cosim.design.effects.study import effectivity
 from flexfmu.model.choice_text import percent, set_text
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, MeasureName, integrator_tolerance
 from flexfmu.model.scene.schema import Scene
@@ -132,7 +131,7 @@ def examine(case: Case, tolerance: float, search_margin: float | None = None, as
         candidates = [*(each for each in all_sets(scene) if set_size(each) < size), chosen]
         best = smallest(candidates, estimator, error, tolerance, search_margin)
         search = Search(set_text(best.scene), set_size(best.scene), best.observed, best.runs) if best else None
-    found = effectivity(estimated, observed)
+    found = estimated / observed if observed else None
     return Row(case, set_text(chosen), size, estimated, max(choice.verified), observed, found, search, tolerance, time)
 
 

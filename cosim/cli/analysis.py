@@ -90,12 +90,12 @@ def effects(
         of (METRIC): A metric to hold; may be repeated. Default: the scene's, or three of them.
         check: Also run the next richer sets and compare; builds their FMUs. Default: skip.
     """
-    from flexfmu.cosim.design.effects.study import check_choice, comparison_table, report, study_data, study_effects
+    from flexfmu.cosim.design.effects.study import comparison_table, comparisons, report, study_data, study_effects
 
     robot = load_changed(scene, settings)
     with progress() as show:
         study = study_effects(robot, tolerance, tuple(of or []), show)
-        comparisons = check_choice(study, show=show) if check else ()
-    compared = [comparison_table(comparisons)] if check else []
-    print_result(json, study_data(study, comparisons), *report(study), *compared)
+        checked = tuple(comparisons(study, show)) if check else ()
+    compared = [comparison_table(checked)] if check else []
+    print_result(json, study_data(study, checked), *report(study), *compared)
     return 0

@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from math import inf
-from pathlib import Path
 from typing import Any, get_args
 
 from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, richest, scales
@@ -52,9 +51,16 @@ def requirements(
     Raises:
         SceneError: a metric can't be estimated or needs a dwell, or the tolerance is out of range.
     """
-    dwells = scene.trajectory.dwell > 0.0
+    dwells, known = scene.trajectory.dwell > 0.0, {str(name): name for name in MEASURES}
     usual = tuple(name for name in MEASURED if dwells or not name.startswith("residual"))
-    names = tuple(_measure(name, dwells) for name in of) or scene.effects.of or usual
+    for name in of:
+        if name not in known:
+            raise SceneError(f"effects can't be chosen by {name!r}: choose from {', '.join(MEASURES)}")
+        if name.startswith("residual") and not dwells:
+            raise SceneError(
+                f"{name} needs a standstill after the motion: give the scene a `trajectory.dwell` above 0 s"
+            )
+    names = tuple(known[name] for name in of) or scene.effects.of or usual
     value = tolerance if tolerance is not None else scene.effects.tolerance or DEFAULT_TOLERANCE
     if not SMALLEST <= value <= LARGEST:
         raise SceneError(f"the tolerance must be between {SMALLEST:g} and {LARGEST:g} (relative error), got {value:g}")
@@ -64,20 +70,6 @@ def requirements(
 def named_metrics(scene: Scene, of: tuple[str, ...] = ()) -> tuple[MeasureName, ...]:
     """Return the metrics that the user has named: the arguments, else the scene's; none where the defaults apply."""
     return requirements(scene, of=of)[1] if of or scene.effects.of else ()
-
-
-def _measure(name: str, dwells: bool) -> MeasureName:
-    """Check the name of a metric and return it.
-
-    Raises:
-        SceneError: the metric can't be estimated, or needs a dwell.
-    """
-    for known in MEASURES:
-        if name == known and (dwells or not name.startswith("residual")):
-            return known
-    if name in MEASURES:
-        raise SceneError(f"{name} needs a standstill after the motion: give the scene a `trajectory.dwell` above 0 s")
-    raise SceneError(f"effects can't be chosen by {name!r}: choose from {', '.join(MEASURES)}")
 
 
 EXACT = 1e-9
@@ -288,7 +280,16 @@ def observe(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LearningWarning)  # it is given once, of the scene with the chosen set
         robot = _settled(robot)
-    prepared = PreparedScene(robot, fmu_path=_fmu(robot), tolerance=tolerance, record=EVERYTHING)
+    # the FMU that all scenes with the same set share: payload and motion are its parameters and inputs
+    shared = {
+        "effects.choice": None,
+        "cosimulation.tolerance": 1e-4,
+        "trajectory.duration": 1.0,
+        "trajectory.dwell": 0.0,
+        **({} if robot.disturbance else {"payload.mass": 1.0}),
+    }
+    fmu = build_scene(robot.replace({**shared, **_ONCE})).path
+    prepared = PreparedScene(robot, fmu_path=fmu, tolerance=tolerance, record=EVERYTHING)
     run = prepared.run()
     if not run.completed or run.health.unstable_loop:
         raise ResultsError(f"the comparison with {scene.name} failed: {run.health.unstable_loop or run.message}")
@@ -300,15 +301,3 @@ def observe(
 def _alone(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     """The scene with changes, its motors following a single motion exactly."""
     return scene.replace({**FOLLOWING, **_ONCE, **changes})
-
-
-def _fmu(scene: Scene) -> Path:
-    """The FMU that all scenes with the same set share: payload and motion are its parameters and inputs."""
-    shared = {
-        "effects.choice": None,
-        "cosimulation.tolerance": 1e-4,
-        "trajectory.duration": 1.0,
-        "trajectory.dwell": 0.0,
-    }
-    mass = {} if scene.disturbance else {"payload.mass": 1.0}
-    return build_scene(scene.replace({**shared, **_ONCE, **mass})).path

@@ -3,7 +3,7 @@ chosen set beside richer sets; as data and as tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from flexfmu.cosim.design.effects.choice import (
 from flexfmu.cosim.design.effects.estimator import Estimator, scales
 from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
@@ -40,7 +40,6 @@ from flexfmu.model.scene.choice import (
 )
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.linearized_motion import Cost, costs
-from flexfmu.trajectories.trajectory import Trajectory
 
 POSES = 3
 """Number of poses for natural frequencies: start, middle and end of the path."""
@@ -122,33 +121,26 @@ def study_effects(
     motion, joints = plan(scene), followed(scene)
     chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show)
     show("looking at what the robot gives", None)
-    found = _changes(estimator, chosen, joints)
+    choice = chosen.effects.choice
+    assert choice is not None  # `choose_effects` sets it
+    elastic = zip(neighbours(estimator, chosen), choice.effects, strict=True)
+    loads = effects_of_loads(estimator, chosen, joints)
+    found: list[tuple[Place, Scene, EstimatedEffect]] = [
+        *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
+        *(("given", each.scene, estimate) for each, estimate in loads),
+    ]
     # their costs and natural frequencies
+
+    def frequencies(each: Scene) -> list[ModalPose]:
+        return modes_along_path(replace(motion, scene=each), POSES)
+
     show("timing the equations", None)
     own, *others = costs((chosen, *(other for _, other, _ in found)))
     rows: list[EffectRow] = []
     for (place, other, estimate), cost in zip(found, others, strict=True):
         show(f"frequencies: {estimate.effect}", len(rows) / len(found))
-        rows.append(EffectRow(place, estimate, cost, _frequencies(motion, other)))
-    return EffectStudy(chosen, estimator, own, _frequencies(motion, chosen), tuple(rows))
-
-
-def _changes(
-    estimator: Estimator, chosen: Scene, motion: Trajectory
-) -> tuple[tuple[Place, Scene, EstimatedEffect], ...]:
-    """Return the scenes that differ from the chosen one by one effect or load, with their estimates."""
-    assert chosen.effects.choice is not None  # `choose_effects` sets it
-    elastic = zip(neighbours(estimator, chosen), chosen.effects.choice.effects, strict=True)
-    loads = effects_of_loads(estimator, chosen, motion)
-    return (
-        *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
-        *(("given", each.scene, estimate) for each, estimate in loads),
-    )
-
-
-def _frequencies(motion: MotionPlan, scene: Scene) -> list[ModalPose]:
-    """Return a scene's natural frequencies at `POSES` poses along the path."""
-    return modes_along_path(replace(motion, scene=scene), POSES)
+        rows.append(EffectRow(place, estimate, cost, frequencies(other)))
+    return EffectStudy(chosen, estimator, own, frequencies(chosen), tuple(rows))
 
 
 @dataclass(frozen=True)
@@ -170,22 +162,13 @@ class EffectComparison:
 
     @property
     def effectivity(self) -> float | None:
-        """Largest estimated change divided by the largest observed one; None where none was observed."""
-        return effectivity(max(self.estimated.values()), max(self.observed.values()))
-
-
-def effectivity(estimated: float, observed: float) -> float | None:
-    """Return the effectivity index, estimated divided by observed change; None where the observed change is zero."""
-    return estimated / observed if observed else None
+        """Effectivity index: largest estimated change divided by the largest observed one; None where none was observed."""
+        observed = max(self.observed.values())
+        return max(self.estimated.values()) / observed if observed else None
 
 
 EVERYTHING = "everything"
 """Effect in the comparison with the richest set; its estimated change includes the safety factor."""
-
-
-def check_choice(study: EffectStudy, show: ShowProgress = quiet) -> tuple[EffectComparison, ...]:
-    """Return all `comparisons` at once."""
-    return tuple(comparisons(study, show))
 
 
 def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[EffectComparison]:
@@ -229,10 +212,11 @@ SHOWN_FREQUENCIES = 3
 def contribution_table(study: EffectStudy) -> Table:
     """Tabulate every effect with its contribution to each metric and its cost."""
     metrics = [f"{METRICS[name].label} {name}" for name in study.choice.of]
-    table = _table(
+    table = titled_table(
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
-        (" ", "Effect", "Change"),
-        (*metrics, "states", "operations", "time"),
+        *(" ", "Effect", "Change"),
+        numbers=(*metrics, "states", "operations", "time"),
+        keys=3,
     )
     # the chosen set, then the extra cost of each neighbouring set
     cost = study.cost
@@ -242,32 +226,36 @@ def contribution_table(study: EffectStudy) -> Table:
         states, operations = row.cost.states - cost.states, row.cost.operations - cost.operations
         slower = 100.0 * (row.cost.time / cost.time - 1.0)
         more = f"{states:+d}" if states else "", f"{operations:+d}", f"{slower:+.0f} %"
-        table.add_row(*_named(row), *map(percent, row.estimate.contribution), *more)
+        table.add_row(
+            row.place, row.estimate.effect, row.estimate.change, *map(percent, row.estimate.contribution), *more
+        )
     return table
 
 
 def frequency_table(study: EffectStudy) -> Table:
     """Tabulate the natural frequencies along the path of the chosen set and of each neighbouring set."""
-    # a column for each pose
-    places = [f"path {pose.s:g}" for pose in study.poses]
-    table = _table(
+    table = titled_table(
         f"lowest {SHOWN_FREQUENCIES} natural frequencies along the path [Hz], motors locked",
-        (" ", "Effect", "Change"),
-        places,
+        *(" ", "Effect", "Change"),
+        numbers=[f"path {pose.s:g}" for pose in study.poses],
+        keys=3,
     )
     # the chosen set, then each neighbouring set
-    table.add_row("", "the set itself", "", *_lowest(study.poses))
-    for row in study.rows:
-        table.add_row(*_named(row), *_lowest(row.poses))
+    sets = [("", "the set itself", "", study.poses)]
+    sets += [(row.place, row.estimate.effect, row.estimate.change, row.poses) for row in study.rows]
+    for *names, poses in sets:
+        lowest = ("  ".join(f"{each:.1f}" for each in pose.frequencies[:SHOWN_FREQUENCIES]) or "–" for pose in poses)
+        table.add_row(*names, *lowest)
     return table
 
 
 def comparison_table(comparisons: Iterable[EffectComparison]) -> Table:
     """Tabulate estimated and observed changes of the metrics."""
-    table = _table(
+    table = titled_table(
         "the chosen set beside richer ones: largest change over the metrics",
-        ("Effect", "Change"),
-        ("estimated", "observed", "effectivity", "time of a run"),
+        *("Effect", "Change"),
+        numbers=("estimated", "observed", "effectivity", "time of a run"),
+        keys=2,
     )
     # the largest change over the metrics of each comparison
     for each in comparisons:
@@ -275,20 +263,6 @@ def comparison_table(comparisons: Iterable[EffectComparison]) -> Table:
         ratio = "–" if each.effectivity is None else f"{each.effectivity:.2f}"
         table.add_row(each.effect, each.change, percent(estimated), percent(observed), ratio, f"{each.slower:.2f} x")
     return table
-
-
-def _named(row: EffectRow) -> tuple[str, str, str]:
-    return row.place, row.estimate.effect, row.estimate.change
-
-
-def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:
-    """Format the lowest frequencies of each pose [Hz]."""
-    for pose in poses:
-        yield "  ".join(f"{frequency:.1f}" for frequency in pose.frequencies[:SHOWN_FREQUENCIES]) or "–"
-
-
-def _table(title: str, texts: Sequence[str], numbers: Iterable[str]) -> Table:
-    return titled_table(title, *texts, numbers=numbers, keys=len(texts))
 
 
 def study_data(study: EffectStudy, comparisons: Iterable[EffectComparison]) -> dict[str, Any]:
@@ -315,17 +289,8 @@ def study_data(study: EffectStudy, comparisons: Iterable[EffectComparison]) -> d
         ],
     }
     # comparisons with richer sets, where there are any
-    found = [
-        {
-            "effect": each.effect,
-            "change": each.change,
-            "estimated": dict(each.estimated),
-            "observed": dict(each.observed),
-            "effectivity": each.effectivity,
-            "slower": each.slower,
-        }
-        for each in comparisons
-    ]
+    keys = ("effect", "change", "estimated", "observed", "effectivity", "slower")
+    found = [{key: getattr(each, key) for key in keys} for each in comparisons]
     return data | ({"check": found} if found else {})
 
 

@@ -16,7 +16,7 @@ from flexfmu.cosim.design.effects import study as effect_check
 from flexfmu.cosim.design.effects.choice import EXACT, MEASURED, Observed, choose_verified, followed, resolved
 from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
 from flexfmu.cosim.design.effects.search import SAFETY
-from flexfmu.cosim.design.effects.study import EVERYTHING, check_choice, comparisons, study_effects
+from flexfmu.cosim.design.effects.study import EVERYTHING, comparisons, study_effects
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.metric import Metric
@@ -228,7 +228,7 @@ def test_comparison_has_an_effectivity_of_one_where_runs_do_as_estimated(monkeyp
         return Observed({name: known[name] for name in of}, lambda: sum(range(1000)))
 
     monkeypatch.setattr(effect_check, "observe", as_estimated)
-    everything, *others = check_choice(study)
+    everything, *others = comparisons(study)
     assert everything.effect == EVERYTHING
     assert everything.effectivity == pytest.approx(SAFETY)
     assert len(others) == len([row for row in study.rows if not row.estimate.chosen])
