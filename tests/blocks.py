@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
+import casadi
 import control as control_library
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from flexfmu import control, disturbances, filters, imperfections
 from flexfmu.cosim.control.controllers.from_control import LinearSystem, from_control
 from flexfmu.cosim.control.sections import LoopContext, block_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 SHARED = ("name", "connect", "signal", "start", "duration", "sample_time", "offset", "frequency_at", "pose")
 """Keys that many sections have, which are given by name."""
@@ -72,3 +76,20 @@ band_noise, table, payload = map(maker, (disturbances.noise, disturbances.csv, d
 def linear_system(A: Any, B: Any, C: Any, D: Any, sample_time: float) -> LinearSystem:
     """A discrete system of matrices, with signals ``u[0]``, .. and ``y[0]``, .."""
     return from_control(control_library.ss(A, B, C, D, sample_time))
+
+
+def sampled(
+    block: SymbolicBlock, inputs: ArrayLike, parameters: Mapping[str, float] | None = None
+) -> NDArray[np.float64]:
+    """Outputs (N, outputs) of a block for inputs (N, inputs), or (N,) for all of them, at its sample instants, from its start on."""
+    u = np.asarray(inputs, dtype=float)
+    u = np.tile(u[:, None], len(block.inputs)) if u.ndim == 1 else u
+    changes = dict(parameters or {})
+    p = [changes.pop(each.name, each.start) for each in block.parameters]
+    assert not changes, f"no such parameters: {changes}"
+    if not block.states:
+        return np.array(block.output.map(len(u))([], u.T, p)).T
+    x, inp, par = (casadi.MX.sym(key, block.output.sparsity_in(i)) for i, key in enumerate("xup"))
+    step = casadi.Function("step", [x, inp, par], [block.update(x, inp, par), block.output(x, inp, par)])
+    _, y = step.mapaccum(len(u))(casadi.DM(block.states), u.T, casadi.DM(p))
+    return np.array(y).T

@@ -209,8 +209,8 @@ def _with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: S
     from flexfmu.cosim.control.blocks.slave import BlockSlave
     from flexfmu.cosim.control.disturbances import sum_block
 
-    name, (sample_time, offset) = names.unused("feedforward_sum"), clock
-    block = sum_block(name, "Sum of feedforward torques", several, sample_time=sample_time, offset=offset)
+    name, (period, first) = names.unused("feedforward_sum"), clock
+    block = sum_block(name, "Sum of feedforward torques", several, sample_time=period, offset=first)
     return (*controllers, BlockSlave(block))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import band_noise, sine, table
+from blocks import band_noise, sampled, sine, table
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.disturbances import steps
@@ -29,15 +29,7 @@ TIGHT: Any = {"rtol": 1e-12, "atol": 1e-12}
 
 def samples(block: SymbolicBlock, count: int) -> tuple[Any, Any]:
     """Instants (count,) and outputs (count,) of a block's samples."""
-    slave = BlockSlave(block)
-    index = np.array([[each.causality for each in slave.variables].index("output")])
-    slave.initialize(0.0, 1.0, None)
-    found, value = [], np.empty(1)
-    for _ in range(count):
-        slave.sample(0.0)
-        slave.get(index, value)
-        found.append(value[0])
-    return block.offset + block.sample_time * np.arange(count), np.array(found)
+    return block.offset + block.sample_time * np.arange(count), sampled(block, np.empty((count, 0)))[:, 0]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import casadi
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +11,6 @@ from flexfmu.cosim.control.shapers import JOINT_REFERENCES, shaper_block
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.shapers.designs import design
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory
 
@@ -23,23 +23,14 @@ def motion() -> MotionPlan:
     return plan(load_scene("barnard2012-6kg").replace({"trajectory.profile": {"kind": "bang-bang"}}))
 
 
-def respond(block: SymbolicBlock, inputs: np.ndarray) -> np.ndarray:
-    """Outputs (N, outputs) for samples of the inputs (N, inputs)."""
-    state, outputs = casadi.DM(block.states), []
-    for u in inputs:
-        outputs.append(np.asarray(block.output(state, u, []).full()).ravel())
-        state = block.update(state, u, [])
-    return np.array(outputs)
-
-
 @pytest.mark.parametrize("sample_time", [1e-3, 2.5e-4, 0.73e-3])
 @pytest.mark.parametrize("name", ["um-zv", "zv", "zvdd", "3-hump-ei"])
-def test_sampled_shaper_is_the_closed_form(motion: MotionPlan, name: str, sample_time: float) -> None:
+def test_sampled_shaper_is_the_closed_form(run: Any, motion: MotionPlan, name: str, sample_time: float) -> None:
     """Position, velocity and acceleration of both joints are Σ w_i q(t_k - i h) to 1e-12, from rest to rest."""
     sequence = design(name, [MODE])
     time = sample_time * np.arange(int((motion.duration + sequence.duration) / sample_time) + 10)
     inputs = motion.joints.evaluate(time, 2).swapaxes(0, 1).reshape(len(time), 6)
-    found = respond(shaper_block(sequence, sample_time), inputs)
+    found = run(shaper_block(sequence, sample_time), inputs)
     expected = ShapedTrajectory(motion.joints, sequence.split(sample_time)).evaluate(time, 2)
     scale = np.max(np.abs(expected), axis=(1, 2))
     for order in range(3):
@@ -55,17 +46,17 @@ def _jumps(motion: MotionPlan, sequence: ImpulseSequence, sample_time: float) ->
     return np.ravel(points)
 
 
-def test_standstill_stays(motion: MotionPlan) -> None:
+def test_standstill_stays(run: Any, motion: MotionPlan) -> None:
     """A machine that rests anywhere is left there from the first sample on: nothing starts from zero."""
     block = shaper_block(design("zvd", [MODE]), 1e-3)
     pose = np.array([1.97, -0.1, 0.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(respond(block, np.tile(pose, (60, 1))), np.tile(pose, (60, 1)), rtol=1e-15)
+    np.testing.assert_allclose(run(block, np.tile(pose, (60, 1))), np.tile(pose, (60, 1)), rtol=1e-15)
 
 
-def test_a_step_becomes_the_staircase_of_the_impulses() -> None:
+def test_a_step_becomes_the_staircase_of_the_impulses(run: Any) -> None:
     """A unit step in a signal that was zero before leaves the sums of the split amplitudes."""
     sequence = ImpulseSequence((0.0, 2.25e-3), (0.4, 0.6))
-    found = respond(shaper_block(sequence, 1e-3), np.ones((6, 6)))
+    found = run(shaper_block(sequence, 1e-3), np.ones((6, 6)))
     np.testing.assert_allclose(found[:, 2], [0.4, 0.4, 0.85, 1.0, 1.0, 1.0], atol=1e-15)
 
 
@@ -78,10 +69,10 @@ def test_variables_and_feedthrough() -> None:
     assert (block.sample_time, block.offset, block.name) == (1e-3, 5e-4, "zv1")
 
 
-def test_no_shaping_passes_signals_through() -> None:
+def test_no_shaping_passes_signals_through(run: Any) -> None:
     """One impulse needs no delay line; each position keeps its own origin."""
     u = np.random.default_rng(0).normal(size=(3, 6))
-    np.testing.assert_allclose(respond(shaper_block(UNSHAPED, 1e-3), u), u, rtol=1e-15, atol=1e-15)
+    np.testing.assert_allclose(run(shaper_block(UNSHAPED, 1e-3), u), u, rtol=1e-15, atol=1e-15)
 
 
 def test_bad_sample_times_are_refused() -> None:
