@@ -132,6 +132,9 @@ class _HeldFmu:
         self.name, self.sample_time, self.offset = slave.name, sample_time, offset
         self.path, self.parameters, self.variables = slave.path, slave.parameters, slave.variables
         self.can_save, self.report, self.take_report = slave.can_save, slave.report, slave.take_report
+        self.get, self.bind_get = slave.get, slave.bind_get
+        # no derivatives: the master asks for none
+        self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -177,10 +180,7 @@ class FmuTask(_HeldFmu):
 
     def __init__(self, slave: FmuSlave, sample_time: float, offset: float = 0.0) -> None:
         super().__init__(slave, sample_time, offset)
-        self.set, self.get = slave.set, slave.get
-        self.bind_set, self.bind_get = slave.bind_set, slave.bind_get
-        self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
-        self.terminate = slave.terminate
+        self.set, self.bind_set, self.terminate = slave.set, slave.bind_set, slave.terminate
         # first instant, sample time, number of steps
         self._steps = np.array([0.0, sample_time, 0.0])
 
@@ -286,10 +286,6 @@ class SampledFmu(_HeldFmu):
         if not self._is_input[indices].all():
             raise InputError(f"{self.name}: only inputs can be set; give parameters when the slave is made")
 
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """Write current values of the FMU's variables into ``values`` (n,)."""
-        self._fmu.get(indices, values)
-
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that sets inputs from ``values`` (n,).
 
@@ -298,18 +294,6 @@ class SampledFmu(_HeldFmu):
         """
         self._check_inputs(indices)
         return Copy(values, self._values, indices)
-
-    def bind_get(self, indices: Indices, values: RealArray) -> Call:
-        """Return a call that reads variables into ``values`` (n,)."""
-        return self._fmu.bind_get(indices, values)
-
-    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Raise `InputError`: a sampled slave takes no input derivatives."""
-        raise InputError(f"{self.name} is sampled and takes no input derivatives")
-
-    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Raise `InputError`: a sampled slave provides no output derivatives."""
-        raise InputError(f"{self.name} is sampled and gives no output derivatives")
 
     def output(self, time: float) -> None:
         """Step to ``time`` [s] if it isn't reached yet, and set the inputs; may be repeated at the same instant."""

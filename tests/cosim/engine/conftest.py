@@ -34,29 +34,33 @@ def foreign_fmu(make_decay: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="session")
 def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes the plain FMU with its description changed: make_decay(("m", "mm"))."""
-    return _maker(tmp_path_factory.mktemp("foreign"), "decay", "modelDescription.xml")
+    return _maker(tmp_path_factory.mktemp("foreign"), "decay", "modelDescription.xml", fmpy.platform)
 
 
 @pytest.fixture(scope="session")
-def event_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def event_fmu(make_events: Callable[..., Path]) -> Path:
     """A plain FMI 3.0 co-simulation FMU with events, arrays and variables of all types."""
-    folder = tmp_path_factory.mktemp("events")
-    library = compiled(folder, c_compiler(), "events")
-    return pack(folder / "events.fmu", (FOREIGN / "events.xml").read_text(), library, fmpy.platform_tuple)
+    return make_events()
+
+
+@pytest.fixture(scope="session")
+def make_events(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes the FMI 3.0 FMU with its description changed."""
+    return _maker(tmp_path_factory.mktemp("events"), "events", "events.xml", fmpy.platform_tuple)
 
 
 @pytest.fixture(scope="session")
 def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes a PID controller of another tool's kind with one fixed step, its description changed: make_task(("m", "mm"))."""
-    return _maker(tmp_path_factory.mktemp("task"), "task", "task.xml")
+    return _maker(tmp_path_factory.mktemp("task"), "task", "task.xml", fmpy.platform)
 
 
-def _maker(folder: Path, name: str, description_file: str) -> Callable[..., Path]:
-    """Packs FMUs of one library, or of one with other flags, with changes of one description."""
+def _maker(folder: Path, name: str, description_file: str, own_platform: str) -> Callable[..., Path]:
+    """Packs FMUs of one library, or of one with other flags, with changes of one description, also as for another platform."""
     plain = compiled(folder, c_compiler(), name)
     description = (FOREIGN / description_file).read_text()
 
-    def make(*changes: tuple[str, str], flags: Sequence[str] = ()) -> Path:
+    def make(*changes: tuple[str, str], flags: Sequence[str] = (), platform: str = own_platform) -> Path:
         text = description
         for old, new in changes:
             assert old in text
@@ -64,7 +68,7 @@ def _maker(folder: Path, name: str, description_file: str) -> Callable[..., Path
         number = len(list(folder.iterdir()))
         (folder / f"{number}").mkdir()
         library = compiled(folder / f"{number}", c_compiler(), name, *flags) if flags else plain
-        return pack(folder / f"{name}{number}.fmu", text, library)
+        return pack(folder / f"{name}{number}.fmu", text, library, platform)
 
     return make
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import math
-import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
 
@@ -15,6 +14,8 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
+
+Make = Callable[..., Path]
 
 
 def run(path: Path, **parameters: float | str) -> tuple[FmuSlave, Simulation]:
@@ -87,24 +88,13 @@ def test_dropped_slaves_leave_no_instance(foreign_fmu: Path) -> None:
     assert living_instances(other) == 0
 
 
-def test_ranges_are_those_of_the_description(foreign_fmu: Path, tmp_path: Path) -> None:
+def test_ranges_are_those_of_the_description(make_decay: Make) -> None:
     """A range may be one-sided and may stand in the variable's type; the limits themselves are inside."""
-    half = rewritten(foreign_fmu, tmp_path / "half.fmu", '<Real start="1"/>', '<Real declaredType="Length" start="1"/>')
-    ranged = rewritten(half, tmp_path / "ranged.fmu", '<Real unit="m"/>', '<Real unit="m" min="0.5"/>')
+    length = ('<Real start="1"/>', '<Real declaredType="Length" start="1"/>')
+    ranged = make_decay(length, ('<Real unit="m"/>', '<Real unit="m" min="0.5"/>'))
     assert FmuSlave(ranged, parameters={"rate": 0.5}).name == "fmu"
     with pytest.raises(InputError, match=r"rate must be at least 0\.5 m, got 0\.4 m$"):
         FmuSlave(ranged, parameters={"rate": 0.4})
-
-
-def rewritten(fmu: Path, path: Path, old: str, new: str, platform: str = fmpy.platform) -> Path:
-    """The FMU with another model description and platform."""
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name.endswith(".xml"):
-                content = content.replace(old.encode(), new.encode())
-            target.writestr(name.replace(f"binaries/{fmpy.platform}", f"binaries/{platform}"), content)
-    return path
 
 
 ANNOTATION = '<VendorAnnotations><Tool name="flexfmu"><InputDerivatives maxOrder="{}"/></Tool></VendorAnnotations>'
@@ -120,11 +110,11 @@ ANNOTATION = '<VendorAnnotations><Tool name="flexfmu"><InputDerivatives maxOrder
     ],
 )
 def test_highest_input_derivative_is_the_stated_one(
-    foreign_fmu: Path, tmp_path: Path, capability: str, annotation: str, order: int
+    foreign_fmu: Path, make_decay: Make, capability: str, annotation: str, order: int
 ) -> None:
     """An FMU gets the input derivatives that its description states: none, FMI's first one, or the annotated order."""
-    able = rewritten(foreign_fmu, tmp_path / "able.fmu", "<CoSimulation ", f"<CoSimulation {capability} ")
-    annotated = rewritten(able, tmp_path / "annotated.fmu", "<ModelVariables>", f"{annotation}<ModelVariables>")
+    able = ("<CoSimulation ", f"<CoSimulation {capability} ")
+    annotated = make_decay(able, ("<ModelVariables>", f"{annotation}<ModelVariables>"))
     assert FmuSlave(annotated).max_input_order == order
     # and it doesn't get any that it can't take
     if order == 0:
@@ -132,8 +122,8 @@ def test_highest_input_derivative_is_the_stated_one(
         assert simulate(connect([source, target], [("source.x", "target.u")]), 1.0, 0.5).outcome is Outcome.COMPLETED
 
 
-def test_wrong_guid_is_refused(foreign_fmu: Path, tmp_path: Path) -> None:
+def test_wrong_guid_is_refused(make_decay: Make) -> None:
     """An FMU that can't be instantiated fails the run, not the program."""
-    _, result = run(rewritten(foreign_fmu, tmp_path / "guid.fmu", 'guid="decay"', 'guid="other"'))
+    _, result = run(make_decay(('guid="decay"', 'guid="other"')))
     assert result.outcome is Outcome.INITIALISATION_FAILED
     assert "fmi2Error" in result.message or "instantiation" in result.message

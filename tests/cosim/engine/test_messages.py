@@ -74,22 +74,6 @@ def sampled(sample_time: float, offset: float = 0.0) -> None:
     simulate(connect([Sampler(sample_time, offset)], []), 1.0, 2e-4)
 
 
-def changed(path: Path, folder: Path, old: str = "", new: str = "", platform: str = "") -> Path:
-    """The FMU with another description, or for another platform."""
-    other = folder / "other.fmu"
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(other, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name.endswith(".xml") and old:
-                assert old.encode() in content
-                content = content.replace(old.encode(), new.encode())
-            parts = name.split("/")
-            target.writestr(
-                "/".join(["binaries", platform, *parts[2:]]) if platform and len(parts) > 2 else name, content
-            )
-    return other
-
-
 def written(folder: Path, text: str, name: str = "") -> Path:
     """A file with this text, or an archive with such a file."""
     path = folder / "broken.fmu"
@@ -106,15 +90,15 @@ Call = Callable[[Any], object]
 MODEL_EXCHANGE = "CoSimulation modelIdentifier", "ModelExchange modelIdentifier"
 SCHEDULED = "CoSimulation modelIdentifier", "ScheduledExecution modelIdentifier"
 
+SENSELESS: list[dict[str, Any]] = [
+    *({"tolerance": each} for each in (0.0, 2.0)),
+    *({"absolute": -1.0}, {"smallest": 0.0}, {"smallest": 2.0, "largest": 1.0}),
+]
+
 CASES: list[tuple[type[Exception], str, Call]] = [
     # step control, references, loops
-    (InputError, "step control needs", lambda it: StepDoubling(tolerance=0.0)),
-    (InputError, "step control needs", lambda it: StepDoubling(tolerance=2.0)),
-    (InputError, "step control needs", lambda it: StepDoubling(absolute=-1.0)),
-    (InputError, "step control needs", lambda it: StepDoubling(smallest=0.0)),
-    (InputError, "step control needs", lambda it: StepDoubling(smallest=2.0, largest=1.0)),
-    (InputError, "must be 0 to 9", lambda it: TrajectorySlave(it.swing, order=-1)),
-    (InputError, "must be 0 to 9", lambda it: TrajectorySlave(it.swing, order=10)),
+    *((InputError, "step control needs", lambda it, each=each: StepDoubling(**each)) for each in SENSELESS),
+    *((InputError, "must be 0 to 9", lambda it, each=each: TrajectorySlave(it.swing, order=each)) for each in (-1, 10)),
     # grids: a step in the wrong unit is an error, not a full memory
     (InputError, "step must be above 0 s and finite, got 0 s", lambda it: time_grid(0.0, 1.0, 0)),
     (InputError, "got -1 s", lambda it: time_grid(0.0, 1.0, -1)),
@@ -225,22 +209,22 @@ CASES: list[tuple[type[Exception], str, Call]] = [
         r"is an FMU of FMI 1\.0; .*export it",
         lambda it: FmuSlave(written(it.folder, FMI_1, "modelDescription.xml")),
     ),
-    (FmuFileError, "model exchange|broken", lambda it: FmuSlave(changed(it.fmi2, it.folder, *MODEL_EXCHANGE))),
-    (FmuFileError, "for model exchange only", lambda it: FmuSlave(changed(it.fmi3, it.folder, *MODEL_EXCHANGE))),
+    (FmuFileError, "model exchange|broken", lambda it: FmuSlave(it.decay(MODEL_EXCHANGE))),
+    (FmuFileError, "for model exchange only", lambda it: FmuSlave(it.events(MODEL_EXCHANGE))),
     (
         FmuFileError,
         "for scheduled execution only; export",
-        lambda it: FmuSlave(changed(it.fmi3, it.folder, *SCHEDULED)),
+        lambda it: FmuSlave(it.events(SCHEDULED)),
     ),
     (
         FmuFileError,
         r"has clocks \(beat\), which .* export it without",
-        lambda it: FmuSlave(changed(it.fmi3, it.folder, *CLOCK)),
+        lambda it: FmuSlave(it.events(CLOCK)),
     ),
     (
         FmuFileError,
         "FMI 4.0|Unsupported FMI version",
-        lambda it: FmuSlave(changed(it.fmi3, it.folder, 'fmiVersion="3.0"', 'fmiVersion="4.0"')),
+        lambda it: FmuSlave(it.events(('fmiVersion="3.0"', 'fmiVersion="4.0"'))),
     ),
     (
         FmuFileError,
@@ -250,21 +234,20 @@ CASES: list[tuple[type[Exception], str, Call]] = [
     (
         FmuFileError,
         "has no binary for .* .it has: amiga64",
-        lambda it: FmuSlave(changed(it.fmi2, it.folder, platform="amiga64")),
+        lambda it: FmuSlave(it.decay(platform="amiga64")),
     ),
     (
         FmuFileError,
         rf"no binary for {fmpy.platform_tuple} \(it has: riscv-linux\)",
-        lambda it: FmuSlave(changed(it.fmi3, it.folder, platform="riscv-linux")),
+        lambda it: FmuSlave(it.events(platform="riscv-linux")),
     ),
 ]
 
 
 @pytest.mark.parametrize(("error", "words", "call"), CASES, ids=[words for _, words, _ in CASES])
 def test_what_is_refused(
-    foreign_fmu: Path,
-    event_fmu: Path,
     make_decay: Callable[..., Path],
+    make_events: Callable[..., Path],
     tmp_path: Path,
     error: type[Exception],
     words: str,
@@ -272,8 +255,8 @@ def test_what_is_refused(
 ) -> None:
     """Before anything runs, in one line with the name, the value and a remedy."""
     recording = Recording(np.arange(2.0), {})
-    it = SimpleNamespace(fmi2=foreign_fmu, fmi3=event_fmu, decay=make_decay, folder=tmp_path, recording=recording)
-    it.swing, it.int = object(), "Int"
+    it = SimpleNamespace(decay=make_decay, events=make_events, folder=tmp_path, recording=recording)
+    it.fmi2, it.fmi3, it.swing, it.int = make_decay(), make_events(), object(), "Int"
     with pytest.raises(error, match=words) as caught:
         call(it)
     assert "\n" not in str(caught.value) or error is ValueError
