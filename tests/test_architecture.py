@@ -96,7 +96,6 @@ ALONE = {
     "cosim.design.plans.sequential_programme": "the search's optimiser",
     "cosim.design.shapers.figure": "drawing",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
-    "cosim.engine.fmu.trajectory": "references within an FMU",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",
     "cosim.metrics.small_deflections": "limits of small deflections, which hard cases check too",

@@ -1,4 +1,7 @@
-"""A trajectory as a slave: announces position, velocity and acceleration references as polynomials over each step."""
+"""A trajectory as a slave: announces position, velocity and acceleration references as polynomials over each step.
+
+The trajectory may be tabulated, or calculated by an FMU that was exported from one.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.hermite import hermite_derivatives
 from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.errors import ModelError
@@ -353,3 +360,76 @@ class TabulatedTrajectory:
             jets[:, still] = 0.0
             jets[0, still] = position
         return jets
+
+
+class FmuTrajectory:
+    """A trajectory calculated by an FMU: `evaluate` steps the FMU from time to time.
+
+    Args:
+        path: FMU exported by `flexfmu.fmu_build.trajectory_build`.
+
+    Attributes:
+        breakpoints: breakpoints of the trajectory [s].
+        axes: number of axes.
+
+    Raises:
+        FmuFileError: the FMU is missing or broken, or states no breakpoints.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        points = open_fmu(Path(path)).breakpoints
+        if not points:
+            raise FmuFileError(f"{path} doesn't tell its breakpoints; run it as a slave that is stepped")
+        self.breakpoints = points
+        # one slave for left limits and one for right limits
+        self._runs = {side: FmuSlave(path, f"trajectory, {side} limits", {"limit": side}) for side in get_args(Side)}
+        variables = self._runs["right"].variables
+        self._outputs = np.array([i for i, each in enumerate(variables) if each.causality == "output"], np.intp)
+        self.axes = len(self._outputs) // len(KINDS)
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return self.breakpoints[-1]
+
+    @property
+    def highest_order(self) -> int:
+        """Order of the highest derivative that the FMU provides."""
+        return ACCELERATION + self._runs["right"].max_output_order
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """Return value and time derivatives (order + 1, N, axes); see `flexfmu.trajectories.Trajectory.evaluate`.
+
+        Raises:
+            InputError: the FMU doesn't provide derivatives of that order.
+            SlaveError: the FMU fails.
+        """
+        if not 0 <= order <= self.highest_order:
+            raise InputError(f"this trajectory has derivatives of orders 0 to {self.highest_order}, got order {order}")
+        # the FMU runs forward through the different times, in ascending order
+        times = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        instants, place = np.unique(times, return_inverse=True)
+        signals = self._signals(instants, side)
+        result: RealArray = signals[: order + 1][:, place.ravel()]
+        return result
+
+    def _signals(self, instants: RealArray, side: Side) -> RealArray:
+        """Return value and all derivatives (highest_order + 1, N, axes) at ascending times."""
+        fmu, axes = self._runs[side], self.axes
+        signals = np.zeros((self.highest_order + 1, instants.size, axes))
+        values, derivatives = np.empty(len(KINDS) * axes), np.empty((fmu.max_output_order, axes))
+        if instants.size == 0:
+            return signals
+        fmu.initialize(float(instants[0]), float(instants[-1]) + 1.0, None)
+        try:
+            # at each instant position, velocity, acceleration, then the derivatives of the acceleration
+            for n, instant in enumerate(instants.tolist()):
+                if n:
+                    fmu.step(float(instants[n - 1]), instant - float(instants[n - 1]))
+                fmu.get(self._outputs, values)
+                fmu.get_derivatives(self._outputs[-axes:], derivatives)
+                signals[: len(KINDS), n] = values.reshape(-1, axes)
+                signals[len(KINDS) :, n] = derivatives
+        finally:
+            fmu.terminate()
+        return signals

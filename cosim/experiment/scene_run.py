@@ -16,8 +16,7 @@ from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import parameter_names
-from flexfmu.cosim.engine.master.delays import SignalDelay
-from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.master.outcome import Outcome, SignalDelay
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Names, Recording
 from flexfmu.cosim.engine.showing import shorten

@@ -18,8 +18,7 @@ from math import ceil, inf
 from typing import Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
-from flexfmu.cosim.engine.master.delays import SignalDelay
-from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
+from flexfmu.cosim.engine.master.outcome import Outcome, SignalDelay, Simulation
 from flexfmu.cosim.engine.master.simulator import Progress, Simulator, isolation
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection

@@ -23,11 +23,11 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, can_compile, load
 from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Transport, feedback_signals
-from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.engine.master.grid import NO_POINTS
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import (
     Outcome,
+    SignalDelay,
     Simulation,
     blown_up,
     find_alternation,
@@ -35,6 +35,7 @@ from flexfmu.cosim.engine.master.outcome import (
     message_of,
     outcome_of,
     overshot,
+    signal_delays,
 )
 from flexfmu.cosim.engine.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule

@@ -16,7 +16,6 @@ from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.couplings import Algorithm
 from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver
@@ -27,7 +26,7 @@ from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import REFERENCES as KINDS
-from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.engine.trajectory_slave import FmuTrajectory, TrajectorySlave
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, Subsystem, levels
 from flexfmu.cosim.exchange.ssp.wiring import (

@@ -9,8 +9,8 @@ import pytest
 from python_slave import PythonSlave, SampledSlave
 
 from flexfmu.cosim.engine.master.couplings import Transport
-from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.grid import Clock, time_grid
+from flexfmu.cosim.engine.master.outcome import SignalDelay
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable

@@ -12,11 +12,10 @@ from fmpy.model_description import read_model_description
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.engine.trajectory_slave import FmuTrajectory, TrajectorySlave
 from flexfmu.cosim.exchange.slave_export import ExportedSystem, export_slaves
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene

@@ -17,11 +17,10 @@ from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu, fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
-from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.engine.trajectory_slave import FmuTrajectory, TrajectorySlave
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.trajectories.profiles import bang_bang
