@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -110,52 +110,38 @@ def render_comparison(
 
 def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
     """Yield margins and processor times, the worst over a band of payloads, and what failed; each where a run has it."""
-    names = [name for name in LOOP_FIGURES if any(name in run.loop for run in runs)]
-    if names:
-        yield _figures_table(names, runs)
-    if any(run.band for run in runs):
-        yield _band_table(runs)
-    if any(run.failure for run in runs):
-        rows = [[run.name, run.failure] for run in runs if run.failure]
+
+    def row(name: str, cells: Iterable[str]) -> list[str]:
+        # words with the unit, name, and values without the unit
+        info = definition(name)
+        return [f"{info.label} [{info.display_unit}]" if info.display_unit else info.label, name, *cells]
+
+    def rounded(found: Metric, digits: int) -> str:
+        return "–" if found.value is None else f"{definition(found.name).displayed(found):.{digits}g}"
+
+    none = Metric(None)
+    if names := [name for name in LOOP_FIGURES if any(name in run.loop for run in runs)]:
+        rows = [row(name, (rounded(run.loop.get(name, none), 3) for run in runs)) for name in names]
+        yield Table("Loops", ["Figure", "Name", *(run.name for run in runs)], rows)
+    if bands := {run.name: run.band for run in runs if run.band}:
+        rows = [
+            row(
+                name,
+                (
+                    "unstable"
+                    if (found := band.worst.get(name, none)).value is None and band.failures
+                    else rounded(found, 5)
+                    for band in bands.values()
+                ),
+            )
+            for name in BAND_METRICS
+            if any(name in band.worst for band in bands.values())
+        ]
+        rows.append(["Payloads [kg]", "", *(f"{band.masses[0]:g}, {band.masses[1]:g}" for band in bands.values())])
+        note = "The largest value with both payloads; controllers, shapers and motion are those for the scene's."
+        yield Table("Worst with other payloads", ["Metric", "Name", *bands], rows, note)
+    if rows := [[run.name, run.failure] for run in runs if run.failure]:
         yield Table("Unstable or failed", ["Run", "Why"], rows)
-
-
-def _figures_table(names: Sequence[str], runs: Sequence[ComparedRun]) -> Table:
-    """Return further figures of the loops."""
-    rows = [
-        [*_heads(name), *("–" if (found := run.loop.get(name)) is None else _rounded(found, 3) for run in runs)]
-        for name in names
-    ]
-    return Table("Loops", ["Figure", "Name", *(run.name for run in runs)], rows)
-
-
-def _heads(name: str) -> list[str]:
-    """Return the words of a metric with its unit in tables, and its name."""
-    info = definition(name)
-    return [f"{info.label} [{info.display_unit}]" if info.display_unit else info.label, name]
-
-
-def _rounded(found: Metric, digits: int) -> str:
-    """Return a metric in the unit of tables, without it."""
-    return "–" if found.value is None else f"{definition(found.name).displayed(found):.{digits}g}"
-
-
-def _band_table(runs: Sequence[ComparedRun]) -> Table:
-    """Return the worst metrics over a band of payloads; a run that failed in it says so."""
-    shown = [(run.band, run.name) for run in runs if run.band]
-    rows = [
-        [*_heads(name), *(_worst(name, band) for band, _ in shown)]
-        for name in BAND_METRICS
-        if any(name in band.worst for band, _ in shown)
-    ]
-    rows.append(["Payloads [kg]", "", *(f"{band.masses[0]:g}, {band.masses[1]:g}" for band, _ in shown)])
-    note = "The largest value with both payloads; controllers, shapers and motion are those for the scene's."
-    return Table("Worst with other payloads", ["Metric", "Name", *(name for _, name in shown)], rows, note)
-
-
-def _worst(name: str, band: OverBand) -> str:
-    found = band.worst.get(name, Metric(None))
-    return "unstable" if found.value is None and band.failures else _rounded(found, 5)
 
 
 def metrics_table(runs: Sequence[ComparedRun]) -> Table:
@@ -192,9 +178,9 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
             for i, (label, curves) in enumerate((label, curves) for label, curves in found.items() if curves)
         ]
         if panels:
-            yield Plot(f"compared-{number}", title, "As recorded.", tuple(panels), height=_height(panels))
+            yield Plot(f"compared-{number}", title, "As recorded.", tuple(panels), height=90.0 + 100.0 * len(panels))
     deviations = [
-        _curve(number, run, *_thinned(run.recording.time, 1e3 * deviation, runs))
+        _signal_curve(number, run, 1e3 * deviation, runs)
         for number, run in enumerate(runs)
         if (deviation := _deviation(run.recording)) is not None
     ]
@@ -207,27 +193,22 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
     if panels:
         caption = spectrum_caption("Position of the end effector after the end of the motion")
         title = "Spectra of the residual vibration"
-        yield Plot("compared-spectra", title, caption, tuple(panels), "frequency [Hz]", _height(panels))
-
-
-def _height(panels: Sequence[Panel]) -> float:
-    return 90.0 + 100.0 * len(panels)
+        yield Plot("compared-spectra", title, caption, tuple(panels), "frequency [Hz]", 90.0 + 100.0 * len(panels))
 
 
 def _curves(runs: Sequence[ComparedRun], name: str, factor: float) -> list[Curve]:
     """Return a signal of all runs that have it."""
-    curves = []
-    for number, run in enumerate(runs):
-        if name in run.recording.columns:
-            values = factor * run.recording[name].values
-            curves.append(_curve(number, run, *_thinned(run.recording.time, values, runs)))
-    return curves
+    return [
+        _signal_curve(number, run, factor * run.recording[name].values, runs)
+        for number, run in enumerate(runs)
+        if name in run.recording.columns
+    ]
 
 
-def _thinned(time: RealArray, values: RealArray, runs: Sequence[ComparedRun]) -> tuple[RealArray, RealArray]:
-    """Return as many points as a run's curve may have."""
+def _signal_curve(number: int, run: ComparedRun, values: RealArray, runs: Sequence[ComparedRun]) -> Curve:
+    """Return values of a run over time, as many points as its curve may have."""
     chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
-    return time[chosen], values[chosen]
+    return _curve(number, run, run.recording.time[chosen], values[chosen])
 
 
 def _deviation(recording: Recording) -> RealArray | None:

@@ -170,33 +170,21 @@ def worst_curves(curves: Sequence[LoopCurve]) -> list[LoopCurve]:
     return worst
 
 
-def draw_margins(poses: Sequence[PoseMargins], title: str) -> Figure:
-    """Bode diagram beside the Nyquist diagram about -1."""
+def draw_margins(poses: Sequence[PoseMargins], title: str, bode: bool = True, nyquist: bool = True) -> Figure:
+    """Bode diagram of the open loops beside their Nyquist diagram about -1, or one of both.
+
+    The former has magnitude [dB] and phase [degrees] over the frequency [Hz], with margins and crossovers; the latter the disk that
+    the loop with the smallest disk margin doesn't enter.
+    """
     with style():
-        figure, curves = draw(12.0, 5.6), loop_curves(poses)
-        places = figure.add_gridspec(2, 2, width_ratios=(1.3, 1.0))
-        gain = figure.add_subplot(places[0, 0])
-        _bode(gain, figure.add_subplot(places[1, 0], sharex=gain), curves)
-        _nyquist(figure.add_subplot(places[:, 1]), curves)
-        figure.suptitle(title, fontsize=10)
-    return figure
-
-
-def draw_bode(poses: Sequence[PoseMargins], title: str) -> Figure:
-    """Magnitude [dB] and phase [degrees] of the open loops over the frequency [Hz], with margins and crossovers."""
-    with style():
-        figure = draw(8.0, 6.0)
-        gain, phase = figure.subplots(2, 1, sharex=True)
-        _bode(gain, phase, loop_curves(poses))
-        figure.suptitle(title, fontsize=10)
-    return figure
-
-
-def draw_nyquist(poses: Sequence[PoseMargins], title: str) -> Figure:
-    """The open loops in the complex plane about -1, with the disk that the one with the smallest disk margin doesn't enter."""
-    with style():
-        figure = draw(6.4, 6.0)
-        _nyquist(figure.add_subplot(), loop_curves(poses))
+        figure = draw(12.0 if bode and nyquist else 8.0 if bode else 6.4, 5.6 if bode and nyquist else 6.0)
+        curves = loop_curves(poses)
+        places = figure.add_gridspec(2, bode + nyquist, width_ratios=(1.3, 1.0)[: bode + nyquist])
+        if bode:
+            gain = figure.add_subplot(places[0, 0])
+            _bode(gain, figure.add_subplot(places[1, 0], sharex=gain), curves)
+        if nyquist:
+            _nyquist(figure.add_subplot(places[:, -1]), curves)
         figure.suptitle(title, fontsize=10)
     return figure
 

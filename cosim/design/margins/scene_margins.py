@@ -263,14 +263,14 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
     Raises:
         ResultsError: a file can't be written.
     """
-    from flexfmu.cosim.design.margins.pictures import draw_bode, draw_nyquist, draw_root_locus
+    from flexfmu.cosim.design.margins.pictures import draw_margins, draw_root_locus
 
     out = OutputFolder(folder)
     out.prepare()
     written, name = [out.write("margins.csv", result.to_csv())], result.scene.name
     pictures = {
-        "bode.png": draw_bode(result.poses, f"{name}. {result.verdict}"),
-        "nyquist.png": draw_nyquist(result.poses, f"{name}: open loops about −1"),
+        "bode.png": draw_margins(result.poses, f"{name}. {result.verdict}", nyquist=False),
+        "nyquist.png": draw_margins(result.poses, f"{name}: open loops about −1", bode=False),
         "root-locus.png": draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period"),
     }
     for file, figure in pictures.items():

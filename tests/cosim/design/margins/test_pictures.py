@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from flexfmu.cosim.design.margins.margins import ALL
-from flexfmu.cosim.design.margins.pictures import disk_of, draw_bode, draw_nyquist, loop_curves, worst_curves
+from flexfmu.cosim.design.margins.pictures import disk_of, draw_margins, loop_curves, worst_curves
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins, write_margins
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.jets import RealArray
@@ -67,7 +67,7 @@ def curve_of(axes: Axes) -> tuple[RealArray, RealArray]:
 def test_margins_are_read_from_the_drawn_curves(single: MarginsResult) -> None:
     """Magnitude where the phase passes -180 degrees, and phase where the magnitude passes 0 dB."""
     worst = loop_curves(single.poses)[0].margins
-    gain, phase = draw_bode(single.poses, "").axes[:2]
+    gain, phase = draw_margins(single.poses, "", nyquist=False).axes[:2]
     frequency, decibels = curve_of(gain)
     _, degrees = curve_of(phase)
     expected = 20.0 * np.log10(worst.gain_margin)
@@ -97,7 +97,7 @@ def test_curves_touch_the_disk_and_stay_outside(single: MarginsResult, several: 
             assert least > (1.0 - 1e-3) * radius
             assert not reached or least < (1.0 + 1e-2) * radius
         # the drawn one is that of the worst
-        axes = draw_nyquist(result.poses, "").axes[0]
+        axes = draw_margins(result.poses, "", bode=False).axes[0]
         disk = next(each for each in axes.patches if isinstance(each, Circle) and each.get_fill())
         assert (disk.center[0], disk.radius) == pytest.approx(
             disk_of(min(row.disk_margin for p in result.poses for row in p.loops if row.channel != ALL))
@@ -110,7 +110,7 @@ def test_curves_touch_the_disk_and_stay_outside(single: MarginsResult, several: 
 def test_phases_are_continuous_and_near(single: MarginsResult, several: MarginsResult) -> None:
     """No jump by a turn, two turns on the axis at most, and -180 degrees among them."""
     for result in (single, several):
-        _, phase = draw_bode(result.poses, "").axes[:2]
+        _, phase = draw_margins(result.poses, "", nyquist=False).axes[:2]
         low, high = phase.get_ylim()
         assert high - low <= 720.0
         assert low < -180.0 < high
