@@ -12,7 +12,7 @@ links bend about the straight line from elbow to end effector, the end effector 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import floor, log10
@@ -24,7 +24,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.motors import MotorLoad, motor_loads
+from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
@@ -298,7 +298,9 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     yield Plot("torques", "Motor torques", "Positive counter-clockwise.", (torques,))
     yield from motor_plots(run)
     if all(name in columns for name in JOINT_POSITIONS):
-        yield Plot("tracking", "Tracking error", "Angle minus planned angle of each motor.", (_tracking_error(run),))
+        errors = [_curve(joint_error(run.recording, joint, run.plan.joints)) for joint in (0, 1)]
+        panel = _both(run, "error [mrad]", "joint", [(time, 1e3 * values[:, 0]) for time, values in errors])
+        yield Plot("tracking", "Tracking error", "Angle minus planned angle of each motor.", (panel,))
     if any(name in columns for name in TIP_DEFLECTIONS):
         caption = "Transverse displacement of the proximal links' tips."
         deflections = _pair(run, TIP_DEFLECTIONS, "link", "deflection [mm]", 1e3)
@@ -333,35 +335,28 @@ def _to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
 
 def _references(run: Run) -> tuple[Panel, ...]:
     """Return reference position, velocity and acceleration of both joints."""
-    panels, time = [], run.recording.time
+    panels = []
     for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s²")):
         values = [run.recording[f"joint{joint}.reference.{kind}"].values for joint in (1, 2)]
-        curves = [
-            Curve(time, each, f"joint {joint}", colour)
-            for joint, each, colour in zip((1, 2), values, COLOURS, strict=True)
-        ]
-        panels.append(
-            Panel(label=f"{kind}\n[{unit}]", curves=curves, marks=_marks(time, run) if kind == "acceleration" else ())
-        )
-    return tuple(panels)
+        panels.append(_both(run, f"{kind}\n[{unit}]", "joint", [(run.recording.time, each) for each in values]))
+    # the mark at the end of the motion in the last alone
+    return (*(replace(each, marks=()) for each in panels[:-1]), panels[-1])
 
 
 def _pair(run: Run, names: tuple[str, ...], of: str, label: str, factor: float) -> Panel:
     """Return two signals of the same unit, interpolated between the communication points."""
-    curves = []
-    for number, (name, colour) in enumerate(zip(names, COLOURS, strict=True), start=1):
-        if name in run.recording.columns:
-            time, values = _curve(segments(run.recording, [name]))
-            curves.append(Curve(time, factor * values[:, 0], f"{of} {number}", colour))
+    found = [_curve(segments(run.recording, [name])) if name in run.recording.columns else None for name in names]
+    return _both(run, label, of, [None if each is None else (each[0], factor * each[1][:, 0]) for each in found])
+
+
+def _both(run: Run, label: str, of: str, found: Iterable[tuple[RealArray, RealArray] | None]) -> Panel:
+    """Return the curves of joints or links 1 and 2, as far as they are known."""
+    curves = [
+        Curve(*each, f"{of} {number}", colour)
+        for number, (each, colour) in enumerate(zip(found, COLOURS, strict=True), start=1)
+        if each is not None
+    ]
     return Panel(label=label, curves=curves, marks=_marks(run.recording.time, run))
-
-
-def _tracking_error(run: Run) -> Panel:
-    curves = []
-    for joint, colour in enumerate(COLOURS):
-        time, values = _curve(joint_error(run.recording, joint, run.plan.joints))
-        curves.append(Curve(time, 1e3 * values[:, 0], f"joint {joint + 1}", colour))
-    return Panel(label="error [mrad]", curves=curves, marks=_marks(run.recording.time, run))
 
 
 def _dwell(run: Run, end_equilibrium: RealArray) -> Panel:
@@ -410,28 +405,19 @@ def motor_plots(run: Run) -> Iterator[Plot]:
     if not loads:
         return
     caption = "At the shaft, with the limits of the motor: peak torque and speed, and dashed the continuous torque."
-    for load in loads:
-        yield Plot(
-            f"motor-{load.joint}", f"Torque over speed, {load.label}", caption, (_over_speed(load),), "speed [rad/s]"
-        )
-    curves = [
-        Curve(load.time, load.power, load.label, colour) for load, colour in zip(loads, (FIRST, SECOND), strict=True)
-    ]
+    corners = np.array([[-1.0, 1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0, -1.0]])
+    for load, colour in zip(loads, COLOURS, strict=True):
+        motor = load.motor
+        limits = [
+            Curve(motor.maximum_speed * corners[0], torque * corners[1], name, GREY, dashes=dashes, is_read=False)
+            for torque, name, dashes in (
+                (motor.peak_torque, "peak torque, speed", ""),
+                (motor.continuous_torque, "continuous torque", DASHES),
+            )
+        ]
+        path = Curve(load.speed, load.torque, load.label, colour, more={"time [s]": load.time})
+        panel = Panel(label="torque [N·m]", curves=[*limits, path], is_function=False)
+        yield Plot(f"motor-{load.joint}", f"Torque over speed, {load.label}", caption, (panel,), "speed [rad/s]")
+    curves = [Curve(load.time, load.power, load.label, colour) for load, colour in zip(loads, COLOURS, strict=True)]
     panel = Panel(label="power [W]", curves=curves)
     yield Plot("motor-power", "Mechanical power of the motors", "At the shaft; negative: regenerated.", (panel,))
-
-
-def _over_speed(load: MotorLoad) -> Panel:
-    """Return the path of speed and torque within the rectangles of the limits."""
-    motor = load.motor
-    corners = np.array([[-1.0, 1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0, -1.0]])
-    limits = [
-        Curve(motor.maximum_speed * corners[0], torque * corners[1], name, GREY, dashes=dashes, is_read=False)
-        for torque, name, dashes in (
-            (motor.peak_torque, "peak torque, speed", ""),
-            (motor.continuous_torque, "continuous torque", DASHES),
-        )
-    ]
-    colour = FIRST if load.joint == 1 else SECOND
-    path = Curve(load.speed, load.torque, load.label, colour, more={"time [s]": load.time})
-    return Panel(label="torque [N·m]", curves=[*limits, path], is_function=False)

@@ -116,31 +116,23 @@ def _worse(path: PathLoop, place: Place) -> tuple[LinearLoop, tuple[float, ...]]
 
 
 def _sentence(loop: LinearLoop, where: str) -> str | None:
+    """What there is to say of a loop: how fast it grows and the nearest torques with which it is stable, or how close it is."""
     if not is_stable(loop):
-        return f"the loop is unstable {where}: {_grows(loop)}{_stable_with(loop)}; see `flexfmu margins`"
+        pole, stable = growth(loop), ""
+        at = f" at {abs(pole.imag) / (2.0 * pi):.3g} Hz" if abs(pole.imag) > 1e-9 * abs(pole) else ""
+        time = log(10.0) / pole.real
+        for factor in np.repeat(np.geomspace(1.0, FARTHEST, STEPS)[1:], 2) ** np.tile([-1.0, 1.0], STEPS - 1):
+            if is_stable(loop, float(factor)):
+                percent = 100.0 * abs(critical_gain(loop, float(factor)) - 1.0)
+                stable = f", with torques {percent:.3g} % {'smaller' if factor < 1.0 else 'larger'} it is stable"
+                break
+        grows = f"small motions grow tenfold in {f'{1e3 * time:.3g} ms' if time < 1.0 else f'{time:.3g} s'}{at}"
+        return f"the loop is unstable {where}: {grows}{stable}; see `flexfmu margins`"
     for factor, way in ((NEAR, "larger"), (1.0 / NEAR, "smaller")):
         if not is_stable(loop, factor):
             percent = 100.0 * abs(critical_gain(loop, factor) - 1.0)
             return f"the loop is close to instability {where}: with torques {percent:.2g} % {way} it is unstable; see `flexfmu margins`"
     return None
-
-
-def _grows(loop: LinearLoop) -> str:
-    """How fast small motions grow."""
-    pole = growth(loop)
-    at = f" at {abs(pole.imag) / (2.0 * pi):.3g} Hz" if abs(pole.imag) > 1e-9 * abs(pole) else ""
-    time = log(10.0) / pole.real
-    return f"small motions grow tenfold in {f'{1e3 * time:.3g} ms' if time < 1.0 else f'{time:.3g} s'}{at}"
-
-
-def _stable_with(loop: LinearLoop) -> str:
-    """Torques with which it is stable, the nearest ones up to a factor of 20."""
-    for factor in np.geomspace(1.0, FARTHEST, STEPS)[1:].tolist():
-        for tried, way in ((1.0 / factor, "smaller"), (factor, "larger")):
-            if is_stable(loop, tried):
-                percent = 100.0 * abs(critical_gain(loop, tried) - 1.0)
-                return f", with torques {percent:.3g} % {way} it is stable"
-    return ""
 
 
 def coarse_counts_of(run: Run) -> str | None:

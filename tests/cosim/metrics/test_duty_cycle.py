@@ -39,20 +39,21 @@ class Motion:
     duration = 0.5
 
 
-def measured(torque: Signal, speed: Signal, cycles: int = 1, steps: int = 500, end: float = 1.0) -> dict[str, float]:
-    """The drive metrics of joint 1, by name without the number; the motion ends in the middle, a dwell follows."""
-    time = np.linspace(0.0, end, steps + 1)
-
-    def column(signal: Signal) -> Column:
-        return Column("", *(signal(time, k) for k in range(3)))
-
-    names = {"torque": torque, "reference.velocity": speed}
-    columns = {f"joint1.{name}": column(signal) for name, signal in names.items()}
+def duty(
+    signals: dict[str, Signal], cycles: int = 1, steps: int = 500, names: Iterable[str] = DRIVE_METRICS
+) -> dict[str, Metric]:
+    """The drive metrics of joint 1, by name without the number, over one second; the motion ends in the middle, a dwell follows."""
+    time = np.linspace(0.0, 1.0, steps + 1)
+    columns = {f"joint1.{name}": Column("", *(each(time, k) for k in range(3))) for name, each in signals.items()}
     task: Trajectory = Motion()  # type: ignore[assignment]
-    settings = Settings(task, lambda: np.zeros(2), end, 1e-5, None, cycles)
-    wanted = [name for name in DRIVE_METRICS if name.endswith("_1")]
-    found = {name[:-2]: each.value for name, each in measure(Recording(time, columns), settings, wanted).items()}
-    return {name: value for name, value in found.items() if value is not None}
+    settings = Settings(task, lambda: np.zeros(2), 0.5, 1e-5, None, cycles)
+    wanted = [name for name in names if name.endswith("_1")]
+    return {name[:-2]: each for name, each in measure(Recording(time, columns), settings, wanted).items()}
+
+
+def measured(torque: Signal, speed: Signal, cycles: int = 1) -> dict[str, Metric]:
+    """Those of a motor whose torque and reference are known."""
+    return duty({"torque": torque, "reference.velocity": speed}, cycles)
 
 
 def test_sine_torque() -> None:
@@ -92,15 +93,8 @@ def test_constant_power() -> None:
 
 
 def coarse(torque: Signal, speed: Signal, steps: int, names: Iterable[str], cycles: int = 1) -> dict[str, Metric]:
-    """Metrics of joint 1, by name without the number, over one second in a few steps."""
-    time = np.linspace(0.0, 1.0, steps + 1)
-    signals = {"joint1.torque": torque, "joint1.velocity": speed}
-    columns = {name: Column("", *(signal(time, k) for k in range(3))) for name, signal in signals.items()}
-    task: Trajectory = Motion()  # type: ignore[assignment]
-    settings = Settings(task, lambda: np.zeros(2), 0.5, 1e-5, None, cycles)
-    return {
-        name[:-2]: each for name, each in measure(Recording(time, columns), settings, [f"{n}_1" for n in names]).items()
-    }
+    """Some of them in a few steps."""
+    return duty({"torque": torque, "velocity": speed}, cycles, steps, [f"{name}_1" for name in names])
 
 
 def test_a_coarse_step_has_an_error() -> None:
@@ -135,11 +129,6 @@ def test_errors_of_one_sign_add_up(sign: float, cycles: int) -> None:
 
 def test_a_robot_without_known_speeds() -> None:
     """Without speeds there are torques alone."""
-    time = np.linspace(0.0, 1.0, 101)
-    columns = {"joint1.torque": Column("N.m", *(sine(3.0)(time, k) for k in range(3)))}
-    task: Trajectory = Motion()  # type: ignore[assignment]
-    found = measure(
-        Recording(time, columns), Settings(task, lambda: np.zeros(2), 0.5, 1e-5), ["rms_torque_1", "mean_power_1"]
-    )
-    assert found["rms_torque_1"].value == pytest.approx(3.0 / math.sqrt(2.0))
-    assert found["mean_power_1"].value is None
+    found = duty({"torque": sine(3.0)}, names=["rms_torque_1", "mean_power_1"])
+    assert found["rms_torque"].value == pytest.approx(3.0 / math.sqrt(2.0))
+    assert found["mean_power"].value is None

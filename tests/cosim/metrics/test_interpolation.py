@@ -116,14 +116,6 @@ def test_norm_of_a_circle_is_constant() -> None:
     assert Analysis(circle).mean_products()[0] == pytest.approx(1.0, rel=1e-10)
 
 
-def test_maximum_counts_both_sides_of_a_jump() -> None:
-    """The limit from the left at a breakpoint counts although the signal never takes that value at a point."""
-    nodes = np.zeros((3, 2, 1))
-    segments = HermiteSegments(np.array([0.0, 1.0]), np.array([1.0, 2.0]), nodes, nodes.copy())
-    segments.right[0, 0, 0] = -2.0
-    assert Analysis(segments).peak()[0] == 2.0
-
-
 def test_mean_square_against_closed_form() -> None:
     """Integral of sin^2 over [0, 1] by exact quadrature of the interpolant."""
     omega, phase = 7.0, 0.3
@@ -144,12 +136,6 @@ def test_nan_does_not_hide() -> None:
     control = np.zeros((6, 3, 1))
     control[2, 1, 0] = np.nan
     assert np.isnan(maximum_norm(control))
-
-
-def test_deviation_of_a_known_signal_vanishes() -> None:
-    """Interpolating the deviation leaves no interpolation error of what both signals have in common."""
-    segments = sine_segments(0.1, 30.0)
-    assert Analysis(segments.minus(segments.left, segments.right)).peak()[0] == 0.0
 
 
 def added(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:

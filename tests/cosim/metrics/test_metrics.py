@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -209,21 +210,13 @@ def test_residual_vibration_in_closed_form() -> None:
     assert value("settling_time", run, band=2e-5) == pytest.approx(settled, abs=3e-7)
 
 
-def test_settling_time_is_zero_when_never_outside() -> None:
-    """A band wider than the whole vibration: settled at once."""
+def test_settling_at_once_or_never_and_no_dwell() -> None:
+    """A band wider than the whole vibration: settled at once. An undamped vibration never settles. Without a dwell there is no residual."""
     assert value("settling_time", recording(VIBRATION, RINGING), band=2e-3) == 0.0
-
-
-def test_settling_time_is_null_when_not_settled() -> None:
-    """An undamped vibration never settles."""
     assert measure(recording(VIBRATION, VIBRATION), settings())["settling_time"].value is None
-
-
-def test_no_residual_without_a_dwell() -> None:
-    """Without a dwell there is nothing to measure a residual on."""
-    measurements = measure(recording(VIBRATION, RINGING), settings(dwell=0.0))
-    for name in ("residual_vibration_amplitude", "residual_vibration_rms", "settling_time"):
-        assert measurements[name].value is None
+    found = measure(recording(VIBRATION, RINGING), settings(dwell=0.0))
+    names = "residual_vibration_amplitude", "residual_vibration_rms", "settling_time"
+    assert [found[name].value for name in names] == [None] * 3
 
 
 def test_rigid_links_do_not_deflect() -> None:
@@ -257,6 +250,8 @@ def test_unknown_metric_is_told_with_those_that_exist() -> None:
     for name in ("peak_torque", "peak_tracking_error_1"):
         with pytest.raises(KeyError, match=f"no metric '{name}'; there are: {', '.join(COMMON_METRICS)}"):
             measurements[name]
+    with pytest.raises(InputError, match=r"peak_tracking_error_1.*driven by torques"):
+        measure(recording(VIBRATION, RINGING), settings(), ["peak_tracking_error_1"])
 
 
 def test_a_failed_run_is_the_reason_why_it_has_no_metrics() -> None:
@@ -268,24 +263,21 @@ def test_a_failed_run_is_the_reason_why_it_has_no_metrics() -> None:
         found["peak_tracking_error_1"]
 
 
-def test_missing_signal_and_missing_derivatives_are_named() -> None:
-    """An incomplete recording is refused by the name of the signal."""
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (None, r"the signal `joint2\.torque`"),
+        ({"first": None}, r"derivatives of `joint2\.torque`"),
+        ({"values": np.where(np.arange(352) == 17, np.nan, 1.0)}, r"metric `peak_torque_2` is nan"),
+    ],
+)
+def test_missing_and_spoiled_signals_are_named(changes: dict[str, Any] | None, message: str) -> None:
+    """An incomplete recording is refused by the name of the signal, a NaN by that of the metric, which isn't null."""
     run = recording(VIBRATION, RINGING)
-    without = Recording(run.time, {name: c for name, c in run.columns.items() if name != "joint2.torque"})
-    with pytest.raises(ResultsError, match=r"joint2\.torque"):
-        measure(without, settings())
-    flat = run.with_columns({"joint2.torque": replace(run["joint2.torque"], first=None)})
-    with pytest.raises(ResultsError, match=r"derivatives of `joint2\.torque`"):
-        measure(flat, settings())
-
-
-def test_nan_is_refused() -> None:
-    """A NaN in a signal is an error that names the metric, not a null."""
-    run = recording(VIBRATION, RINGING)
-    spoiled = run["joint1.torque"].values.copy()
-    spoiled[17] = np.nan
-    with pytest.raises(ResultsError, match="peak_torque_1"):
-        measure(run.with_columns({"joint1.torque": replace(run["joint1.torque"], values=spoiled)}), settings())
+    columns = {name: each for name, each in run.columns.items() if name != "joint2.torque"}
+    columns |= {} if changes is None else {"joint2.torque": replace(run["joint2.torque"], **changes)}
+    with pytest.raises(ResultsError, match=message):
+        measure(Recording(run.time, columns), settings())
 
 
 def test_only_the_metrics_that_are_asked_for() -> None:
@@ -319,9 +311,3 @@ def test_unknown_metrics_are_refused_before_anything_is_simulated(names: list[st
     failed = SimpleNamespace(completed=False, message="the motor came off")
     with pytest.raises(InputError, match=message):
         measure_run(failed, names=names)  # type: ignore[arg-type]
-
-
-def test_tracking_errors_of_a_robot_without_joint_angles_are_refused() -> None:
-    """The motors of a motion-driven robot follow their references exactly."""
-    with pytest.raises(InputError, match=r"peak_tracking_error_1.*driven by torques"):
-        measure(recording(VIBRATION, RINGING), settings(), ["peak_tracking_error_1"])
