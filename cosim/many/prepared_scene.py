@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from math import ceil, inf
 from typing import Any, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, suggestion
-from flexfmu.cosim.engine.master.outcome import Outcome, SignalDelay, Simulation
+from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.simulator import Progress, Simulator, isolation
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
@@ -217,11 +217,16 @@ class PreparedScene:
         timing = Timing(*self._times, watch.lap())
         # the message of a failed run includes values with suspicious units
         hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
+        message = "; ".join((*hints, simulation.message))
+        for parameter, key in KEYS.items():
+            message = message.replace(parameter, key)
+        # disturbances have instants of their own: their signals aren't late
+        disturbing = tuple(f"{each.name}." for each in self._loop.disturbances)
         run = Run(
             plan=self._loop.motion,
             recording=self._recording.of(simulation.recording, parts),
             outcome=simulation.outcome,
-            message="; ".join((*hints, _with_keys(simulation.message))),
+            message=message,
             fmu_path=self._fmu_path,
             communication_step=self._step,
             tolerance=self._tolerance,
@@ -229,7 +234,7 @@ class PreparedScene:
             health=Health(parts.plant.statistics, parts.plant.messages),
             timing=timing,
             slaves=self._facts,
-            delays=self._delays(simulation.delays),
+            delays=tuple(each for each in simulation.delays if not each.connection.startswith(disturbing)),
             parameters=parts.changes,
             companion=self._companion(parts.changes),
             rests=self._rests,
@@ -265,11 +270,6 @@ class PreparedScene:
         steps += [companion_step(self._parts, self._loop.motion, self._step)] if companion else []
         sizes = [recorded_bytes(self._parts, self._recording.needed, self._stop_time, each) for each in steps]
         check_size(self._loop.motion, self._parts, sizes, self._step)
-
-    def _delays(self, found: Sequence[SignalDelay]) -> tuple[SignalDelay, ...]:
-        """The delays of the loop, without those of disturbances, which have instants of their own."""
-        sources = tuple(f"{each.name}." for each in self._loop.disturbances)
-        return tuple(each for each in found if not each.connection.startswith(sources))
 
     def replan(self, scene: Scene) -> bool:
         """Run the motion of another scene from now on; earlier runs keep theirs.
@@ -321,21 +321,18 @@ class PreparedScene:
     def _simulated(self, points: RealArray | None, tolerance: float, *, progress: Progress | None = None) -> Simulation:
         """Simulate with these communication points, or with the communication step."""
         if self._simulator is None or points is not self._points:
-            self._points, self._simulator = points, self._ready(points)
+            self._points = points
+            self._simulator = Simulator(
+                self._system,
+                self._stop_time,
+                self._step,
+                algorithm=self._coupling.algorithm,
+                step_control=self._coupling.step_control,
+                record=self._recording.needed,
+                isolation=self._isolation,
+                points=points,
+            )
         return self._simulator.run(tolerance, progress)
-
-    def _ready(self, points: RealArray | None = None) -> Simulator:
-        """The simulator with the current stop time."""
-        return Simulator(
-            self._system,
-            self._stop_time,
-            self._step,
-            algorithm=self._coupling.algorithm,
-            step_control=self._coupling.step_control,
-            record=self._recording.needed,
-            isolation=self._isolation,
-            points=points,
-        )
 
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The companion: communication steps that divide those of the run, and tighter tolerances."""
@@ -360,13 +357,6 @@ def _measured(run: Run, companions: int, names: Collection[str] | None) -> Mappi
     from flexfmu.cosim.metrics.metrics import measure_run  # which runs whose metrics aren't asked for do without
 
     return measure_run(run, companions, names)
-
-
-def _with_keys(message: str) -> str:
-    """A message of the FMU with the scene's keys for its parameters."""
-    for parameter, key in KEYS.items():
-        message = message.replace(parameter, key)
-    return message
 
 
 def _run_companion(

@@ -6,7 +6,7 @@ import csv
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -36,10 +36,67 @@ def columns(line: str) -> list[float]:
     return [float(number) for number in re.findall(r"(?<=\s)-?\d+\.\d+(?=\s|$)", line)]
 
 
-def test_controller_pd(tmp_path: Path) -> None:
-    """The rigid torques of the motion take most of the error away."""
-    alone, helped = (value(line, "tracking error") for line in lines("controller_pd.py", tmp_path))
-    assert helped < 0.1 * alone
+PROMISES: dict[str, tuple[str, Callable[..., bool]]] = {
+    # the rigid torques of the motion take most of the error away
+    "controller_pd.py": ("tracking error", lambda alone, helped: helped < 0.1 * alone),
+    # without feedforward the angle lags by the velocity over the gain, 8.7 rad/s over 60 1/s; each feedforward takes most of the rest
+    "controller_cascade.py": ("tracking error", lambda alone, speed, torque: torque < 0.5 * speed < 0.5 * 0.2 * alone),
+    # faster sampling helps where the model is right, hardly where the payload is wrong
+    "controller_computed_torque.py": (
+        "error",
+        lambda slow, slow_wrong, fast, fast_wrong: (
+            fast < 0.8 * slow < 0.2 * slow_wrong and fast_wrong == pytest.approx(slow_wrong, rel=0.1)
+        ),
+    ),
+    # every cycle is better than the one before; after eight of them a tenth of the error is left
+    "controller_learning.py": (
+        "tracking error",
+        lambda *errors: [*errors] == sorted(errors, reverse=True) and errors[-1] < 0.1 * errors[0],
+    ),
+    # constant gains have the same margin everywhere; scheduled ones a smaller one where gains are larger
+    "controller_gain_schedule.py": (
+        "gain margin",
+        lambda *found: max(found[:3]) < 1.05 * min(found[:3]) and found[3] < found[4] < found[5],
+    ),
+    # friction is a good part of a slow motion's error; half a compensation takes half of it
+    "controller_friction.py": (
+        "tracking error",
+        lambda without, reference, measured, half: (
+            max(reference, measured) < half < without and reference < 0.6 * without
+        ),
+    ),
+    # each better model of the robot leaves the PD less
+    "controller_flexible.py": (
+        "tracking error",
+        lambda none, rigid, flexible: flexible < 0.2 * rigid < 0.04 * none,
+    ),
+    # more bandwidth costs robustness
+    "controller_h_infinity.py": ("disk margin", lambda _, slow, fast: fast < slow < 1.0),
+    # a disturbed robot goes astray, more with a force than with noise; dropping the payload lifts it by a force of 58.9 N
+    "disturbances.py": ("tracking error", lambda quiet, push, noise, dropped: quiet < noise < push < dropped),
+    # small errors of the angle do little; a rate from differences costs more than all of them
+    "imperfection_sensor.py": (
+        "tracking error",
+        lambda ideal, *others: (
+            all(each == pytest.approx(ideal, rel=0.2) for each in others[:-1]) and others[-1] > 2.0 * ideal
+        ),
+    ),
+    # an own class gives the same numbers from Python and from the scene file
+    "custom_controller.py": ("tracking error", lambda python, file: python == file == pytest.approx(7.9, rel=0.01)),
+    # a python-control system with foreign names controls the robot
+    "custom_transfer_function.py": ("tracking error", lambda error: error < 10.0),
+    # the function in C and its FMU give the same error to the last digit
+    "controller_c_function.py": ("tracking error", lambda here, fmu: here == fmu < 10.0),
+}
+"""Example → the figure in each of its lines, and what it promises of these."""
+
+
+@pytest.mark.parametrize("name", PROMISES)
+def test_promises(name: str, tmp_path: Path) -> None:
+    """Every line has the figure, and the figures are as promised."""
+    what, holds = PROMISES[name]
+    found = [value(line, what) for line in lines(name, tmp_path)]
+    assert holds(*found), found
 
 
 def test_controller_pid(tmp_path: Path) -> None:
@@ -48,12 +105,6 @@ def test_controller_pid(tmp_path: Path) -> None:
     assert value(unprotected, "residual") > 100.0
     assert "settled after" in clamped
     assert "settled after" in calculated
-
-
-def test_controller_cascade(tmp_path: Path) -> None:
-    """Without feedforward the angle lags by the velocity over the gain, 8.7 rad/s over 60 1/s; each feedforward takes most of the rest."""
-    alone, velocity, torque = (value(line, "tracking error") for line in lines("controller_cascade.py", tmp_path))
-    assert torque < 0.5 * velocity < 0.5 * 0.2 * alone
 
 
 def test_controller_disturbance_observer(tmp_path: Path) -> None:
@@ -65,25 +116,11 @@ def test_controller_disturbance_observer(tmp_path: Path) -> None:
     assert left[3] < 1e-4
 
 
-def test_controller_computed_torque(tmp_path: Path) -> None:
-    """Faster sampling helps where the model is right, hardly where the payload is wrong."""
-    slow, slow_wrong, fast, fast_wrong = (value(x, "error") for x in lines("controller_computed_torque.py", tmp_path))
-    assert fast < 0.8 * slow < 0.2 * slow_wrong
-    assert fast_wrong == pytest.approx(slow_wrong, rel=0.1)
-
-
 def test_controller_lqg(tmp_path: Path) -> None:
     """The design is stable and the robot arrives within a micro-radian, observing its links from the motor angles."""
     design, result = lines("controller_lqg.py", tmp_path)
     assert value(design, "slowest pole") < -50.0
     assert value(result, "at the end") < 1e-2
-
-
-def test_controller_learning(tmp_path: Path) -> None:
-    """Every cycle is better than the one before; after eight of them a tenth of the error is left."""
-    errors = [value(line, "tracking error") for line in lines("controller_learning.py", tmp_path)]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 0.1 * errors[0]
 
 
 def test_controller_fmu(tmp_path: Path) -> None:
@@ -130,13 +167,6 @@ def test_imperfection_actuator(tmp_path: Path) -> None:
         assert value(row, "tracking error") > value(ideal, "tracking error")
 
 
-def test_imperfection_sensor(tmp_path: Path) -> None:
-    """Small errors of the angle do little; a rate from differences costs more than all of them."""
-    ideal, *others, encoder = (value(row, "tracking error") for row in lines("imperfection_sensor.py", tmp_path))
-    assert all(error == pytest.approx(ideal, rel=0.2) for error in others)
-    assert encoder > 2.0 * ideal
-
-
 def test_imperfection_delay(tmp_path: Path) -> None:
     """The later the torque, the larger the error, until the loop is unstable; the run says so and goes on."""
     *rows, unknown, known = lines("imperfection_delay.py", tmp_path)
@@ -144,34 +174,6 @@ def test_imperfection_delay(tmp_path: Path) -> None:
     errors = [value(row, "tracking error") for row in rows if "tracking" in row]
     assert errors == sorted(errors)
     assert "unstable" in rows[-1]
-
-
-def test_controller_gain_schedule(tmp_path: Path) -> None:
-    """Constant gains have the same margin everywhere; scheduled ones a smaller one where gains are larger."""
-    margins = [value(row, "gain margin") for row in lines("controller_gain_schedule.py", tmp_path)]
-    assert max(margins[:3]) < 1.05 * min(margins[:3])
-    assert margins[3] < margins[4] < margins[5]
-
-
-def test_controller_friction(tmp_path: Path) -> None:
-    """Friction is a good part of a slow motion's error; half a compensation takes half of it."""
-    without, reference, measured, half = (
-        value(row, "tracking error") for row in lines("controller_friction.py", tmp_path)
-    )
-    assert max(reference, measured) < half < without
-    assert reference < 0.6 * without
-
-
-def test_controller_flexible(tmp_path: Path) -> None:
-    """Each better model of the robot leaves the PD less."""
-    none, rigid, flexible = (value(row, "tracking error") for row in lines("controller_flexible.py", tmp_path))
-    assert flexible < 0.2 * rigid < 0.04 * none
-
-
-def test_controller_h_infinity(tmp_path: Path) -> None:
-    """More bandwidth costs robustness."""
-    _, slow, fast = (value(row, "disk margin") for row in lines("controller_h_infinity.py", tmp_path))
-    assert fast < slow < 1.0
 
 
 def test_filter_kinds(tmp_path: Path) -> None:
@@ -182,31 +184,12 @@ def test_filter_kinds(tmp_path: Path) -> None:
     assert value(setpoint, "tracking error") > 20.0 * value(none, "tracking error")
 
 
-def test_disturbances(tmp_path: Path) -> None:
-    """A disturbed robot goes astray, more with a force than with noise; dropping the payload lifts it by a force of 58.9 N."""
-    rows = lines("disturbances.py", tmp_path)
-    quiet, push, noise, dropped = (value(row, "tracking error") for row in rows)
-    assert quiet < noise < push < dropped
-
-
 def test_imperfection_payload(tmp_path: Path) -> None:
     """The error is smallest where the controller is right about the payload, and grows to both sides."""
     errors = [float(row.split()[4]) for row in lines("imperfection_payload.py", tmp_path)]
     assert errors.index(min(errors)) == 2
     assert errors[0] > errors[1]
     assert errors[-1] > errors[-2]
-
-
-def test_custom_controller(tmp_path: Path) -> None:
-    """An own class gives the same numbers from Python and from the scene file."""
-    python, scene_file = (value(row, "tracking error") for row in lines("custom_controller.py", tmp_path))
-    assert python == scene_file == pytest.approx(7.9, rel=0.01)
-
-
-def test_custom_transfer_function(tmp_path: Path) -> None:
-    """A python-control system with foreign names controls the robot."""
-    (row,) = lines("custom_transfer_function.py", tmp_path)
-    assert value(row, "tracking error") < 10.0
 
 
 def test_export_slaves(tmp_path: Path) -> None:
@@ -232,12 +215,6 @@ def test_custom_function(tmp_path: Path) -> None:
     assert value(scene_file, "tracking error") < 20.0
     assert exported.startswith("exported: own_pid.fmu, PID control")
     assert (tmp_path / "fmus" / "own_pid.fmu").is_file()
-
-
-def test_controller_c_function(tmp_path: Path) -> None:
-    """The function in C and its FMU give the same error to the last digit."""
-    here, fmu = (value(line, "tracking error") for line in lines("controller_c_function.py", tmp_path))
-    assert here == fmu < 10.0
 
 
 ROOT = Path(__file__).parents[3]
