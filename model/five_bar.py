@@ -13,7 +13,7 @@ Structures 62 (1997).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -154,7 +154,16 @@ def assemble(scene: Scene) -> FiveBar:
     context = EffectContext(scene, registry, links)
     effects = [effect for kind in effect_classes() for effect in kind.from_scene(context)]
     joint_stiffness = next((k for effect in effects if (k := effect.joint_stiffness()) is not None), None)
-    robot = _robot_with(effects, registry, parameters["base_half_distance"], joint_stiffness is not None)
+    # the robot with the coordinates of all effects; some families shorten their link by bending
+    families = [family for effect in effects for family in effect.families()]
+    shortening = {
+        family.group: matrix
+        for effect in effects
+        for family in families
+        if (matrix := effect.shortening(family)) is not None
+    }
+    base = registry.derived("base_half_distance", parameters["base_half_distance"])
+    robot = make_robot(families, base, joint_stiffness is not None, shortening)
     outputs = tuple(output for effect in effects for output in effect.outputs(robot))
 
     # equations in redundant coordinates, and their projection onto the independent ones
@@ -188,22 +197,6 @@ def assemble(scene: Scene) -> FiveBar:
     )
 
 
-def _robot_with(
-    effects: Sequence[Effect], registry: ParameterRegistry, base_half_distance: casadi.SX, elastic_joints: bool
-) -> Robot:
-    """The robot with the coordinates of all effects."""
-    families = [family for effect in effects for family in effect.families()]
-    # families that shorten their link by bending
-    shortening = {
-        family.group: matrix
-        for effect in effects
-        for family in families
-        if (matrix := effect.shortening(family)) is not None
-    }
-    base = registry.derived("base_half_distance", base_half_distance)
-    return make_robot(families, base, elastic_joints, shortening)
-
-
 def _respond(
     robot: Robot, partition: Partition, closure: Closure, force: casadi.SX
 ) -> tuple[ProjectedForces, casadi.SX, casadi.SX]:
@@ -211,17 +204,12 @@ def _respond(
     forces = closure.project(force)
     if not partition.statics:
         return forces, robot.q_e, closure.position
-    deflections = static_deflections(robot, forces.elastic)
-    elastic = partition.fill(partition.states_of(robot.q_e), deflections)
-    return replace(forces, elastic=partition.states_of(forces.elastic)), elastic, closure.position_at(elastic)
-
-
-def static_deflections(robot: Robot, forces: casadi.SX) -> casadi.SX:
-    """Deflections (n_statics, 1) of the quasi-static families under the forces on all elastic coordinates (n, 1)."""
+    # each quasi-static family by the forces on its coordinates
     deflections, start = [], 0
     for _, part in robot.elastic:
         stop = start + part.q.numel()
         if part.family.compliance is not None:
-            deflections.append(-part.family.compliance @ forces[start:stop])
+            deflections.append(-part.family.compliance @ forces.elastic[start:stop])
         start = stop
-    return casadi.vertcat(casadi.SX(0, 1), *deflections)
+    elastic = partition.fill(partition.states_of(robot.q_e), casadi.vertcat(casadi.SX(0, 1), *deflections))
+    return replace(forces, elastic=partition.states_of(forces.elastic)), elastic, closure.position_at(elastic)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexfmu.model.scene.assembly import WORKING_MODES, bases, motor_angles
+from flexfmu.model.scene.assembly import WORKING_MODES, bases
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sincos, sqrt, stack, unstack
@@ -39,14 +39,6 @@ class RigidKinematics:
     """Inverse kinematics in the working mode; implements `InverseKinematics` of `flexfmu.trajectories`."""
 
     mechanism: Mechanism
-
-    def inverse(self, position: tuple[float, float]) -> tuple[float, float]:
-        """Motor angles (q11, q21) [rad] that put the end effector at `position` [m].
-
-        Raises:
-            ValueError: the position is out of reach.
-        """
-        return motor_angles(self.mechanism, position)
 
     def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
         """Jets of q11 and q21 [rad] from jets of the end-effector position [m]."""
@@ -75,12 +67,9 @@ class RigidKinematics:
         distances = [np.hypot(*(position - base).T) for base in bases(self.mechanism)]
         reaches = [
             Margin(
-                f"reach of leg {leg + 1}",
-                "m",
-                np.minimum(proximal + distal - d, d - abs(proximal - distal)),
-                REACH_MARGIN,
+                f"reach of leg {leg}", "m", np.minimum(proximal + distal - d, d - abs(proximal - distal)), REACH_MARGIN
             )
-            for leg, d in enumerate(distances)
+            for leg, d in enumerate(distances, 1)
         ]
         # type 2: angle between the distal links
         return (*reaches, Margin(SINE_NAME, "1", self.sine(position), SINE_MARGIN))

@@ -118,15 +118,26 @@ def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[
         ValueError: the position is out of reach.
         EquilibriumError: there is no equilibrium.
     """
-    (plant, derived, _, _), point = _plant(scene), operating_point(scene, position)
+    (plant, derived, residual, output_jacobians), point = _plant(scene), operating_point(scene, position)
     names = [variable.name for variable in plant.outputs]
     rows = [names.index(name) for name in outputs]
-    a, b, c, d = _matrices(scene, point)
-    n = len(plant.unknowns)
-    values = plant.functions["outputs"](point.coordinates, np.zeros(n), np.zeros(n), point.inputs, derived)
-    at_rest = np.asarray(values.full())[rows, 0]
-    inputs = tuple(variable.name for variable in plant.inputs)
-    return LinearPlant(a, b, c[rows], d[rows], inputs, tuple(outputs), (point.inputs, at_rest))
+    n, m = len(plant.unknowns), len(plant.inputs)
+    rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
+    # accelerations as functions of states and inputs: M a + C v + K y + B u = 0
+    stiffness, damping, mass, load = (np.asarray(each.full()) for each in residual(*rest))
+    response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
+    by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
+    # outputs, which depend on the accelerations too
+    c_y, c_v, c_a, c_u = (np.asarray(each.full()) for each in output_jacobians(*rest))
+    return LinearPlant(
+        a=np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state]),
+        b=np.vstack([np.zeros((n, m)), by_input]),
+        c=(np.hstack([c_y, c_v]) + c_a @ by_state)[rows],
+        d=(c_u + c_a @ by_input)[rows],
+        inputs=tuple(variable.name for variable in plant.inputs),
+        outputs=tuple(outputs),
+        rest=(point.inputs, np.asarray(plant.functions["outputs"](*rest, derived).full())[rows, 0]),
+    )
 
 
 def signal_label(name: str) -> str:
@@ -147,19 +158,3 @@ def _plant(scene: Scene) -> tuple[SymbolicModel, casadi.DM, casadi.Function, cas
         return casadi.Function(name, arguments, [casadi.jacobian(expression, x) for x in arguments])
 
     return plant, derived, jacobians("residual"), jacobians("outputs")
-
-
-def _matrices(scene: Scene, point: OperatingPoint) -> tuple[RealArray, RealArray, RealArray, RealArray]:
-    """State-space matrices A, B, C, D for the states [y, v], from the Jacobians of the plant at the equilibrium."""
-    plant, _, residual, outputs = _plant(scene)
-    n, m = len(plant.unknowns), len(plant.inputs)
-    rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
-    # accelerations as functions of states and inputs: M a + C v + K y + B u = 0
-    stiffness, damping, mass, load = (np.asarray(each.full()) for each in residual(*rest))
-    response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
-    by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
-    # outputs, which depend on the accelerations too
-    c_y, c_v, c_a, c_u = (np.asarray(each.full()) for each in outputs(*rest))
-    state_matrix = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state])
-    input_matrix = np.vstack([np.zeros((n, m)), by_input])
-    return state_matrix, input_matrix, np.hstack([c_y, c_v]) + c_a @ by_state, c_u + c_a @ by_input
