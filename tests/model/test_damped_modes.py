@@ -34,15 +34,6 @@ def test_without_damping_they_are_the_natural_frequencies(scene: Scene, end_join
     np.testing.assert_allclose(modes.ratios, 0.0, atol=1e-12)
 
 
-def test_stiffness_damping_has_known_ratios(scene: Scene, end_joints: np.ndarray) -> None:
-    """C = time K gives ratios π f time without gravity and payload weight, which stiffen the links otherwise."""
-    time = 1e-5
-    weightless = scene.replace({"effects.damping": {"kind": "stiffness", "time": time}, "effects.gravity": [0.0, 0.0]})
-    modes = damped_modes(weightless, end_joints)
-    np.testing.assert_allclose(modes.ratios, np.pi * modes.frequencies * time, rtol=1e-6)
-    np.testing.assert_allclose(modes.frequencies, natural_frequencies(weightless, end_joints), rtol=1e-6)
-
-
 @pytest.mark.slow
 def test_the_free_vibration_decays_as_the_first_mode_says(scene: Scene, end_joints: np.ndarray) -> None:
     """A free vibration of the nonlinear model from its first mode shape, integrated by SciPy, has that frequency and decay."""

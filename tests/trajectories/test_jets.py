@@ -42,12 +42,6 @@ def test_elementary_functions_have_their_known_series(jet: Jet, series: list[flo
     np.testing.assert_allclose(jet.coefficients, series, rtol=1e-13, atol=1e-15)
 
 
-def test_reversion_of_sine_is_arcsine() -> None:
-    """Protects series reversion, on which arc-length derivatives rest, against a known inverse function."""
-    arcsine = [math.comb(k - 1, (k - 1) // 2) / (2 ** (k - 1) * k) if k % 2 else 0.0 for k in range(ORDER + 1)]
-    np.testing.assert_allclose(revert(sincos(variable())[0]).coefficients, arcsine, rtol=1e-13, atol=1e-15)
-
-
 @seeded
 @given(coefficients, coefficients)
 def test_product_is_the_truncated_product_of_polynomials(a: np.ndarray, b: np.ndarray) -> None:
