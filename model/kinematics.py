@@ -36,7 +36,8 @@ SINE_NAME = "sine of the angle between the distal links (type-2 singularity)"
 
 @dataclass(frozen=True)
 class RigidKinematics:
-    """Inverse kinematics in the working mode; implements `InverseKinematics` of `flexfmu.trajectories`."""
+    """Inverse kinematics in the working mode, and forward kinematics in the assembly mode; implements `InverseKinematics` and
+    `ForwardKinematics` of `flexfmu.trajectories.joint`."""
 
     mechanism: Mechanism
 
@@ -99,13 +100,6 @@ class RigidKinematics:
             angle = np.arctan2(arm[:, 1], arm[:, 0]) + sign * np.arctan2(sine, cosine)
             elbows.append(np.asarray(base) + proximal * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         return elbows
-
-
-@dataclass(frozen=True)
-class RigidForwardKinematics:
-    """Forward kinematics in the assembly mode; implements the shapers' `ForwardKinematics`."""
-
-    mechanism: Mechanism
 
     def end_effector(self, q11: Jet, q21: Jet) -> tuple[Jet, Jet]:
         """Jets of the end effector's x and y [m] from jets of the joint angles [rad].

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import Rows, shown_unit
-from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
+from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TableSection, TrajectorySection
@@ -338,7 +338,7 @@ def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
     # motion of the end effector, given or by forward kinematics
     given, kinematics = as_trajectory(own), RigidKinematics(scene.mechanism)
     by_joints = coordinates_of(own) == "joints"
-    task = EndEffectorTrajectory(given, RigidForwardKinematics(scene.mechanism)) if by_joints else given
+    task = EndEffectorTrajectory(given, kinematics) if by_joints else given
     start = tuple(task.evaluate(0.0, 0)[0, 0].tolist())
     if isinstance(scene.trajectory, TrajectorySection):
         scene = scene.replace({"trajectory.start": start})
@@ -390,7 +390,7 @@ def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     from flexfmu.trajectories.shapers.sequence import ShapedTrajectory
 
     joints = ShapedTrajectory(motion.joints, sequence)
-    task = EndEffectorTrajectory(joints, RigidForwardKinematics(motion.scene.mechanism))
+    task = EndEffectorTrajectory(joints, RigidKinematics(motion.scene.mechanism))
     check_margins(task, motion.kinematics)
     return replace(motion, task=task, joints=joints)
 

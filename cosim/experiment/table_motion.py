@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
+from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.assembly import bases, end_effector, motor_angles
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TableSection
@@ -78,7 +78,7 @@ def _in_turn(joints: PiecewisePolynomial, mechanism: Mechanism) -> PiecewisePoly
 
 def _from_joints(joints: PiecewisePolynomial, mechanism: Mechanism) -> tuple[Trajectory, Trajectory]:
     """The motion of the end effector by forward kinematics, and that of the joints."""
-    return EndEffectorTrajectory(joints, RigidForwardKinematics(mechanism)), joints
+    return EndEffectorTrajectory(joints, RigidKinematics(mechanism)), joints
 
 
 def _positions(table: MotionTable, mechanism: Mechanism) -> RealArray:
@@ -100,7 +100,7 @@ def _positions(table: MotionTable, mechanism: Mechanism) -> RealArray:
         except ValueError as error:
             raise TrajectoryError(f"{table.source}, line {table.lines[bad[0]]}: {error}") from None
     q11, q21 = (Jet(angle[np.newaxis]) for angle in angles.T)
-    return np.stack([each.value for each in RigidForwardKinematics(mechanism).end_effector(q11, q21)], axis=-1)
+    return np.stack([each.value for each in RigidKinematics(mechanism).end_effector(q11, q21)], axis=-1)
 
 
 def _check_rows(table: MotionTable, positions: RealArray, mechanism: Mechanism) -> None:

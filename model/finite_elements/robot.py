@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flexfmu.model.beams import LinkGroup
 from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element, beam_section
-from flexfmu.model.kinematics import RigidForwardKinematics
+from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.assembly import bases, elbow
 from flexfmu.model.scene.effects import NoDampingSection, StiffnessDampingSection
 from flexfmu.model.scene.errors import SceneError
@@ -80,7 +80,7 @@ LINKS: dict[LinkGroup, tuple[str, str]] = {"proximal": ("link11", "link21"), "di
 
 def rigid_links(mechanism: Mechanism, joints: RealArray) -> Iterator[tuple[LinkGroup, str, Point, Point]]:
     """Group, name, root and tip [m] of all links of the rigid robot, with the motors at the angles (2,) [rad]."""
-    fore = RigidForwardKinematics(mechanism).end_effector(*(Jet.constant([q], 0) for q in joints))
+    fore = RigidKinematics(mechanism).end_effector(*(Jet.constant([q], 0) for q in joints))
     end = float(fore[0].coefficients[0, 0]), float(fore[1].coefficients[0, 0])
     for leg, (base, q) in enumerate(zip(bases(mechanism), joints, strict=True)):
         middle = elbow(base, float(q), mechanism.proximal.length)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
-from flexfmu.model.kinematics import RigidForwardKinematics
+from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.joint import EndEffectorTrajectory
@@ -109,7 +109,7 @@ def test_shaped_profile_has_all_breakpoints(motion: MotionPlan) -> None:
 
 def test_joints_deviate_and_the_path_says_how_far(motion: MotionPlan) -> None:
     """Shaped joints cut the corners by a fraction of the distance travelled in the shaper's duration; unshaped ones don't."""
-    kinematics = RigidForwardKinematics(motion.scene.mechanism)
+    kinematics = RigidKinematics(motion.scene.mechanism)
     path = motion.profiled.path
     assert path_deviation(EndEffectorTrajectory(motion.joints, kinematics), path) < 1e-14
     found = [
@@ -129,7 +129,7 @@ def test_deviation_is_the_distance_of_a_parallel_motion(motion: MotionPlan) -> N
 
 def test_forward_kinematics_inverts_the_inverse(motion: MotionPlan) -> None:
     """The end effector of the planned joints moves as planned, derivatives included."""
-    kinematics = RigidForwardKinematics(motion.scene.mechanism)
+    kinematics = RigidKinematics(motion.scene.mechanism)
     time = np.linspace(-0.01, motion.duration + 0.01, 301)
     expected = motion.task.evaluate(time, 4)
     found = EndEffectorTrajectory(motion.joints, kinematics).evaluate(time, 4)
