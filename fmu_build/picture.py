@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, cos, hypot, pi, sin
 from typing import Literal
@@ -70,13 +70,16 @@ Stamp = tuple[Point, float]
 """A circle that labels must not overlap: centre and radius [px]."""
 
 
+Anchor = Literal["start", "middle", "end"]
+
+
 @dataclass(frozen=True)
 class Label:
     """A text whose base line starts, ends or is centred at a point [px]."""
 
     text: str
     at: Point
-    anchor: Literal["start", "middle", "end"]
+    anchor: Anchor
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -228,40 +231,33 @@ def place_labels(
     """
     points = [view(spot.position) for spot in drawing.spots]
     middle = sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
-    # names with their points and preferred directions
+    # names with their points and preferred directions: for bars at right angles to them
     named = [(spot.name, at, _between(middle, at)) for spot, at in zip(drawing.spots, points, strict=True)]
     for bar in drawing.bars:
         start, end = view(bar.start), view(bar.end)
         at = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
-        named.append((bar.name, at, _across(_between(start, end), _between(middle, at))))
+        along, away = _between(start, end), _between(middle, at)
+        side = 1.0 if away[0] * along[1] - away[1] * along[0] > 0 else -1.0
+        named.append((bar.name, at, (side * along[1], -side * along[0])))
     # the candidate with the fewest overlaps, among those inside the picture
     placed: list[Label] = []
     for name, at, away in named:
-        candidates = _candidates(name, at, away)
-        placed.append(min(candidates, key=lambda label: (not _is_inside(label, size), _covered(label, placed, stamps))))
+        length, candidates = hypot(*away) or 1.0, []
+        for turn in _TURNS:
+            x = (cos(turn) * away[0] - sin(turn) * away[1]) / length
+            y = (sin(turn) * away[0] + cos(turn) * away[1]) / length
+            anchor: Anchor = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
+            for distance in DISTANCES:
+                place = at[0] + distance * x, at[1] + distance * y + 0.25 * FONT_SIZE
+                candidates.append(Label(name, place, anchor))
+        placed.append(min(candidates, key=lambda label: _overlaps(label, placed, stamps, size)))
     return tuple(placed)
 
 
-def _candidates(name: str, at: Point, away: Point) -> Iterator[Label]:
-    """Yield the label in all directions and distances, in the order of preference."""
-    length = hypot(*away) or 1.0
-    for turn in _TURNS:
-        x = (cos(turn) * away[0] - sin(turn) * away[1]) / length
-        y = (sin(turn) * away[0] + cos(turn) * away[1]) / length
-        anchor: Literal["start", "middle", "end"] = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
-        for distance in DISTANCES:
-            yield Label(name, (at[0] + distance * x, at[1] + distance * y + 0.25 * FONT_SIZE), anchor)
-
-
-def _is_inside(label: Label, size: Point) -> bool:
-    """Whether a label is completely inside the picture."""
+def _overlaps(label: Label, others: Sequence[Label], stamps: Sequence[Stamp], size: Point) -> tuple[bool, int]:
+    """Whether a label is partly outside the picture, and the number of labels and circles that it overlaps."""
     left, top, right, bottom = label.box
-    return left >= GAP and top >= GAP and right <= size[0] - GAP and bottom <= size[1] - GAP
-
-
-def _covered(label: Label, others: Sequence[Label], stamps: Sequence[Stamp]) -> int:
-    """Number of labels and circles that a label overlaps."""
-    left, top, right, bottom = label.box
+    is_outside = left < GAP or top < GAP or right > size[0] - GAP or bottom > size[1] - GAP
     touched = 0
     # circles of the drawing
     for (x, y), radius in stamps:
@@ -272,18 +268,12 @@ def _covered(label: Label, others: Sequence[Label], stamps: Sequence[Stamp]) -> 
         its_left, its_top, its_right, its_bottom = other.box
         beside = max(its_left - right, left - its_right)
         touched += max(beside, its_top - bottom, top - its_bottom) < LABEL_GAP
-    return touched
+    return is_outside, touched
 
 
 def _between(a: Point, b: Point) -> Point:
     """Vector from one point to another."""
     return b[0] - a[0], b[1] - a[1]
-
-
-def _across(along: Point, away: Point) -> Point:
-    """Vector at right angles to ``along``, on the side of ``away``."""
-    side = 1.0 if away[0] * along[1] - away[1] * along[0] > 0 else -1.0
-    return side * along[1], -side * along[0]
 
 
 def png(picture: Picture) -> bytes:

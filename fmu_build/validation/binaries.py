@@ -189,8 +189,14 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
         known = ", ".join(list(SUFFIXES)[:6])
         yield Finding("binary", f"no tool looks into binaries/{folder}/", f"use {known}", Severity.WARNING)
         return
-    # a library for each model identifier
-    required = _required_functions(description)
+    # a library for each model identifier, with the functions of its interfaces
+    required: dict[str, frozenset[str]] = {}
+    for element, functions in (
+        (description.coSimulation, COSIMULATION_FUNCTIONS),
+        (description.modelExchange, EXCHANGE_FUNCTIONS),
+    ):
+        if element is not None:
+            required[element.modelIdentifier] = required.get(element.modelIdentifier, frozenset()) | functions
     for identifier, functions in required.items():
         name = f"binaries/{folder}/{identifier}{SUFFIXES[folder]}"
         if name not in files:
@@ -207,18 +213,6 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
             yield from _check_elf(name, files, functions)
         elif not files[name].startswith(_MAGIC[SUFFIXES[folder]]):
             yield Finding("binary", f"{name} is no library for {folder}", "compile it for this platform")
-
-
-def _required_functions(description: Any) -> dict[str, frozenset[str]]:
-    """Model identifier → functions that its library has to export."""
-    required: dict[str, frozenset[str]] = {}
-    for element, functions in (
-        (description.coSimulation, COSIMULATION_FUNCTIONS),
-        (description.modelExchange, EXCHANGE_FUNCTIONS),
-    ):
-        if element is not None:
-            required[element.modelIdentifier] = required.get(element.modelIdentifier, frozenset()) | functions
-    return required
 
 
 def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str]) -> Iterator[Finding]:
@@ -243,10 +237,7 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
             "hide them (-fvisibility=hidden): they collide with those of other FMUs",
             Severity.WARNING,
         )
-    yield from _check_dependencies(name, files, facts)
-
-
-def _check_dependencies(name: str, files: Mapping[str, bytes], facts: ElfFacts) -> Iterator[Finding]:
+    # dependencies
     beside = {PurePosixPath(file).name for file in files if PurePosixPath(file).parent == PurePosixPath(name).parent}
     found = {}
     # libraries that other machines may lack, or have elsewhere

@@ -120,24 +120,18 @@ def _violations(
             name = unknown.variable.name
             if name in reported or unknown.variable is known or unknown.variable.valueReference == known.valueReference:
                 continue
-            for finding in _contradiction(unknown, known, change[n], bend[n]):
+            # undeclared, or declared as linear but nonlinear
+            listed = [dependency.valueReference for dependency in unknown.dependencies]
+            message = remedy = ""
+            if known.valueReference not in listed:
+                if change[n] > INFLUENCE:
+                    message = f"{name} changes with {known.name}, which its dependencies don't name"
+                    remedy = "declare it in ModelStructure: loops are found by it"
+            elif unknown.dependenciesKind:
+                kind = unknown.dependenciesKind[listed.index(known.valueReference)]
+                if kind in _LINEAR and bend[n] > INFLUENCE + 1e-4 * change[n]:
+                    message = f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says"
+                    remedy = "declare it as dependent"
+            if message:
                 reported.add(name)
-                yield finding
-
-
-def _contradiction(unknown: Any, known: Any, change: float, bend: float) -> Iterator[Finding]:
-    """Yield a finding if the relative change or nonlinearity of an unknown contradicts its declaration."""
-    name = unknown.variable.name
-    listed = [dependency.valueReference for dependency in unknown.dependencies]
-    # undeclared dependency
-    if known.valueReference not in listed:
-        if change > INFLUENCE:
-            message = f"{name} changes with {known.name}, which its dependencies don't name"
-            remedy = "declare it in ModelStructure: loops are found by it"
-            yield Finding("dependencies of variables", message, remedy, subject=name)
-        return
-    # declared as linear but nonlinear
-    kind = unknown.dependenciesKind[listed.index(known.valueReference)] if unknown.dependenciesKind else ""
-    if kind in _LINEAR and bend > INFLUENCE + 1e-4 * change:
-        message = f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says"
-        yield Finding("dependencies of variables", message, "declare it as dependent", subject=name)
+                yield Finding("dependencies of variables", message, remedy, subject=name)

@@ -138,7 +138,15 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
                 found += _compare(fmu, "state", expected, rows, "after fmi2SetFMUstate", _STATE_REMEDY)
         yield from found
         if not saving and not found:
-            yield from _saving_in_used_memory(fmu, instance, states, marks[1], undisturbed)
+            # a state that is written into the memory of an earlier one, which it replaces
+            mark = marks[1]
+            instance.restore(states[0])
+            instance.advance(0, mark)
+            states[0] = instance.save(states[0])
+            instance.advance(mark, fmu.steps)
+            instance.restore(states[0])
+            rows = instance.advance(mark, fmu.steps)
+            yield from _compare(fmu, "state", undisturbed[mark:], rows, _AGAIN, _STATE_REMEDY)
         # freed states leave no pointer behind
         for state in states:
             instance.discard(state)
@@ -146,29 +154,12 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             message = "fmi2FreeFMUstate leaves the pointer to the state as it was"
             remedy = "set it to null: a second call would free the state twice"
             yield Finding("state", message, remedy, Severity.WARNING)
+    # saving and freeing the state in each step changes nothing
     if not saving:
-        yield from _saving_in_each_step(fmu, undisturbed)
-
-
-def _saving_in_used_memory(
-    fmu: FmuUnderTest, instance: Any, states: list[Any], mark: int, undisturbed: RealArray
-) -> Iterator[Finding]:
-    """Check a state at step ``mark`` that fmi2GetFMUstate writes into the memory of ``states[0]``, which it replaces."""
-    instance.restore(states[0])
-    instance.advance(0, mark)
-    states[0] = instance.save(states[0])
-    instance.advance(mark, fmu.steps)
-    instance.restore(states[0])
-    rows = instance.advance(mark, fmu.steps)
-    yield from _compare(fmu, "state", undisturbed[mark:], rows, _AGAIN, _STATE_REMEDY)
-
-
-def _saving_in_each_step(fmu: FmuUnderTest, undisturbed: RealArray) -> Iterator[Finding]:
-    """Check that saving and freeing the state in each step does not change the results."""
-    with fmu.instance("saving") as instance:
-        instance.initialize()
-        rows = instance.advance(0, min(fmu.steps, 20), between=lambda: instance.discard(instance.save()))
-    yield from _compare(fmu, "state", undisturbed[: len(rows)], rows, _ON_THE_WAY, _SAVING)
+        with fmu.instance("saving") as instance:
+            instance.initialize()
+            rows = instance.advance(0, min(fmu.steps, 20), between=lambda: instance.discard(instance.save()))
+        yield from _compare(fmu, "state", undisturbed[: len(rows)], rows, _ON_THE_WAY, _SAVING)
 
 
 def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
