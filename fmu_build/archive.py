@@ -8,7 +8,6 @@ import re
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from flexfmu.fmu_build.errors import ArchiveError
@@ -61,18 +60,10 @@ def _cannot_write(path: Path, error: OSError) -> ArchiveError:
     return ArchiveError(f"cannot write {path}: {error.strerror}; choose a writable folder with free space")
 
 
-@dataclass(frozen=True)
-class FmuFacts:
-    """GUID of an FMU and size of its generated C code [bytes]."""
-
-    guid: str
-    code_bytes: int
-
-
-def fmu_facts(content: bytes) -> FmuFacts:
-    """Read GUID and code size of an FMU that this package has built."""
+def fmu_facts(content: bytes) -> tuple[str, int]:
+    """GUID of an FMU that this package has built, and the size of its generated C code [bytes]."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         description = archive.read("modelDescription.xml").decode()
         sizes = [e.file_size for e in archive.infolist() if re.fullmatch(r"sources/model_\w+\.[ch]", e.filename)]
     guid = re.search(r'\bguid="([^"]*)"', description)
-    return FmuFacts(guid.group(1) if guid else "", sum(sizes))
+    return guid.group(1) if guid else "", sum(sizes)

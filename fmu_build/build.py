@@ -16,7 +16,6 @@ from flexfmu.fmu_build.cache import (
     content_hash,
     digest,
     digest_name,
-    fmu_name,
     package_fingerprint,
     read_intact,
     store,
@@ -132,7 +131,9 @@ def build_fmu(
         key = f"{naming} {enumerations} {key}"
 
     # an intact FMU from the cache, or a new one
-    name = fmu_name(_cache_key(key, targets, experiment))
+    versions = version("casadi"), version("flexfmu")
+    parts = (key, package_fingerprint(), *versions, os.environ.get("CC", ""), repr(targets), repr(experiment))
+    name = f"{content_hash(part.encode() for part in parts)}.fmu"
     stored = cache_folder() / name
     content = read_intact(stored) if cache else None
     is_cached = content is not None
@@ -143,15 +144,8 @@ def build_fmu(
         write_atomically(output, content)
 
     # GUID and size of the code, read from the file
-    facts = fmu_facts(content)
-    seconds = perf_counter() - started
-    return BuiltFmu(output or stored, facts.guid, is_cached, seconds, facts.code_bytes, len(content))
-
-
-def _cache_key(key: str, platforms: tuple[Platform, ...], experiment: DefaultExperiment) -> str:
-    versions = version("casadi"), version("flexfmu")
-    parts = (key, package_fingerprint(), *versions, os.environ.get("CC", ""), repr(platforms), repr(experiment))
-    return content_hash(part.encode() for part in parts)
+    guid, code_bytes = fmu_facts(content)
+    return BuiltFmu(output or stored, guid, is_cached, perf_counter() - started, code_bytes, len(content))
 
 
 def _keep(name: str, content: bytes, is_needed: bool) -> Path:

@@ -66,11 +66,6 @@ def store(name: str, content: bytes) -> Path:
     return folder / name
 
 
-def fmu_name(key: str) -> str:
-    """File name of the cached FMU with this key."""
-    return f"{key}.fmu"
-
-
 @cache
 def package_fingerprint() -> str:
     """Hash of the package's sources that turn a scene into an FMU: model and build; read once in a process."""

@@ -68,15 +68,15 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
     _check_mass_matrix(model, prepared)
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
-    files = {function_file(name): _code(model, name, function) for name, function in prepared.items()}
+    # operations of twins side by side where the model has any; CasADi's code for what branches
+    files = {
+        function_file(name): function_code(function, twin_arguments(model, name))
+        or with_all_arguments(c_code(function))
+        for name, function in prepared.items()
+    }
     if (statements := lanes_code(prepared["residual"])) is not None:
         files[LANES_FILE] = render(LANES_FILE + ".j2", statements=statements)
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
-
-
-def _code(model: SymbolicModel, name: str, function: casadi.Function) -> str:
-    """C code of the function ``name``, operations of twins side by side where the model has any."""
-    return function_code(function, twin_arguments(model, name)) or with_all_arguments(c_code(function))
 
 
 def twin_arguments(model: SymbolicModel, name: str) -> list[tuple[Entry, Entry]]:

@@ -20,7 +20,8 @@ def render(template: str, **values: Any) -> str:
 
 def c_string(text: str) -> str:
     """A C string literal of ``text`` in UTF-8: printable ASCII unchanged, all else (and quotes, backslashes, ``?``) as octal escapes."""
-    return '"' + "".join(_c_character(byte) for byte in text.encode()) + '"'
+    plain = {byte for byte in range(0x20, 0x7F) if chr(byte) not in '"\\?'}
+    return '"' + "".join(chr(byte) if byte in plain else f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
 def c_double(value: float | None, missing: str = "0.0") -> str:
@@ -39,11 +40,6 @@ def c_double(value: float | None, missing: str = "0.0") -> str:
 def subscripts(formula: str) -> Markup:
     """A formula for HTML: ``K_kk`` becomes K with the subscript kk."""
     return Markup(re.sub(r"_([A-Za-z0-9]+)", r"<sub>\1</sub>", str(escape(formula))))
-
-
-def _c_character(byte: int) -> str:
-    plain = 0x20 <= byte < 0x7F and chr(byte) not in '"\\?'
-    return chr(byte) if plain else f"\\{byte:03o}"
 
 
 @cache

@@ -35,7 +35,7 @@ accuracy, since few points are checked."""
 SHORTEST = 1e-7
 """Shortest interval between knots as a fraction of the duration; shorter ones would resolve rounding errors."""
 
-_CHECKED = np.array([0.25, 0.5, 0.75])
+_CHECKED = (0.25, 0.5, 0.75)
 """Fractions of an interval at which it is checked; the interpolation error is largest near the middle."""
 
 _SCALE_POINTS = 200
@@ -64,22 +64,37 @@ def tabulate(trajectory: Trajectory, tolerance: float = TOLERANCE) -> Trajectory
         ModelError: no knots reproduce the trajectory, for example because a breakpoint is missing.
     """
     points = np.array(trajectory.breakpoints, dtype=np.float64)
-    scales = _scales(trajectory, points)
+    # largest values of each of `KINDS`; 1 where all are zero
+    dense = np.concatenate([np.linspace(a, b, _SCALE_POINTS) for a, b in pairwise(points)])
+    largest = abs(trajectory.evaluate(dense, len(KINDS) - 1, "right")).max(axis=(1, 2))
+    scales = np.where(largest > 0.0, largest, 1.0)
     begins, ends = points[:-1], points[1:]
     accepted: list[tuple[RealArray, RealArray, RealArray]] = []
     # halve the intervals that miss the tolerance until none is left
     while begins.size:
-        _refuse_short(trajectory, begins, ends)
-        error = _errors(trajectory, begins, ends, _CHECKED) / scales
+        shortest = int(np.argmin(ends - begins))
+        if not ends[shortest] - begins[shortest] > SHORTEST * trajectory.duration:
+            raise ModelError(
+                f"no table reproduces the trajectory at {ends[shortest]:.6g} s; it has to be smooth to the sixth derivative "
+                "between its breakpoints, so name the breakpoint that is missing there"
+            )
+        error = _errors(trajectory, begins, ends) / scales
         good = (error <= tolerance).all(axis=1)
         accepted.append((begins[good], ends[good], error[good]))
         begins, ends = begins[~good], ends[~good]
         middles = 0.5 * (begins + ends)
         begins, ends = np.concatenate([begins, middles]), np.concatenate([middles, ends])
     begins, ends, error = (np.concatenate(parts) for parts in zip(*accepted, strict=True))
-    # sort knots by time
-    order = np.argsort(begins)
-    return _assemble(trajectory, begins[order], ends[order], points, error.max(axis=0))
+    # knots sorted by time: one between two intervals, or two at a breakpoint, left limits first
+    sorted_ = np.argsort(begins)
+    begins, ends = begins[sorted_], ends[sorted_]
+    after_jump = begins[np.isin(begins, points)]
+    times = np.concatenate([ends, after_jump])
+    limits = [trajectory.evaluate(ends, ORDERS - 1, "left"), trajectory.evaluate(after_jump, ORDERS - 1, "right")]
+    order = np.argsort(times, kind="stable")
+    jets = np.concatenate(limits, axis=1)[:, order]
+    errors = tuple(error.max(axis=0).tolist())
+    return TrajectoryTable(times[order], np.ascontiguousarray(jets.swapaxes(0, 1)), errors)
 
 
 def hermite(left: RealArray, right: RealArray, width: RealArray, fraction: float) -> RealArray:
@@ -112,19 +127,12 @@ def end_matrix() -> list[list[int]]:
     return inverse
 
 
-def _scales(trajectory: Trajectory, points: RealArray) -> RealArray:
-    """Largest absolute value of each of `KINDS`, shape (3,); 1 where all values are zero."""
-    times = np.concatenate([np.linspace(a, b, _SCALE_POINTS) for a, b in pairwise(points)])
-    largest = abs(trajectory.evaluate(times, len(KINDS) - 1, "right")).max(axis=(1, 2))
-    return np.where(largest > 0.0, largest, 1.0)
-
-
-def _errors(trajectory: Trajectory, begins: RealArray, ends: RealArray, fractions: RealArray) -> RealArray:
+def _errors(trajectory: Trajectory, begins: RealArray, ends: RealArray) -> RealArray:
     """Largest error of the polynomials in each interval, for each of `KINDS`, shape (N, 3)."""
     left = trajectory.evaluate(begins, ORDERS - 1, "right")
     right = trajectory.evaluate(ends, ORDERS - 1, "left")
     errors = np.zeros((len(begins), len(KINDS)))
-    for fraction in fractions.tolist():
+    for fraction in _CHECKED:
         # all intervals at once
         width = ends - begins
         exact = trajectory.evaluate(begins + fraction * width, len(KINDS) - 1, "right")
@@ -133,24 +141,3 @@ def _errors(trajectory: Trajectory, begins: RealArray, ends: RealArray, fraction
             found = hermite(left[rows], right[rows], width, fraction)
             errors[:, kind] = np.maximum(errors[:, kind], abs(found - exact[kind]).max(axis=1))
     return errors
-
-
-def _refuse_short(trajectory: Trajectory, begins: RealArray, ends: RealArray) -> None:
-    shortest = int(np.argmin(ends - begins))
-    if not ends[shortest] - begins[shortest] > SHORTEST * trajectory.duration:
-        raise ModelError(
-            f"no table reproduces the trajectory at {ends[shortest]:.6g} s; it has to be smooth to the sixth derivative "
-            "between its breakpoints, so name the breakpoint that is missing there"
-        )
-
-
-def _assemble(
-    trajectory: Trajectory, begins: RealArray, ends: RealArray, points: RealArray, errors: RealArray
-) -> TrajectoryTable:
-    """Table with one knot between two intervals, or two at a breakpoint."""
-    after_jump = begins[np.isin(begins, points)]
-    times = np.concatenate([ends, after_jump])
-    limits = [trajectory.evaluate(after_jump, ORDERS - 1, "right"), trajectory.evaluate(ends, ORDERS - 1, "left")]
-    order = np.argsort(times, kind="stable")  # left limits first
-    jets = np.concatenate(limits[::-1], axis=1)[:, order]
-    return TrajectoryTable(times[order], np.ascontiguousarray(jets.swapaxes(0, 1)), tuple(errors.tolist()))
