@@ -24,12 +24,13 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
 from flexfmu.cosim.many.prepared_scene import PreparedScene
-from flexfmu.cosim.many.variants import VariantError, run_variants
+from flexfmu.cosim.many.variants import VariantError, VariantResult, run_variants
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import PeakMetrics, measuring, metrics_of
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})
 STEP, TOLERANCE = 1e-3, 1e-6
@@ -134,19 +135,38 @@ def test_all_fail() -> None:
     assert failed.all()
 
 
-def test_peaks_are_the_metrics() -> None:
-    """Peaks between communication points from derivatives at a few of them, and the metrics from whole recordings."""
+def assert_alike(
+    variants: Sequence[dict[str, Any]],
+    measure: Any,
+    rel: float,
+    scene: Scene = SCENE,
+    step: float = STEP,
+    part: int = 1,
+) -> list[VariantResult[Any]]:
+    """Results side by side, of which some (each of number ``part``) are compared with those of runs of the FMU."""
+    tolerance = TOLERANCE if scene is SCENE else None
+    options: dict[str, Any] = {"communication_step": step, "tolerance": tolerance}
+    side_by_side = run_variants(scene, variants, measure, **options)
+    singly = run_variants(scene, variants[::part], partial(metrics_of, names=measure.names), **options)
+    for one, other in zip(side_by_side[::part], singly, strict=True):
+        assert one.changes == other.changes
+        assert (one.value is None) == (other.value is None)
+        for name, value in (other.value or {}).items():
+            assert one.value[name] == (None if value is None else pytest.approx(value, rel=rel)), name
+    return side_by_side
+
+
+def test_metrics_are_those_of_the_fmu() -> None:
+    """Peaks between communication points from derivatives at a few of them; all metrics from whole recordings, where small
+    differences of large numbers lose digits."""
     variants = [{"payload.mass": mass} for mass in np.linspace(0.1, 8.0, 17)]
     measure = measuring(["peak_torque_1", "peak_torque_2", "peak_tip_deflection_1"])
     assert isinstance(measure, PeakMetrics)
-    side_by_side = run_variants(SCENE, variants, measure, communication_step=STEP, tolerance=TOLERANCE)
-    singly = run_variants(
-        SCENE, variants, partial(metrics_of, names=measure.names), communication_step=STEP, tolerance=TOLERANCE
+    assert_alike(variants, measure, 10 * TOLERANCE)
+    found = assert_alike(
+        [{"payload.mass": mass} for mass in np.linspace(2.0, 8.0, 17)], measuring(COMMON_METRICS), 1e-3
     )
-    for one, other in zip(side_by_side, singly, strict=True):
-        assert one.changes == other.changes
-        assert one.value is not None
-        assert one.value == pytest.approx(other.value, rel=10 * TOLERANCE)
+    assert all(each.value and each.value.keys() == COMMON_METRICS.keys() for each in found)
 
 
 @pytest.mark.skipif(LANES[-1] == 1, reason="one lane has one duration")
@@ -157,18 +177,10 @@ def test_durations_side_by_side() -> None:
         {"trajectory.duration": float(duration), "payload.mass": float(mass)}
         for duration, mass in zip(durations, masses, strict=True)
     ]
-    measure = measuring(["peak_torque_1", "peak_torque_2"])
     shuffled = [variants[i] for i in np.random.default_rng(1).permutation(34)]
     shuffled.insert(5, {"trajectory.duration": -1.0})
-    side_by_side = run_variants(SCENE, shuffled, measure, communication_step=STEP, tolerance=TOLERANCE)
-    singly = run_variants(
-        SCENE, shuffled, partial(metrics_of, names=measure.names), communication_step=STEP, tolerance=TOLERANCE
-    )
-    assert [each.error is None for each in side_by_side] == [i != 5 for i in range(35)]
-    for one, other in zip(side_by_side, singly, strict=True):
-        assert one.changes == other.changes
-        if one.value is not None:
-            assert one.value == pytest.approx(other.value, rel=10 * TOLERANCE)
+    found = assert_alike(shuffled, measuring(["peak_torque_1", "peak_torque_2"]), 10 * TOLERANCE)
+    assert [each.error is None for each in found] == [i != 5 for i in range(35)]
 
 
 SCENES: dict[str, dict[str, Any]] = {
@@ -189,30 +201,12 @@ def test_other_scenes(changes: dict[str, Any]) -> None:
 
     The communication step resolves undamped modes, since variants have peaks between other communication points than the FMU.
     """
-    scene = SCENE.replace(changes)
-    measure = measuring(["peak_torque_1", "peak_torque_2"])
-    for key in ("payload.mass", "trajectory.duration"):
-        low, high = (1.0, 6.0) if key == "payload.mass" else (0.18, 0.2)
+    for key, low, high in (("payload.mass", 1.0, 6.0), ("trajectory.duration", 0.18, 0.2)):
         variants = [{key: float(value)} for value in np.linspace(low, high, 16)]
-        side_by_side = run_variants(scene, variants, measure, communication_step=2e-4)
-        singly = run_variants(scene, variants[::5], partial(metrics_of, names=measure.names), communication_step=2e-4)
-        for one, other in zip(side_by_side[::5], singly, strict=True):
-            assert one.value is not None
-            assert one.value == pytest.approx(other.value, rel=1e-5)
-
-
-def test_metrics_of_recordings() -> None:
-    """All metrics, from runs in lockstep and from those of the FMU: small differences of large numbers lose digits."""
-    variants = [{"payload.mass": mass} for mass in np.linspace(2.0, 8.0, 17)]
-    options: dict[str, Any] = {"communication_step": STEP, "tolerance": TOLERANCE}
-    side_by_side = run_variants(SCENE, variants, measuring(COMMON_METRICS), **options)
-    singly = run_variants(SCENE, variants, metrics_of, **options)
-    for one, other in zip(side_by_side, singly, strict=True):
-        assert one.value is not None
-        assert other.value is not None
-        assert one.value.keys() == COMMON_METRICS.keys()
-        for name, value in other.value.items():
-            assert one.value[name] == (None if value is None else pytest.approx(value, rel=1e-3)), name
+        found = assert_alike(
+            variants, measuring(["peak_torque_1", "peak_torque_2"]), 1e-5, SCENE.replace(changes), 2e-4, 5
+        )
+        assert all(each.value for each in found)
 
 
 def test_what_cannot_go_along_is_run_by_the_fmu() -> None:

@@ -11,6 +11,7 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from scipy.integrate import solve_ivp
 
+from flexfmu.cosim.engine.hermite import hermite_derivatives
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
@@ -60,18 +61,6 @@ def torque_scene(changes: dict[str, object] | None = None) -> Scene:
     return load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", **(changes or {})})
 
 
-def quintic(left: np.ndarray, right: np.ndarray, h: float) -> np.ndarray:
-    """Derivatives 1..5 at the left end of the quintics through value and two derivatives (3, m) at both ends."""
-    derivatives = np.zeros((6, left.shape[1]))
-    derivatives[:3] = left
-    taylor = np.array([[1, 1, 1], [3, 4, 5], [6, 12, 20]], dtype=float)
-    known = np.array([left[0] + h * left[1] + h**2 / 2 * left[2], h * left[1] + h**2 * left[2], h**2 * left[2]])
-    ends = np.array([right[0], h * right[1], h**2 * right[2]])
-    coefficients = np.linalg.solve(taylor, ends - known)
-    derivatives[3:] = coefficients * np.array([6.0, 24.0, 120.0])[:, None] / h ** np.arange(3, 6)[:, None]
-    return derivatives[1:]
-
-
 def torque_jets(recording: Recording) -> np.ndarray:
     """Torques with two derivatives at every row, shape (N, 3, 2)."""
     columns = [recording.columns[name] for name in TORQUES]
@@ -89,7 +78,7 @@ def replay(scene: Scene, recording: Recording, folder: Path, tolerance: float) -
     worst = 0.0
     for k in np.flatnonzero(np.diff(time) > 0.0):
         plant.set(TORQUES, jets[k, 0])
-        plant.set_derivatives(TORQUES, quintic(jets[k], jets[k + 1], time[k + 1] - time[k]))
+        plant.set_derivatives(TORQUES, hermite_derivatives(jets[k], jets[k + 1], time[k + 1] - time[k])[1:])
         plant.slave.doStep(time[k], time[k + 1] - time[k])
         worst = max(worst, float(np.abs(plant.get(joints) - references[k + 1]).max()))
     plant.close()

@@ -81,8 +81,9 @@ def keep_apart(figure: Figure) -> None:
 
 def _move(label: Annotation, frame: Box, taken: Sequence[Box], lines: RealArray) -> Box | None:
     """Put a label into the first place that is free, the usual one first; None where every place is taken."""
-    for place in PLACES:
-        _put(label, place)
+    for x, y, across, upright in PLACES:
+        label.xyann = (x, y)
+        label.set(ha=across, va=upright)
         left, bottom, right, top = box = _box(label)
         # within the diagram, and apart from all that is there
         inside = left >= frame[0] and bottom >= frame[1] and right <= frame[2] and top <= frame[3]
@@ -90,12 +91,6 @@ def _move(label: Annotation, frame: Box, taken: Sequence[Box], lines: RealArray)
         if inside and not covers and not ((lines > box[:2]) & (lines < box[2:])).all(axis=1).any():
             return box
     return None
-
-
-def _put(label: Annotation, place: tuple[float, float, str, str]) -> None:
-    x, y, across, upright = place
-    label.xyann = (x, y)
-    label.set(ha=across, va=upright)
 
 
 def _box(artist: Any) -> Box:
@@ -140,28 +135,30 @@ def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
         ResultsError: the folder can't be written.
     """
     names = [name for name in FAMILIES if study.family(name)]
+    # a picture of each, and all diagrams beside each other
+    pictures = {f"workprec-{name}": ([name], 6.6) for name in names} | {"workprec": (names, 6.5)}
     try:
         with style():
-            for name in names:
-                figure = draw(6.6, 4.8)
-                draw_family(figure.subplots(), study, name)
+            for stem, (shown, width) in pictures.items():
+                columns = min(2, max(len(shown), 1))
+                rows = max(1, -(-len(shown) // columns))
+                figure = draw(width * columns, 4.8 * rows)
+                places = figure.subplots(rows, columns, squeeze=False).ravel()
+                for place, name in zip(places, shown, strict=False):
+                    draw_family(place, study, name)
+                for place in places[len(shown) :]:
+                    place.set_axis_off()
                 keep_apart(figure)
-                save(figure, folder / f"workprec-{name}")
-            # all diagrams beside each other
-            columns = min(2, max(len(names), 1))
-            rows = max(1, -(-len(names) // columns))
-            figure = draw(6.5 * columns, 4.8 * rows)
-            places = figure.subplots(rows, columns, squeeze=False).ravel()
-            for place, name in zip(places, names, strict=False):
-                draw_family(place, study, name)
-            for place in places[len(names) :]:
-                place.set_axis_off()
-            keep_apart(figure)
-            save(figure, folder / "workprec")
+                save(figure, folder / stem)
     except OSError as error:
         reason = error.strerror or error
         raise ResultsError(f"can't write to {folder}: {reason}; choose another folder or free some space") from error
     return names
+
+
+def _points(trials: Sequence[WorkPrecisionTrial]) -> RealArray:
+    """Error and time [ms] of each trial, (n, 2)."""
+    return np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in trials]).reshape(-1, 2)
 
 
 def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[WorkPrecisionTrial]]:
@@ -178,7 +175,7 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
     for colour, (line, trials) in zip(colours, lines.items(), strict=False):
         good = [each for each in trials if not each.failed]
         failed = len(trials) - len(good)
-        points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
+        points = _points(good)
         label = line + (f" ({failed} failed)" if failed else "")
         axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
         label_points(axes, points, [each.label for each in good], DARKER * colour[:3])
@@ -186,20 +183,17 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     # axes, and real time at the right
     axes.set(xscale="log", yscale="log", xlabel="error, relative to the largest elastic deviation", ylabel="time [ms]")
-    axes.yaxis.set_major_formatter(PlainNumbers())
-    axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set_title(TITLES[name], fontsize=10)
     axes.legend(fontsize=6.5)
-    factor = axes.secondary_yaxis(
-        "right",
-        functions=(
-            lambda ms: 1e3 * study.duration / np.maximum(ms, 1e-9),
-            lambda f: 1e3 * study.duration / np.maximum(f, 1e-9),
-        ),
-    )
-    factor.yaxis.set_major_formatter(PlainNumbers())
-    factor.yaxis.set_minor_formatter(PlainNumbers())
+
+    def inverse(value: Any) -> Any:
+        return 1e3 * study.duration / np.maximum(value, 1e-9)
+
+    factor = axes.secondary_yaxis("right", functions=(inverse, inverse))
     factor.set_ylabel("times real time")
+    for axis in (axes.yaxis, factor.yaxis):
+        axis.set_major_formatter(PlainNumbers())
+        axis.set_minor_formatter(PlainNumbers())
 
 
 def html(study: WorkPrecisionStudy) -> str:
@@ -211,21 +205,18 @@ def html(study: WorkPrecisionStudy) -> str:
 def _plot(study: WorkPrecisionStudy, name: str) -> Plot:
     curves = []
     for number, (line, trials) in enumerate(lines_of(study, name).items()):
-        colour, again = PALETTE[number % len(PALETTE)], number >= len(PALETTE)
+        colour, dashes = PALETTE[number % len(PALETTE)], "5,3" if number >= len(PALETTE) else ""
         good, failed = ([each for each in trials if each.failed is wanted] for wanted in (False, True))
-        points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
+        points = _points(good)
         notes = [
             f"{each.label}: {study.duration / (each.time or 1.0):.3g} times real time. {each.note}" for each in good
         ]
-        dashes = "5,3" if again else ""
         curves.append(Curve(points[:, 0], points[:, 1], line, colour, dot="disc", notes=notes, dashes=dashes))
         # what failed, at real time and an error of 1
         if failed:
             place, notes = np.ones(len(failed)), [f"{each.label} failed: {each.note}" for each in failed]
-            name_of = f"{line}, failed"
-            curves.append(
-                Curve(place, 1e3 * study.duration * place, name_of, colour, width=0.0, dot="cross", notes=notes)
-            )
+            times = 1e3 * study.duration * place
+            curves.append(Curve(place, times, f"{line}, failed", colour, width=0.0, dot="cross", notes=notes))
     label = "error, relative to the largest elastic deviation"
     panel = Panel(label="time [ms]", curves=curves, logarithmic="xy", is_function=False)
     return Plot(f"workprec-{name}", TITLES[name], "Lower left is better.", (panel,), label, PLOT_HEIGHT)
