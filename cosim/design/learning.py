@@ -249,7 +249,9 @@ def settled(scene: Scene) -> Scene:
         key = f"controller.{scene.controller.index(section)}"
         if section.law == "norm-optimal" and section.response is None:
             mass = scene.payload.mass if section.payload is None else section.payload
-            changes[f"{key}.response"] = _rounded(LearningLoop(scene).responses(i, mass))
+            response = LearningLoop(scene).responses(i, mass)
+            # six digits of the largest value
+            changes[f"{key}.response"] = np.round(response, int(6 - np.floor(np.log10(abs(response).max())))).tolist()
     scene = scene.replace(changes) if changes else scene
     for i, section in enumerate(scene.learners):
         if section.cut_off == "auto":
@@ -257,7 +259,14 @@ def settled(scene: Scene) -> Scene:
             scene = scene.replace({key: chosen_cut_off(scene, i) or "none"})
     contraction = contraction_of(scene)
     if contraction is not None and not contraction.converges:
-        warnings.warn(_growing(scene, contraction), LearningWarning, stacklevel=2)
+        cycles = log(10.0) / log(contraction.factor)
+        warnings.warn(
+            f"learning doesn't converge: errors at {contraction.frequency:.4g} Hz grow {contraction.factor:.4g}-fold in each cycle "
+            f"about {100.0 * contraction.place:.3g} % of the path, tenfold in {cycles:.3g} cycles (the scene has "
+            f'{scene.learners[0].cycles}): set `q_filter = "auto"` or `law = "norm-optimal"`, or lower the `gain`',
+            LearningWarning,
+            stacklevel=2,
+        )
     return scene
 
 
@@ -270,19 +279,3 @@ def contraction_of(scene: Scene) -> Contraction | None:
         return LearningLoop(scene, identify=False).contraction()
     except (CosimError, SceneError, EquilibriumError, ValueError):
         return None
-
-
-def _rounded(values: RealArray) -> list[Any]:
-    """The values with six digits of the largest one."""
-    rounded: list[Any] = np.round(values, int(6 - np.floor(np.log10(abs(values).max())))).tolist()
-    return rounded
-
-
-def _growing(scene: Scene, worst: Contraction) -> str:
-    """The warning that learning doesn't converge."""
-    cycles = log(10.0) / log(worst.factor)
-    return (
-        f"learning doesn't converge: errors at {worst.frequency:.4g} Hz grow {worst.factor:.4g}-fold in each cycle about "
-        f"{100.0 * worst.place:.3g} % of the path, tenfold in {cycles:.3g} cycles (the scene has {scene.learners[0].cycles}): set "
-        f'`q_filter = "auto"` or `law = "norm-optimal"`, or lower the `gain`'
-    )

@@ -72,14 +72,6 @@ class JointSpline:
         rows = [basis(self.degree, self.intervals, points, k) @ self.coefficients for k in range(order + 1)]
         return np.array([row / self.duration**k for k, row in enumerate(rows)])
 
-    def bounds(self, order: int) -> RealArray:
-        """Return coefficients of a derivative: none of its values is larger than the largest of them.
-
-        Returns:
-            Shape (n - order, 2) [rad/s^order].
-        """
-        return derivative_matrix(self.degree, self.intervals, order) @ self.coefficients / self.duration**order
-
     def trajectory(self) -> PiecewisePolynomial:
         """Return the joints' motion in time, exactly."""
         knots = self.duration * uniform_knots(self.degree, self.intervals)

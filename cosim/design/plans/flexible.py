@@ -12,16 +12,14 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.goals import Goals, Variation
+from flexfmu.cosim.design.plans.goals import Goals
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
-from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
-from flexfmu.model.reference_design.inverse_dynamics import LEAD, FlexibleReferences, flexible_references
+from flexfmu.cosim.experiment.planning import plan_rigid
+from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.motion import TableSection
-from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import RealArray
 
 PAYLOADS = 16
 """Payloads of the correction: fewer are overfitted."""
@@ -48,49 +46,29 @@ def flexible(goals: Goals, found: Sequence[Assessment], processes: int, show: Sh
             f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
         )
     # the given motion's torques for each payload of the correction
-    given = Judge(goals, PAYLOADS).given
-    scene = _bare(goals.scene)
-    show("references for the flexible robot on the given path", None)
-    motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
-    design = flexible_references(scene, motion.task, motion.joints)
-    yield _candidate(goals, given, motion, design)
-
-
-def _bare(scene: Scene) -> Scene:
-    """The scene with its path alone."""
-    changes: dict[str, Any] = {"shaper": [], "trajectory.references": None}
-    changes |= (
-        {}
-        if scene.trajectory.way_back == "none"
-        else {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
-    )
-    return scene.replace(changes)
-
-
-def _candidate(goals: Goals, given: Assessment, motion: MotionPlan, design: FlexibleReferences) -> Candidate:
-    """The motion with references that hold over the bands."""
-    variations, label = goals.variations(PAYLOADS), "flexible references on the given path"
-    tolerances = Tolerances(
-        residual=0.2 * goals.wishes.residual,
-        off_path=0.9 * goals.wishes.margin,
-        torque=_torques(goals, given, variations),
-        jerk=KEPT * float(goals.limit("jerk", np.array(given.references[2]))) if "jerk" in goals.limits else None,
-    )
-    changes = [each.changes(goals.scene) for each in variations]
-    try:
-        motors = corrected(motion.scene, changes, design.motors, motion.task, tolerances)
-    except TrajectoryError:
-        # the FMU judges whether they do without a correction
-        motors, label = design.motors, f"{label}, for the nominal payload"
-    return Candidate(label, "flexible references", _bare(goals.scene), motors.trajectory())
-
-
-def _torques(goals: Goals, given: Assessment, variations: Sequence[Variation]) -> RealArray | None:
-    """Largest torques (variations, 2) [N m] that are used; None without a limit."""
-    if "torque" not in goals.limits:
-        return None
-    # relative to the given motion's, which was assessed with these robots
+    given, variations = Judge(goals, PAYLOADS).given, goals.variations(PAYLOADS)
     usual = {each.variation: each.torque for each in given.peaks}
     nominal = min(usual, key=lambda each: abs(each.payload - goals.scene.payload.mass))
     torques = np.array([usual.get(each, usual[nominal]) for each in variations])
-    return KEPT * goals.limit("torque", torques)
+    # the path alone
+    bare: dict[str, Any] = {"shaper": [], "trajectory.references": None}
+    if goals.scene.trajectory.way_back != "none":
+        bare |= {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
+    scene, label = goals.scene.replace(bare), "flexible references on the given path"
+    show("references for the flexible robot on the given path", None)
+    motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
+    motors = flexible_references(scene, motion.task, motion.joints).motors
+    # references that hold over the bands
+    tolerances = Tolerances(
+        residual=0.2 * goals.wishes.residual,
+        off_path=0.9 * goals.wishes.margin,
+        torque=KEPT * goals.limit("torque", torques) if "torque" in goals.limits else None,
+        jerk=KEPT * float(goals.limit("jerk", np.array(given.references[2]))) if "jerk" in goals.limits else None,
+    )
+    try:
+        changes = [each.changes(goals.scene) for each in variations]
+        motors = corrected(motion.scene, changes, motors, motion.task, tolerances)
+    except TrajectoryError:
+        # the FMU judges whether they do without a correction
+        label = f"{label}, for the nominal payload"
+    yield Candidate(label, "flexible references", scene, motors.trajectory())

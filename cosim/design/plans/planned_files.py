@@ -120,11 +120,8 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "failures": list(result.failures),
         "robustness": [
             {
-                "model": line.model,
-                "residual": line.residual if math.isfinite(line.residual) else None,
-                "where": line.where,
-                "torque_ratio": line.torque_ratio,
-                "off_path": line.off_path,
+                **{key: getattr(line, key) for key in ("model", "residual", "where", "torque_ratio", "off_path")},
+                **({} if math.isfinite(line.residual) else {"residual": None}),
                 "missed": list(line.missed),
                 "note": line.note,
             }

@@ -32,9 +32,8 @@ OUTPUTS = ("end_effector.position.x", "end_effector.position.y", "joint1.torque"
 TOLERANCE = 1e-5
 """Relative tolerance of the integrator."""
 
-BETWEEN, EVERY = 1, 3
-"""Number of positions of a track that are interpolated in each step, and of variants for each that is examined: positions change
-little and steadily with the payload."""
+EVERY = 3
+"""Number of variants for each whose track is examined: positions change little and steadily with the payload."""
 
 QUINTIC = np.array(
     [
@@ -48,18 +47,8 @@ QUINTIC = np.array(
 )
 """Derivatives at the beginning of the quintic on 0..1 from value, first and second derivative at 0 and at 1."""
 
-
-_FRACTIONS = np.arange(1, BETWEEN + 1) / (BETWEEN + 1.0)
-MIDDLES = np.stack(
-    [
-        -_FRACTIONS * (_FRACTIONS - 1.0) * (_FRACTIONS - 2.0) / 6.0,
-        (_FRACTIONS + 1.0) * (_FRACTIONS - 1.0) * (_FRACTIONS - 2.0) / 2.0,
-        -(_FRACTIONS + 1.0) * _FRACTIONS * (_FRACTIONS - 2.0) / 2.0,
-        (_FRACTIONS + 1.0) * _FRACTIONS * (_FRACTIONS - 1.0) / 6.0,
-    ],
-    axis=1,
-)
-"""(`BETWEEN`, 4) weights of four equidistant values for positions between the second and the third."""
+MIDDLE = np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
+"""Weights of four equidistant values for the position halfway between the second and the third."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,11 +123,10 @@ class QuickRun:
 
     @cached_property
     def track(self) -> RealArray:
-        """(V / `EVERY`, M, 2) positions during the motion [m], with `BETWEEN` more in each step by cubics through the four nearest."""
+        """(V / `EVERY`, M, 2) positions during the motion [m], and halfway between them by cubics through the four nearest."""
         p = self.position[::EVERY, : self.moving + 2]
-        inner = np.einsum("jk,kvni->vnji", MIDDLES, np.stack([p[:, k : p.shape[1] - 3 + k] for k in range(4)]))
-        rows = np.concatenate([p[:, 1:-2, None], inner], axis=2)
-        return np.asarray(rows.reshape(len(p), -1, 2))
+        middles = np.einsum("k,kvni->vni", MIDDLE, np.stack([p[:, k : p.shape[1] - 3 + k] for k in range(4)]))
+        return np.asarray(np.stack([p[:, 1:-2], middles], axis=2).reshape(len(p), -1, 2))
 
     def residuals(self, settled_within: float = 0.0) -> RealArray:
         """(V,) largest distance from the equilibrium, from some time [s] after the motion's end on [m]."""
