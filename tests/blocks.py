@@ -93,3 +93,14 @@ def sampled(
     step = casadi.Function("step", [x, inp, par], [block.update(x, inp, par), block.output(x, inp, par)])
     _, y = step.mapaccum(len(u))(casadi.DM(block.states), u.T, casadi.DM(p))
     return np.array(y).T
+
+
+def responses(block: SymbolicBlock, given: Mapping[str, ArrayLike]) -> dict[str, NDArray[np.float64]]:
+    """Output → (N,) values for input or parameter → (N,) values; inputs left out keep their start value."""
+    values = {name: np.asarray(each, dtype=float) for name, each in given.items()}
+    count = len(next(iter(values.values())))
+    inputs = [values.get(each.name, np.full(count, each.start)) for each in block.inputs]
+    parameters = {each.name: values[each.name][0] for each in block.parameters if each.name in values}
+    return dict(
+        zip((each.name for each in block.outputs), sampled(block, np.column_stack(inputs), parameters).T, strict=True)
+    )

@@ -16,11 +16,8 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import (
-    BindsBuffers,
     Indices,
     RealArray,
-    SamplesInTwoPhases,
-    SavesState,
     SlaveVariable,
 )
 from flexfmu.fmu_build.errors import BuildError
@@ -74,26 +71,9 @@ class Clock:
         self.time = time + step
 
 
-def test_protocols() -> None:
-    """The master offers everything to a block that it offers to sampled slaves."""
-    slave = BlockSlave(running_sum())
-    for protocol in (SamplesInTwoPhases, SavesState, BindsBuffers):
-        assert isinstance(slave, protocol)
-
-
 def test_feedthrough_is_read_off_the_equations() -> None:
     """The master opens loops at outputs that don't depend on the input at once, so the declaration must be exact."""
     assert BlockSlave(running_sum()).feedthrough == {"past": (), "now": ("u",)}
-
-
-def test_variables() -> None:
-    """A block shows its inputs, parameters and outputs with units and start values; `1` fits every unit."""
-    assert BlockSlave(running_sum()).variables == (
-        SlaveVariable("u", "input", "N.m", 1.0),
-        SlaveVariable("gain", "parameter", "", 2.0),
-        SlaveVariable("past", "output", "N.m"),
-        SlaveVariable("now", "output", "N.m"),
-    )
 
 
 @pytest.mark.parametrize("compiled", [False, True])
@@ -114,20 +94,6 @@ def test_samples(compiled: bool) -> None:
     assert outputs(slave) == [7.0, 8.0]
     slave.sample(0.3)
     assert outputs(slave) == [11.0, 13.0]
-
-
-def test_compiled_code_gives_the_same_bits() -> None:
-    """Whether a block runs in CasADi's virtual machine or in C must not be seen in the results."""
-    model = pd([50.0, 60.0], [3.0, 4.0], sample_time=1e-3)
-    slaves = [BlockSlave(model, compiled=compiled) for compiled in (False, True)]
-    rng = np.random.default_rng(1)
-    inputs = np.arange(len(model.inputs))
-    for _ in range(50):
-        values = rng.normal(size=inputs.size)
-        for slave in slaves:
-            slave.set(inputs, values)
-            slave.sample(0.0)
-        assert outputs(slaves[0]) == outputs(slaves[1])
 
 
 def test_save_and_restore() -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from math import pi
 from typing import Any
 
 import numpy as np
 import pytest
 from axis_slave import Axis
-from blocks import disturbance_observer, friction_compensation, gravity_feedforward, pd
-from numpy.typing import ArrayLike, NDArray
+from blocks import disturbance_observer, friction_compensation, gravity_feedforward, pd, responses
+from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.errors import InputError
@@ -21,10 +21,8 @@ from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.assembly import elbows, motor_angles
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
-Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
 
 H = 1e-3
 JOINTS = ("joint1", "joint2")
@@ -37,7 +35,7 @@ def scene_with(**sections: Any) -> Scene:
 
 
 @pytest.mark.parametrize("motion", ["reference", "measured"])
-def test_friction_compensation_is_the_friction_of_the_robot(respond: Respond, motion: str) -> None:
+def test_friction_compensation_is_the_friction_of_the_robot(motion: str) -> None:
     """What inverse dynamics with smooth friction have more than those without, at any rate."""
     friction = {"viscous": 1.3, "coulomb": 2.5, "velocity": 0.05}
     scene = scene_with(**{"effects.joint_friction": friction})
@@ -45,7 +43,7 @@ def test_friction_compensation_is_the_friction_of_the_robot(respond: Respond, mo
     (slave, _) = loop_of(scene.replace({"controller": [section, {"kind": "pd", **PD}]})).controllers[:2]
     rates = np.random.default_rng(3).normal(scale=0.2, size=(40, 2))
     place = "reference.velocity" if motion == "reference" else "velocity"
-    found = respond(slave.block, {f"{joint}.{place}": rates[:, i] for i, joint in enumerate(JOINTS)})  # type: ignore[attr-defined]
+    found = responses(slave.block, {f"{joint}.{place}": rates[:, i] for i, joint in enumerate(JOINTS)})  # type: ignore[attr-defined]
     q, zero = motor_angles(SCENE.mechanism, (0.05, 0.3)), [0.0, 0.0]
     with_friction, without = (inverse_dynamics(each) for each in (scene, scene_with()))
     for k, rate in enumerate(rates):
@@ -54,7 +52,7 @@ def test_friction_compensation_is_the_friction_of_the_robot(respond: Respond, mo
         np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-12)
 
 
-def test_gravity_feedforward_is_virtual_work(respond: Respond) -> None:
+def test_gravity_feedforward_is_virtual_work() -> None:
     """The gradient of the potential energy of links and payload: their weights times the change of their heights."""
     m = SCENE.mechanism
     weights = {
@@ -78,14 +76,14 @@ def test_gravity_feedforward_is_virtual_work(respond: Respond) -> None:
     block = gravity_feedforward(sample_time=H)
     for position in (np.array([0.05, 0.3]), np.array([-0.175, 0.32]), np.array([0.1, 0.35])):
         angles = motor_angles(m, (position[0], position[1]))
-        found = respond(block, {f"{joint}.reference.position": [q] for joint, q in zip(JOINTS, angles, strict=True)})
+        found = responses(block, {f"{joint}.reference.position": [q] for joint, q in zip(JOINTS, angles, strict=True)})
         turned = slopes(lambda x: np.array(motor_angles(m, (x[0], x[1]))), position)
         expected = np.linalg.solve(turned, slopes(energy, position))
         torque = [found[f"{joint}.feedforward"][0] for joint in JOINTS]
         np.testing.assert_allclose(torque, expected, rtol=1e-9)
 
 
-def test_observer_finds_a_constant_disturbance(respond: Respond) -> None:
+def test_observer_finds_a_constant_disturbance() -> None:
     """-d (1 - exp(-k h / T)), whatever the torques are; within its limits."""
     inertia, disturbance, time_constant, count = 0.2, 3.0, 0.01, 60
     torque = np.random.default_rng(4).normal(scale=20.0, size=count)
@@ -94,14 +92,16 @@ def test_observer_finds_a_constant_disturbance(respond: Respond) -> None:
     signals = {"joint1.velocity": rate, "joint1.torque": torque}
     fading = 1.0 - np.exp(-np.arange(count) * H / time_constant)
     block = disturbance_observer(time_constant, inertia, sample_time=H)
-    np.testing.assert_allclose(respond(block, signals)["joint1.feedforward"], -disturbance * fading, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        responses(block, signals)["joint1.feedforward"], -disturbance * fading, rtol=0, atol=1e-12
+    )
     limited = disturbance_observer(time_constant, inertia, sample_time=H, torque_limit=2.0)
-    found = respond(limited, signals)["joint1.feedforward"]
+    found = responses(limited, signals)["joint1.feedforward"]
     np.testing.assert_allclose(found, np.maximum(-disturbance * fading, -2.0), rtol=0, atol=1e-12)
     assert block.feedthrough["joint1.feedforward"] == ("joint1.velocity",)
 
 
-def test_observer_with_the_robot_as_its_model(respond: Respond) -> None:
+def test_observer_with_the_robot_as_its_model() -> None:
     """Torques of inverse dynamics at the mean motion need none; what is added to them is found, with the sign turned."""
     dynamics, k = inverse_dynamics(SCENE), np.arange(50)
     start = np.array(motor_angles(SCENE.mechanism, (0.0, 0.32)))
@@ -113,7 +113,7 @@ def test_observer_with_the_robot_as_its_model(respond: Respond) -> None:
     signals = {f"{joint}.position": q[:, i] for i, joint in enumerate(JOINTS)}
     signals |= {f"{joint}.velocity": v[:, i] for i, joint in enumerate(JOINTS)}
     signals |= {f"{joint}.torque": torque[:, i] for i, joint in enumerate(JOINTS)}
-    found = respond(disturbance_observer(5e-3, sample_time=H), signals)
+    found = responses(disturbance_observer(5e-3, sample_time=H), signals)
     for joint, extra in zip(JOINTS, (2.0, -1.0), strict=True):
         expected = extra * (1.0 - np.exp(-k * H / 5e-3))
         np.testing.assert_allclose(found[f"{joint}.feedforward"], expected, rtol=0.0, atol=1e-12 * abs(torque).max())

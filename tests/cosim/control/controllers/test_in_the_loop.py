@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import control
 import numpy as np
-import pytest
-from blocks import computed_torque, learning, lqg, pid
+from blocks import lqg
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.from_control import LinearSystem, control_block, from_control, state_space
-from flexfmu.cosim.control.controllers.state_feedback import (
-    Equilibrium,
-    state_feedback,
-    static_feedforward,
-)
-from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
-from flexfmu.fmu_build.build import build_fmu
-from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -89,80 +77,6 @@ def test_closed_loop() -> None:
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * abs(wanted).max())
 
 
-def multivariable() -> SymbolicBlock:
-    """Order 5, two inputs, three outputs, direct feedthrough."""
-    rng = np.random.default_rng(7)
-    A = rng.normal(size=(5, 5))
-    A *= 0.95 / abs(np.linalg.eigvals(A)).max()
-    return control_block(control.ss(A, rng.normal(size=(5, 2)), rng.normal(size=(3, 5)), rng.normal(size=(3, 2)), H))
-
-
-def observer() -> SymbolicBlock:
-    """State feedback with an observer and reference feedforward for the oscillator."""
-    plant = from_control(linear_plant()[0])
-    K = control.place(plant.A, plant.B, [0.9, 0.92])
-    L = control.place(plant.A.T, plant.C.T, [0.5, 0.6]).T
-    return state_feedback(plant, K, L, reference=static_feedforward(plant, ["y[0]"]))
-
-
-BLOCKS: dict[str, Callable[[], SymbolicBlock]] = {
-    "state space": multivariable,
-    "observer": observer,
-    "pid": lambda: pid(50.0, 300.0, 2.0, sample_time=H, filter_time=2e-3, torque_limit=[20.0, 30.0]),
-    "learning": lambda: learning(gain=[1.0, 2.0], cycles=2, period=25 * H, sample_time=H, lead=2, forgetting=0.02),
-    "computed torque": lambda: computed_torque(400.0, 40.0, sample_time=H),
-}
-
-
-@pytest.mark.parametrize("kind", BLOCKS)
-def test_slave_and_fmu_agree(kind: str, tmp_path: Path) -> None:
-    """A controller that leaves as an FMU gives what its Python slave gave, to rounding, sample by sample."""
-    block, count = BLOCKS[kind](), 120
-    names = tuple(variable.name for variable in block.inputs)
-    values = np.random.default_rng(5).normal(size=(count + 1, len(names)))
-    path = build_fmu(block, tmp_path / "block.fmu").path
-    recordings = []
-    for slave in (BlockSlave(block, "controller"), FmuSlave(path, "controller", {})):
-        wires = [(f"signals.{name}", f"controller.{name}") for name in names]
-        result = simulate(connect([Signals(names, values), slave], wires), stop=count * H, step=H)
-        assert result.outcome is Outcome.COMPLETED, result.message
-        time = result.recording.time
-        middle = np.searchsorted(time, H * np.arange(1, count) + H / 4.0) - 1
-        recordings.append(
-            np.array([result.recording[f"controller.{each.name}"].values[middle] for each in block.outputs])
-        )
-    scale = abs(recordings[0]).max()
-    assert scale > 0.0
-    np.testing.assert_allclose(recordings[0], recordings[1], rtol=0, atol=1e-12 * scale)
-
-
-def test_lqg_holds_the_robot() -> None:
-    """`control.dlqr` and `control.dlqe` on the linearised robot give a controller that connects by its variables' names
-    and damps the 28 states of the flexible plant from joint angles alone."""
-    h = 2.5e-4
-    scene = load_scene("barnard2012-6kg")
-    position = scene.trajectory.start
-    whole = linearize(scene, position, outputs=["joint1.position", "joint2.position"])
-    labels = {"inputs": whole.input_labels[:2], "outputs": whole.output_labels}
-    torques = control.ss(whole.A, whole.B[:, :2], whole.C, whole.D[:, :2], **labels)
-    plant = from_control(torques, method="zoh", sample_time=h)
-    weights = np.zeros((plant.order, plant.order))
-    weights[:2, :2] = 1e6 * np.eye(2)
-    K, _, _ = control.dlqr(plant.A, plant.B, weights, np.eye(2))
-    L, _, _ = control.dlqe(plant.A, plant.B, plant.C, np.eye(2), 1e-10 * np.eye(2))
-    point = operating_point(scene, position)
-    equilibrium = Equilibrium(point.inputs[:2], point.coordinates[:2])
-    reference = static_feedforward(plant, ["joint1.position", "joint2.position"], equilibrium)
-    block = state_feedback(plant, K, L, equilibrium=equilibrium, reference=reference)
-    assert [variable.name for variable in block.outputs] == ["joint1.torque", "joint2.torque"]
-    assert {variable.name for variable in block.inputs} == {
-        f"joint{i}{kind}.position" for i in (1, 2) for kind in ("", ".reference")
-    }
-    angles = regulate(plant, block, equilibrium, np.array([1e-3, -2e-3]), 2000)
-    np.testing.assert_allclose(angles[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(angles[-1], [1e-3, -2e-3], atol=1e-7)
-
-
 def test_only_ratios_of_lqg_weights_count() -> None:
     """Twice all costs, or twice all standard deviations, is the same controller; other ratios are another one."""
     scene = load_scene("barnard2012-6kg").replace({"effects.proximal_bending": 1, "effects.distal_axial": 0})
@@ -188,23 +102,3 @@ def _step_of(block: SymbolicBlock) -> Array:
         slave.sample(k * block.sample_time)
         slave.get(outputs, found[k])
     return found
-
-
-def regulate(plant: LinearSystem, block: SymbolicBlock, point: Equilibrium, step: Array, count: int) -> Array:
-    """Deviations of the measured angles (N, 2) after the references have jumped by ``step``, the plant linear."""
-    robot = BlockSlave(state_space(plant), "robot")
-    slave = BlockSlave(block, "controller")
-    angles, torques = np.zeros((count, 2)), np.empty(2)
-    reading, driving = np.array([2, 3]), np.array([0, 1])
-    slave.set(reading, np.asarray(point.outputs) + step)
-    robot.initialize(0.0, 1.0, None)
-    slave.initialize(0.0, 1.0, None)
-    for k in range(count):
-        robot.output(0.0)
-        robot.get(reading, angles[k])
-        slave.set(driving, angles[k] + point.outputs)
-        slave.sample(0.0)
-        slave.get(np.array([4, 5]), torques)
-        robot.set(driving, torques - point.inputs)
-        robot.update(0.0)
-    return angles

@@ -76,36 +76,6 @@ def test_learning_law(gain: float, shift: int, forgetting: float) -> None:
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * abs(other).max())
 
 
-def test_converges_at_the_predicted_rate() -> None:
-    """The error of the first learned sample falls by |1 - gain g| in every cycle, that of all samples in the end too."""
-    gain = 0.5
-    rate = 1.0 - gain * GAIN
-    errors, _ = learn(60, gain=gain)
-    first = errors[:20, 1]
-    np.testing.assert_allclose(first[1:] / first[:-1], rate, rtol=1e-9)
-    assert abs(errors[-1]).max() < 1e-8 * abs(errors[0]).max()
-
-
-def test_diverges_beyond_the_limit() -> None:
-    """With |1 - gain g| > 1 the first sample's error grows: the sign of the prediction is right as well."""
-    errors, _ = learn(6, gain=3.0)
-    np.testing.assert_allclose(errors[1:, 1] / errors[:-1, 1], 1.0 - 3.0 * GAIN, rtol=1e-9)
-
-
-def test_forgetting_leaves_an_error() -> None:
-    """The fixed point with forgetting: the first learned sample keeps r f / (f + gain g)."""
-    gain, forgetting = 0.5, 0.1
-    errors, _ = learn(100, gain=gain, forgetting=forgetting)
-    wanted = REFERENCE[1] * forgetting / (forgetting + gain * GAIN)
-    np.testing.assert_allclose(errors[-1, 1], wanted, rtol=1e-9)
-
-
-def test_first_cycle_is_silent() -> None:
-    """Nothing has been learned in the first cycle, so nothing is put out."""
-    _, torques = learn(1, gain=0.5)
-    np.testing.assert_array_equal(torques, 0.0)
-
-
 def test_a_cycle_of_one_sample() -> None:
     """The shortest cycle is an integrator without feedthrough."""
     slave = BlockSlave(learning(gain=0.5, cycles=2, period=H, sample_time=H, lead=0))
@@ -117,19 +87,6 @@ def test_a_cycle_of_one_sample() -> None:
         slave.get(np.array([6]), values[k])
     np.testing.assert_allclose(values[:, 0], [0.0, 0.5, 1.0, 1.5])
     assert slave.feedthrough == {"joint1.feedforward": (), "joint2.feedforward": ()}
-
-
-def test_joints_learn_apart() -> None:
-    """Each joint has its own gain and table; one's error doesn't reach the other."""
-    slave = BlockSlave(learning(gain=[1.0, 2.0], cycles=2, period=3 * H, sample_time=H, lead=0))
-    slave.initialize(0.0, 1.0, None)
-    output = np.empty(2)
-    for k in range(4):
-        slave.set(np.array([0, 1]), np.array([1.0, 10.0]) if k == 0 else np.zeros(2))
-        slave.sample(k * H)
-        slave.get(np.array([6, 7]), output)
-        np.testing.assert_array_equal(output, [1.0, 20.0] if k == 3 else [0.0, 0.0])
-    assert [variable.unit for variable in slave.block.parameters] == ["N.m/rad"] * 2
 
 
 def test_long_tables_are_cheap() -> None:

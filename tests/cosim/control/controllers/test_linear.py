@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import control
 import numpy as np
 import pytest
-from blocks import linear_system
+from blocks import linear_system, responses
 from blocks import state_space as state_space_section
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
 from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
@@ -28,7 +27,6 @@ from flexfmu.model.linear import signal_label
 from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
-Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
 
 H = 1e-3
 SAMPLES = 500
@@ -45,30 +43,30 @@ def random_system(seed: int, states: int, inputs: int, outputs: int) -> control.
     return control.ss(A, B, C, D, H)
 
 
-def compare(respond: Respond, block: SymbolicBlock, system: Any, seed: int = 9) -> None:
+def compare(block: SymbolicBlock, system: Any, seed: int = 9) -> None:
     """The block answers random signals as `control.forced_response` says, to 1e-12 of the largest value."""
     signals = np.random.default_rng(seed).normal(size=(system.ninputs, SAMPLES))
     wanted = control.forced_response(system, TIME, signals, squeeze=False).outputs
-    found = respond(block, {each.name: signals[i] for i, each in enumerate(block.inputs)})
+    found = responses(block, {each.name: signals[i] for i, each in enumerate(block.inputs)})
     np.testing.assert_allclose(np.array(list(found.values())), wanted, rtol=0, atol=1e-12 * abs(wanted).max())
 
 
 @pytest.mark.parametrize(("states", "inputs", "outputs"), [(1, 1, 1), (4, 2, 3), (12, 3, 2), (30, 2, 2), (0, 2, 2)])
-def test_discrete_state_space(respond: Respond, states: int, inputs: int, outputs: int) -> None:
+def test_discrete_state_space(states: int, inputs: int, outputs: int) -> None:
     """A discrete state space is taken as it is: MIMO, direct feedthrough, static gains and all."""
     system = random_system(states, states, inputs, outputs)
-    compare(respond, control_block(system), system)
+    compare(control_block(system), system)
 
 
 @pytest.mark.parametrize("empty", [([], [], []), (np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)))])
-def test_a_static_gain_needs_no_states(respond: Respond, empty: tuple[Any, Any, Any]) -> None:
+def test_a_static_gain_needs_no_states(empty: tuple[Any, Any, Any]) -> None:
     """A = B = C = [] is a static gain, as a scene file or python-control writes one."""
     block = state_space_section(*empty, [[3.0, -2.0]], sample_time=H, inputs=["a", "b"], outputs=["y"])
     assert block.states == ()
-    np.testing.assert_array_equal(respond(block, {"a": [1.0, 0.5], "b": [1.0, 2.0]})["y"], [1.0, -2.5])
+    np.testing.assert_array_equal(responses(block, {"a": [1.0, 0.5], "b": [1.0, 2.0]})["y"], [1.0, -2.5])
 
 
-def test_compiled_where_it_pays(respond: Respond) -> None:
+def test_compiled_where_it_pays() -> None:
     """A controller from an H-infinity synthesis of order 30 is compiled, and the numbers stay."""
     block = control_block(random_system(1, 30, 2, 2))
     assert block_function(block, compiled=False).n_instructions() > COMPILED_FROM
@@ -81,17 +79,17 @@ def test_compiled_where_it_pays(respond: Respond) -> None:
     control.tf([3.0], [2.0], H),
     control.tf([0.0, 0.0, 1.0], [1.0, -1.6, 0.8], H),
 ])  # fmt: skip
-def test_discrete_transfer_function(respond: Respond, system: control.TransferFunction) -> None:
+def test_discrete_transfer_function(system: control.TransferFunction) -> None:
     """Strictly proper, proper, static, and not normalised."""
-    compare(respond, control_block(system), system)
+    compare(control_block(system), system)
 
 
-def test_transfer_matrix(respond: Respond) -> None:
+def test_transfer_matrix() -> None:
     """A matrix of transfer functions needs no Slycot: it is the sum of its elements' responses."""
     numerators = [[[1.0, 0.3], [2.0]], [[1.0], [0.5, 0.1, 0.0]]]
     denominators = [[[1.0, -0.5], [1.0, 0.2, 0.1]], [[1.0, -0.9], [1.0, -0.3, 0.02]]]
     signals = np.random.default_rng(4).normal(size=(2, SAMPLES))
-    found = respond(control_block(control.tf(numerators, denominators, H)), {"u[0]": signals[0], "u[1]": signals[1]})
+    found = responses(control_block(control.tf(numerators, denominators, H)), {"u[0]": signals[0], "u[1]": signals[1]})
     for i in range(2):
         wanted = sum(
             control.forced_response(control.tf(numerators[i][j], denominators[i][j], H), TIME, signals[j]).outputs
@@ -106,11 +104,11 @@ def test_feedthrough_is_where_D_is_not_zero() -> None:
     assert state_space(system).feedthrough == {"y[0]": ("u[1]",), "y[1]": ()}
 
 
-def test_start_states(respond: Respond) -> None:
+def test_start_states() -> None:
     """The free response from a start state is C A^k x_0."""
     system = random_system(3, 3, 1, 1)
     start = [1.0, -2.0, 0.5]
-    found = respond(control_block(system, start=start), {"u[0]": np.zeros(20)})["y[0]"]
+    found = responses(control_block(system, start=start), {"u[0]": np.zeros(20)})["y[0]"]
     wanted = [(system.C @ np.linalg.matrix_power(system.A, k) @ start)[0] for k in range(20)]
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
 
@@ -121,21 +119,21 @@ CONTINUOUS = control.tf([1.0, 40.0], [1.0, 30.0, 900.0])
 @pytest.mark.parametrize(("method", "theirs"), [
     ("zoh", "zoh"), ("foh", "foh"), ("tustin", "bilinear"), ("euler", "euler"), ("backward", "backward_diff"),
 ])  # fmt: skip
-def test_discretisation(respond: Respond, method: Any, theirs: str) -> None:
+def test_discretisation(method: Any, theirs: str) -> None:
     """A continuous system becomes what python-control's or SciPy's discretisation of it is."""
     numerator, denominator, _ = cont2discrete((CONTINUOUS.num[0][0], CONTINUOUS.den[0][0]), H, theirs)
     wanted = control.tf(numerator[0], denominator, H)
     signal = np.random.default_rng(6).normal(size=SAMPLES)
-    found = respond(control_block(CONTINUOUS, method=method, sample_time=H), {"u[0]": signal})["y[0]"]
+    found = responses(control_block(CONTINUOUS, method=method, sample_time=H), {"u[0]": signal})["y[0]"]
     expected = control.forced_response(wanted, TIME, signal).outputs
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * abs(expected).max())
 
 
-def test_hold_is_exact(respond: Respond) -> None:
+def test_hold_is_exact() -> None:
     """The zero-order hold of a lag gives the closed form 1 - exp(-t / T) at the samples, however long they are."""
     lag, sample_time = 0.02, 0.05
     block = control_block(control.tf([1.0], [lag, 1.0]), method="zoh", sample_time=sample_time)
-    found = respond(block, {"u[0]": np.ones(8)})["y[0]"]
+    found = responses(block, {"u[0]": np.ones(8)})["y[0]"]
     np.testing.assert_allclose(found, 1.0 - np.exp(-sample_time * np.arange(8) / lag), rtol=0, atol=1e-14)
 
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
-from blocks import delay, jitter, lag, noise, quantisation, rate_limit, saturation
+from blocks import delay, jitter, lag, noise, quantisation, rate_limit, sampled, saturation
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.channels import per_second
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -50,11 +48,11 @@ def test_every_block_has_the_names_and_units_of_its_channels(make: Callable[...,
 
 
 @pytest.mark.parametrize("make", ALL.values(), ids=ALL.keys())
-def test_no_bump_at_the_start(make: Callable[..., SymbolicBlock], run: Any) -> None:
+def test_no_bump_at_the_start(make: Callable[..., SymbolicBlock]) -> None:
     """A signal that stands still where it is said to start comes out as it is, from initialisation on."""
     at_rest = np.tile([0.25, 2.5], (20, 1))
     block = make(initial=POSITIONS, sample_time=H)
-    np.testing.assert_array_equal(run(block, at_rest), at_rest)
+    np.testing.assert_array_equal(sampled(block, at_rest), at_rest)
     slave = BlockSlave(block)
     slave.initialize(0.0, 1.0, None)
     values = np.empty(2)
@@ -63,19 +61,19 @@ def test_no_bump_at_the_start(make: Callable[..., SymbolicBlock], run: Any) -> N
 
 
 @pytest.mark.parametrize("key", ["rate limit", "linear", "jitter"])
-def test_without_initial_value_the_first_input_is_the_past(key: str, run: Any) -> None:
+def test_without_initial_value_the_first_input_is_the_past(key: str) -> None:
     """Blocks that pass signals on at once start without a bump by themselves."""
     at_rest = np.tile([0.25, 2.5], (5, 1))
     block = delay(0.4 * H, signal="position", sample_time=H) if key == "linear" else ALL[key](sample_time=H)
-    np.testing.assert_array_equal(run(block, at_rest), at_rest)
+    np.testing.assert_array_equal(sampled(block, at_rest), at_rest)
     assert not [each.name for each in block.parameters if each.name.endswith("initial")]
 
 
 @pytest.mark.parametrize("key", ["whole delay", "linear", "Lagrange", "Thiran", "lag"])
-def test_initial_values_are_parameters(key: str, run: Any) -> None:
+def test_initial_values_are_parameters(key: str) -> None:
     """Whoever imports a block can make it start where his robot starts."""
     initial = {"joint1.position.initial": -4.0, "joint2.position.initial": 5.0}
-    y = run(ALL[key](initial=POSITIONS, sample_time=H), np.tile([-4.0, 5.0], (9, 1)), initial)
+    y = sampled(ALL[key](initial=POSITIONS, sample_time=H), np.tile([-4.0, 5.0], (9, 1)), initial)
     np.testing.assert_array_equal(y, np.tile([-4.0, 5.0], (9, 1)))
 
 
@@ -93,17 +91,6 @@ def test_feedthrough_is_by_channel(key: str) -> None:
         "joint1.position": ("joint1.position.input",),
         "joint2.position": ("joint2.position.input",),
     }
-
-
-def test_units_of_rates() -> None:
-    """A rate's unit is what FMI understands."""
-    assert [per_second(unit) for unit in ("rad", "rad/s", "rad/s2", "N.m", "1")] == [
-        "rad/s",
-        "rad/s2",
-        "rad/s3",
-        "N.m/s",
-        "1/s",
-    ]
 
 
 @pytest.mark.parametrize(("make", "message"), [

@@ -7,51 +7,51 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import jitter
+from blocks import jitter, sampled
 from scipy.stats import kstest
 
 H = 1e-3
 SIX_SIGMA = 6.0
 
 
-def delays(run: Any, count: int, **options: Any) -> np.ndarray:
+def delays(count: int, **options: Any) -> np.ndarray:
     """Delays of a ramp's samples [s]."""
     t = H * np.arange(count)
     block = jitter(4e-4, options.pop("seed", 1), sample_time=H, initial=(-H, -H), **options)
-    return t - run(block, t)[:, 0]
+    return t - sampled(block, t)[:, 0]
 
 
-def test_delays_are_uniform(run: Any) -> None:
+def test_delays_are_uniform() -> None:
     """A signal that is the time itself shows the delays: uniform from zero to the largest, white."""
-    late = delays(run, 50_000)
+    late = delays(50_000)
     assert kstest(late, "uniform", args=(0.0, 4e-4)).pvalue > 1e-6
     assert abs(late.mean() - 2e-4) < SIX_SIGMA * 4e-4 / sqrt(12 * 50_000)
     assert abs(np.corrcoef(late[1:], late[:-1])[0, 1]) < SIX_SIGMA / sqrt(50_000)
 
 
-def test_law(run: Any) -> None:
+def test_law() -> None:
     """Each output lies between this sample and the last one, at the place that the ramp's delay tells."""
-    part = delays(run, 400)[:, None] / H
+    part = delays(400)[:, None] / H
     u = np.random.default_rng(1).normal(size=(400, 2))
-    y = run(jitter(4e-4, 1, sample_time=H, initial=(0.5, -0.5)), u)
+    y = sampled(jitter(4e-4, 1, sample_time=H, initial=(0.5, -0.5)), u)
     last = np.vstack([[0.5, -0.5], u[:-1]])
     np.testing.assert_allclose(y, u - part * (u - last), rtol=0, atol=1e-12)
 
 
-def test_channels_of_a_block_share_the_clock_and_blocks_do_not(run: Any) -> None:
+def test_channels_of_a_block_share_the_clock_and_blocks_do_not() -> None:
     """One converter samples all its channels at the same instant; another name or seed is another clock."""
     t = np.tile(H * np.arange(300)[:, None], 2)
-    y = run(jitter(4e-4, 1, sample_time=H), t)
+    y = sampled(jitter(4e-4, 1, sample_time=H), t)
     np.testing.assert_array_equal(y[:, 0], y[:, 1])
-    assert abs(np.corrcoef(delays(run, 300), delays(run, 300, name="other"))[0, 1]) < SIX_SIGMA / sqrt(300)
-    assert abs(np.corrcoef(delays(run, 300), delays(run, 300, seed=2))[0, 1]) < SIX_SIGMA / sqrt(300)
+    assert abs(np.corrcoef(delays(300), delays(300, name="other"))[0, 1]) < SIX_SIGMA / sqrt(300)
+    assert abs(np.corrcoef(delays(300), delays(300, seed=2))[0, 1]) < SIX_SIGMA / sqrt(300)
 
 
 @pytest.mark.parametrize("largest", [0.0, 1e-3])
-def test_largest_delay_is_a_parameter(run: Any, largest: float) -> None:
+def test_largest_delay_is_a_parameter(largest: float) -> None:
     """Zero is a perfect clock, to the last bit; a whole sample reaches back to the last value."""
     u = np.random.default_rng(2).normal(size=200)
-    y = run(jitter(4e-4, 1, sample_time=H), u, {"largest_delay": largest})[:, 0]
+    y = sampled(jitter(4e-4, 1, sample_time=H), u, {"largest_delay": largest})[:, 0]
     if not largest:
         np.testing.assert_array_equal(y, u)
     lower, upper = np.minimum(u[1:], u[:-1]), np.maximum(u[1:], u[:-1])

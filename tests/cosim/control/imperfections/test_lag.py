@@ -9,7 +9,7 @@ import control
 import mpmath
 import numpy as np
 import pytest
-from blocks import lag
+from blocks import lag, sampled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,30 +21,30 @@ from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 @settings(max_examples=40)
 @given(ratio=st.floats(0.01, 10.0), height=st.floats(-100.0, 100.0))
-def test_step_response(run: Any, ratio: float, height: float) -> None:
+def test_step_response(ratio: float, height: float) -> None:
     """A step gives height + (initial - height) exp(-t / T) at the sample instants, however long the samples are."""
     h = 1e-3
-    y = run(lag(h / ratio, sample_time=h, initial=(2.0, 2.0)), np.full(60, height))[:, 0]
+    y = sampled(lag(h / ratio, sample_time=h, initial=(2.0, 2.0)), np.full(60, height))[:, 0]
     expected = height + (2.0 - height) * np.exp(-ratio * np.arange(60))
     np.testing.assert_allclose(y, expected, rtol=0, atol=1e-14 * (abs(height) + 2.0) * 60)
 
 
-def test_held_inputs_are_exact(run: Any) -> None:
+def test_held_inputs_are_exact() -> None:
     """It is the zero-order-hold equivalent of 1 / (T s + 1), as the control library has it."""
     h, u = 2.5e-4, np.random.default_rng(2).normal(size=400)
-    y = run(lag(1.1e-3, sample_time=h, initial=(0.0, 0.0)), u)[:, 0]
+    y = sampled(lag(1.1e-3, sample_time=h, initial=(0.0, 0.0)), u)[:, 0]
     system = control.sample_system(control.tf([1.0], [1.1e-3, 1.0]), h, "zoh")
     expected = control.forced_response(system, T=h * np.arange(400), U=u).outputs
     np.testing.assert_allclose(y, expected, rtol=0, atol=1e-13)
 
 
-def test_time_constants_are_parameters_and_zero_is_one_sample_of_delay(run: Any) -> None:
+def test_time_constants_are_parameters_and_zero_is_one_sample_of_delay() -> None:
     """Each channel has its own time constant; the limit T = 0 is finite."""
     block = lag(1e-3, sample_time=1e-3, initial=(1.0, 1.0))
     u = np.outer([3.0, -2.0, 5.0, 0.0], [1.0, 1.0])
-    y = run(block, u, {"joint1.torque.time_constant": 0.0})
+    y = sampled(block, u, {"joint1.torque.time_constant": 0.0})
     np.testing.assert_array_equal(y[:, 0], [1.0, 3.0, -2.0, 5.0])
-    np.testing.assert_array_equal(run(block, u, {"joint2.torque.time_constant": 0.0})[:, 1], y[:, 0])
+    np.testing.assert_array_equal(sampled(block, u, {"joint2.torque.time_constant": 0.0})[:, 1], y[:, 0])
     assert y[1, 1] == 3.0 + np.exp(-1.0) * (1.0 - 3.0)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import cascade, context, delay, encoder, high_pass, jitter, lag
+from blocks import cascade, context, delay, encoder, high_pass, jitter, lag, sampled
 
 from flexfmu import filters
 from flexfmu.cosim.control.filters import SecondOrder, biquad, filter_block, lead_lag, low_pass, notch
@@ -65,7 +65,7 @@ DRAWN: dict[str, Callable[[Draw], SymbolicBlock]] = {
 }
 
 
-def lateness(run: Any, block: SymbolicBlock) -> np.ndarray:
+def lateness(block: SymbolicBlock) -> np.ndarray:
     """How late each output is [s], in time (N, outputs): an input that is the time itself comes out as gain · (t - delay).
 
     An encoder's rate is the time itself where its angle is half of the time squared. Without a gain nothing is late.
@@ -73,28 +73,28 @@ def lateness(run: Any, block: SymbolicBlock) -> np.ndarray:
     t = H * np.arange(COUNT)
     found = []
     for i, each in enumerate(block.outputs):
-        y = run(block, 0.5 * t**2 if each.name.endswith("velocity") else t)[:, i]
+        y = sampled(block, 0.5 * t**2 if each.name.endswith("velocity") else t)[:, i]
         gain = np.diff(y)[-COUNT // 5 :].mean() / H
         found.append(t - y / gain if abs(gain) > 1e-9 else 0.0 * t)
     return np.array(found).T
 
 
 @pytest.mark.parametrize("kind", DRAWN)
-def test_a_declared_latency_is_that_of_a_ramp(run: Any, kind: str) -> None:
+def test_a_declared_latency_is_that_of_a_ramp(kind: str) -> None:
     """The list of delays adds it up to the dead time of a loop; a lead isn't declared."""
     for seed in range(1 if "zero" in kind else 12 if kind == "filter" else 4):
         block = DRAWN[kind](np.random.default_rng(seed))
-        late = lateness(run, block)[-COUNT // 5 :].mean(axis=0)
+        late = lateness(block)[-COUNT // 5 :].mean(axis=0)
         declared = [block.latency.get(each.name, 0.0) for each in block.outputs]
         np.testing.assert_allclose(declared, np.maximum(late, 0.0), rtol=0.0, atol=1e-4 * H, err_msg=block.description)
 
 
 @pytest.mark.parametrize("largest", [0.3, 1.0])
-def test_jitter_declares_its_mean(run: Any, largest: float) -> None:
+def test_jitter_declares_its_mean(largest: float) -> None:
     """Within six standard deviations of the mean of what was drawn."""
     block = jitter(largest * H, 1, signal="torque", **AT_REST)
     t = H * np.arange(COUNT)
-    late = (t - run(block, t)[:, 0])[1:]
+    late = (t - sampled(block, t)[:, 0])[1:]
     declared = block.latency.get("joint1.torque", 0.0)
     assert abs(late.mean() - declared) <= 6.0 * largest * H / sqrt(12 * len(late)) + 1e-12
 

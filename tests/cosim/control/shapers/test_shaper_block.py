@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
+from blocks import sampled
 
 from flexfmu.cosim.control.shapers import JOINT_REFERENCES, shaper_block
 from flexfmu.cosim.engine.errors import InputError
@@ -25,12 +24,12 @@ def motion() -> MotionPlan:
 
 @pytest.mark.parametrize("sample_time", [1e-3, 2.5e-4, 0.73e-3])
 @pytest.mark.parametrize("name", ["um-zv", "zv", "zvdd", "3-hump-ei"])
-def test_sampled_shaper_is_the_closed_form(run: Any, motion: MotionPlan, name: str, sample_time: float) -> None:
+def test_sampled_shaper_is_the_closed_form(motion: MotionPlan, name: str, sample_time: float) -> None:
     """Position, velocity and acceleration of both joints are Σ w_i q(t_k - i h) to 1e-12, from rest to rest."""
     sequence = design(name, [MODE])
     time = sample_time * np.arange(int((motion.duration + sequence.duration) / sample_time) + 10)
     inputs = motion.joints.evaluate(time, 2).swapaxes(0, 1).reshape(len(time), 6)
-    found = run(shaper_block(sequence, sample_time), inputs)
+    found = sampled(shaper_block(sequence, sample_time), inputs)
     expected = ShapedTrajectory(motion.joints, sequence.split(sample_time)).evaluate(time, 2)
     scale = np.max(np.abs(expected), axis=(1, 2))
     for order in range(3):
@@ -46,17 +45,17 @@ def _jumps(motion: MotionPlan, sequence: ImpulseSequence, sample_time: float) ->
     return np.ravel(points)
 
 
-def test_standstill_stays(run: Any, motion: MotionPlan) -> None:
+def test_standstill_stays(motion: MotionPlan) -> None:
     """A machine that rests anywhere is left there from the first sample on: nothing starts from zero."""
     block = shaper_block(design("zvd", [MODE]), 1e-3)
     pose = np.array([1.97, -0.1, 0.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(run(block, np.tile(pose, (60, 1))), np.tile(pose, (60, 1)), rtol=1e-15)
+    np.testing.assert_allclose(sampled(block, np.tile(pose, (60, 1))), np.tile(pose, (60, 1)), rtol=1e-15)
 
 
-def test_a_step_becomes_the_staircase_of_the_impulses(run: Any) -> None:
+def test_a_step_becomes_the_staircase_of_the_impulses() -> None:
     """A unit step in a signal that was zero before leaves the sums of the split amplitudes."""
     sequence = ImpulseSequence((0.0, 2.25e-3), (0.4, 0.6))
-    found = run(shaper_block(sequence, 1e-3), np.ones((6, 6)))
+    found = sampled(shaper_block(sequence, 1e-3), np.ones((6, 6)))
     np.testing.assert_allclose(found[:, 2], [0.4, 0.4, 0.85, 1.0, 1.0, 1.0], atol=1e-15)
 
 
@@ -69,10 +68,10 @@ def test_variables_and_feedthrough() -> None:
     assert (block.sample_time, block.offset, block.name) == (1e-3, 5e-4, "zv1")
 
 
-def test_no_shaping_passes_signals_through(run: Any) -> None:
+def test_no_shaping_passes_signals_through() -> None:
     """One impulse needs no delay line; each position keeps its own origin."""
     u = np.random.default_rng(0).normal(size=(3, 6))
-    np.testing.assert_allclose(run(shaper_block(UNSHAPED, 1e-3), u), u, rtol=1e-15, atol=1e-15)
+    np.testing.assert_allclose(sampled(shaper_block(UNSHAPED, 1e-3), u), u, rtol=1e-15, atol=1e-15)
 
 
 def test_bad_sample_times_are_refused() -> None:

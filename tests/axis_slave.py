@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
-import numpy as np
+from python_slave import PythonSlave
 
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import SlaveVariable
 
 
-@dataclass
-class Axis:
+class Axis(PythonSlave):
     """An inertia [kg.m2] that a held torque and a held disturbance turn, with a load [N.m] that pulls; exact over every step."""
-
-    start: tuple[float, float] = (0.0, 0.0)
-    load: float = 3.0
-    inertia: float = 0.2
 
     name = "plant"
     variables = (
@@ -26,21 +20,17 @@ class Axis:
         SlaveVariable("joint1.disturbance", "input", start=0.0),
     )
 
-    def __post_init__(self) -> None:
+    def __init__(self, start: tuple[float, float] = (0.0, 0.0), load: float = 3.0, inertia: float = 0.2) -> None:
+        super().__init__()
+        self.start, self.load, self.inertia = start, load, inertia
         self.feedthrough: Mapping[str, tuple[str, ...]] = {"joint1.position": (), "joint1.velocity": ()}
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.values = np.array([*self.start, 0.0, 0.0])
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        self.values[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = self.values[indices]
+        self.memory[:] = [*self.start, 0.0, 0.0]
 
     def step(self, time: float, step: float) -> None:
-        angle, rate, torque, disturbance = self.values
-        self.values[:2] = self.moved(angle, rate, torque + disturbance, step)
+        angle, rate, torque, disturbance = self.memory
+        self.memory[:2] = self.moved(angle, rate, torque + disturbance, step)
 
     def moved(self, angle: float, rate: float, torque: float, step: float) -> tuple[float, float]:
         """Angle and rate after a step."""
