@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Never, TextIO
 import typer
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -71,8 +71,6 @@ def print_rich(*parts: RenderableType) -> None:
 def print_result(as_json: bool, data: Any, *parts: RenderableType) -> None:
     """Write a result to standard output: its data as JSON, or else these tables and texts."""
     if as_json:
-        from flexfmu.cosim.reports.terminal import to_json
-
         print_text(to_json(data))
     else:
         print_rich(*parts)

@@ -19,7 +19,7 @@ from flexfmu.cosim.cli.console import (
 )
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.files import OutputFolder, to_json
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -212,7 +212,6 @@ def shaper(
     from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data, to_csv
     from flexfmu.cosim.design.shapers.figure import save_sensitivity
     from flexfmu.cosim.design.shapers.recommendation import write_shaped
-    from flexfmu.cosim.reports.terminal import to_json
     from flexfmu.model.scene.keys import parse_setting
 
     # usage

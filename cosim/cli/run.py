@@ -22,7 +22,7 @@ from flexfmu.cosim.cli.console import (
     write_results,
 )
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.run_options import RunOptions
@@ -122,7 +122,6 @@ def _run_scene(
     from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
     from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
     from flexfmu.cosim.reports.summary import summarise
-    from flexfmu.cosim.reports.terminal import to_json
     from flexfmu.model.scene.errors import EquilibriumError
 
     end_loading()
@@ -215,7 +214,6 @@ def _run_ssp(
     from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
     from flexfmu.cosim.experiment.recording import slave_facts
-    from flexfmu.cosim.reports.terminal import to_json
 
     end_loading()
     for name in formats:

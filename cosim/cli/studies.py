@@ -19,7 +19,7 @@ from flexfmu.cosim.cli.console import (
 )
 from flexfmu.cosim.cli.options import OptionalScene
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -159,7 +159,6 @@ def _study(
 ) -> int:
     """Measure, write the results, and print them; the exit status."""
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
-    from flexfmu.cosim.reports.terminal import to_json
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
 
@@ -190,7 +189,6 @@ def _hard_cases(
 ) -> int:
     """Run the hard cases, write what happened, and print it; the exit status."""
     from flexfmu.benchmarks.hard_cases.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
-    from flexfmu.cosim.reports.terminal import to_json
 
     if source is not None:
         raise InputError(f"the hard cases have robots of their own: leave out {source}")

@@ -1,13 +1,15 @@
-"""Files and folders of results: the folder is checked before a simulation, and each file is written atomically."""
+"""Files and folders of results: the folder is checked before a simulation, each file is written atomically; and the text of JSON."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from flexfmu.cosim.engine.errors import ResultsError
 
@@ -52,6 +54,11 @@ class OutputFolder:
             (self.path / name).unlink(missing_ok=True)
         except OSError as error:
             raise _cannot_write(self.path / name, error) from error
+
+
+def to_json(data: Mapping[str, Any]) -> str:
+    """Return JSON text with a final line break; raise ValueError for NaN and infinity, which JSON doesn't have."""
+    return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 def write_whole(path: Path, text: str) -> Path:

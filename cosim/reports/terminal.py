@@ -1,14 +1,13 @@
-"""Results as text: JSON, tables in Markdown, and tables that fit the terminal: no number is ever cut or broken.
+"""Results as text: tables in Markdown, and tables that fit the terminal: no number is ever cut or broken.
 
 Texts wrap between words. Where even that is too wide, the columns go on below, beside the first ones again.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -31,11 +30,6 @@ NARROW = 80
 
 UNLIMITED = 10_000
 """A width that holds everything."""
-
-
-def to_json(data: Mapping[str, Any]) -> str:
-    """Return JSON text with a final line break; raise ValueError for NaN and infinity, which JSON doesn't have."""
-    return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 def markdown_table(head: Sequence[str], rule: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

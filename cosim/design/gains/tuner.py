@@ -22,13 +22,12 @@ from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, TrialJournal, check_keys
 from flexfmu.cosim.design.scene_files import changed_document, toml_item
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder, write_whole
+from flexfmu.cosim.engine.files import OutputFolder, to_json, write_whole
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
-from flexfmu.cosim.reports.terminal import to_json
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key, value_at

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import write_whole
+from flexfmu.cosim.engine.files import to_json, write_whole
 from flexfmu.cosim.engine.results import USUAL, Recording
 from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
@@ -28,7 +28,6 @@ from flexfmu.cosim.reports.comparison import (
 )
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
-from flexfmu.cosim.reports.terminal import to_json
 from flexfmu.cosim.studies.compare.measured import (
     Delay,
     Difference,

@@ -15,13 +15,13 @@ from rich.console import Console
 from rich.text import Text
 
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 from flexfmu.cosim.engine.showing import ShowProgress, csv_text, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.page import render
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.terminal import markdown_table, titled_table, to_json
+from flexfmu.cosim.reports.terminal import markdown_table, titled_table
 from flexfmu.cosim.studies.paper.figures import SIMULATED_FIGURES, TRAJECTORY_FIGURES, PaperFigure
 from flexfmu.cosim.studies.paper.tables import (
     TABLES,

@@ -14,6 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.scene.file import load_scene
+
 FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main()")
 SCENE = "barnard2012-6kg"
 FULL = Path("/dev/full")
@@ -31,14 +34,24 @@ def flexfmu(*arguments: str, **environment: str) -> subprocess.CompletedProcess[
     )
 
 
-def test_help_loads_no_heavy_package() -> None:
-    """`flexfmu --help` must answer at once: no CasADi, SciPy, Matplotlib, NumPy or fmpy."""
+HEAVY = {"casadi", "matplotlib", "rich"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [(["--help"], HEAVY | {"numpy", "scipy", "fmpy", "pydantic"}), (["run", SCENE, "--no-verify", "--json"], HEAVY)],
+    ids=["help", "run"],
+)
+def test_no_heavy_package_is_loaded(arguments: list[str], heavy: set[str], tmp_path: Path) -> None:
+    """`flexfmu --help` must answer at once; the model in CasADi takes forty times as long as a run of a cached FMU."""
+    build_scene(load_scene(SCENE))
     code = (
-        "import sys\nfrom flexfmu.cosim.cli.main import app\n"
-        "try:\n    app(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print(sorted({name.split('.')[0] for name in sys.modules} & {'casadi', 'scipy', 'matplotlib', 'numpy', 'fmpy', 'pydantic', 'rich'}))"
+        f"import sys\nfrom flexfmu.cosim.cli.main import app\ntry:\n    app({arguments})\nexcept SystemExit:\n    pass\n"
+        f"print(sorted({{name.split('.')[0] for name in sys.modules}} & {heavy}))"
     )
-    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600)
+    outcome = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600, cwd=tmp_path
+    )
     assert outcome.stdout.splitlines()[-1] == "[]"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import Any
 from weakref import ref
@@ -134,13 +133,6 @@ def test_the_fmu_vibrates_as_the_equations_do() -> None:
         run = flexfmu.run(scene.replace(changes))
         assert run.rests is not None
         assert run.rests.frequencies({}).size == 0
-
-
-def test_metrics_of_a_run_load_no_casadi(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The model in CasADi takes forty times as long as the run."""
-    run = flexfmu.run(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
-    monkeypatch.setitem(sys.modules, "flexfmu.model.statics", None)
-    assert flexfmu.measure_run(run)["residual_vibration_amplitude"].value is not None
 
 
 @pytest.mark.parametrize("changes", [{}, TORQUES], ids=["motion", "torques"])

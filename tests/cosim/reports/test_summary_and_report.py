@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from flexfmu.cosim.engine.files import to_json
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.metric import Metric
@@ -22,7 +23,6 @@ from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import describe_effects, summarise
-from flexfmu.cosim.reports.terminal import to_json
 
 MakeRun = Callable[..., Run]
 VOID = {"meta", "br", "hr", "img", "link", "input"}
