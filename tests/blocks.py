@@ -98,6 +98,7 @@ def sampled(
 def responses(block: SymbolicBlock, given: Mapping[str, ArrayLike]) -> dict[str, NDArray[np.float64]]:
     """Output → (N,) values for input or parameter → (N,) values; inputs left out keep their start value."""
     values = {name: np.asarray(each, dtype=float) for name, each in given.items()}
+    assert not values.keys() - {each.name for each in (*block.inputs, *block.parameters)}
     count = len(next(iter(values.values())))
     inputs = [values.get(each.name, np.full(count, each.start)) for each in block.inputs]
     parameters = {each.name: values[each.name][0] for each in block.parameters if each.name in values}

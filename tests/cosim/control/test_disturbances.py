@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from blocks import band_noise, sampled, sine, table
 
-from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.disturbances import steps
-from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
-from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.regular_sampling import regular
@@ -85,13 +83,6 @@ def test_a_short_pulse_is_sampled_where_it_changes(other: Any) -> None:
         ends.append(run.recording["end_effector.velocity.x"].values[-1])
     assert abs(ends[0]) > 0.01
     np.testing.assert_allclose(ends, ends[0], rtol=1e-2)
-
-
-def test_instants_that_are_one_communication_point_are_refused() -> None:
-    """Otherwise a pulse that is too short would never end."""
-    pulse = {"kind": "pulse", "signal": "force.x", "amplitude": 1.0, "start": 0.1, "duration": 1e-10}
-    with pytest.raises(InputError, match=r"its instants 0\.1 s and 0\.1000000001 s are one at this communication step"):
-        run_scene(load_scene("barnard2012-6kg").replace({**RIGID, "disturbance": [pulse]}))
 
 
 def test_noise_is_limited_to_its_band() -> None:
@@ -259,22 +250,45 @@ def test_the_model_depends_on_signals_alone() -> None:
     assert not depends_on("disturbance.0.amplitude")
 
 
+FORCE: Any = {"signal": "force.x", "amplitude": 1.0}
+NOT_FINITE = "time;force.x\n0;1\n0.1;nan\n"
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "pulse", "signal": "force.x", "amplitude": 1.0}, "duration"),
-        ({"kind": "step", "signal": "force.z", "amplitude": 1.0}, "signal"),
+        ({"kind": "pulse", **FORCE}, "duration"),
+        ({"kind": "step", **FORCE, "signal": "force.z"}, "signal"),
         ({"kind": "noise", "signal": "force.x", "standard_deviation": 1.0, "band": [9.0, 5.0]}, "ascend"),
         ({"kind": "payload"}, "picked_up"),
         ({"kind": "payload", "dropped": 0.1, "mass": 7.0}, "6 kg"),
         ({"kind": "payload", "dropped": 0.1, "picked_up": 0.1, "mass": 7.0}, "after"),
         ({"kind": "payload", "picked_up": 0.1}, "`mass`"),
+        # it would be a value that nobody takes
+        ({"kind": "step", **FORCE, "start": 5.0}, r"_disturbance begins at 5 s, but the run ends at 0\.\d+ s"),
+        ({"kind": "payload", "mass": 1.0, "picked_up": 5.0}, r"_disturbance begins at 5 s, but the run ends at"),
+        # a pulse that is too short would never end
+        (
+            {"kind": "pulse", **FORCE, "start": 0.1, "duration": 1e-10},
+            r"its instants 0\.1 s and 0\.1000000001 s are one at",
+        ),
+        ("", "can't read"),
+        ("time,f\n0,1\n1,2\n", r"line 1: there is no column force\.x \[N\]"),
+        ("time,force.x [kN]\n0,1\n", r"column force\.x is in kN; convert it to N"),
+        ("time [ms],force.x\n0,1\n", r"column time is in ms; convert it to s"),
+        (NOT_FINITE, r"line 3, column force\.x: 'nan' is not a finite number"),
+        ("time,force.x\n0.2,1\n0.1,1\n", r"line 3: 0\.1 s comes after 0\.2 s"),
     ],
 )
-def test_wrong_keys_are_refused(changes: dict[str, Any], message: str) -> None:
-    """The sentence names the key."""
-    with pytest.raises(SceneError, match=message):
-        load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "disturbance": [changes]})
+def test_wrong_keys_and_files_are_refused(changes: dict[str, Any] | str, message: str, tmp_path: Path) -> None:
+    """The sentence names the key, the instant, or line and column of a file."""
+    if isinstance(changes, str):
+        file = tmp_path / "force.csv"
+        if changes:
+            file.write_text(changes)
+        changes = {"kind": "csv", "signal": "force.x", "file": str(file)}
+    with pytest.raises((SceneError, CosimError), match=message):
+        run_scene(load_scene("barnard2012-6kg").replace({**RIGID, "disturbance": [changes]}))
 
 
 def test_a_motion_driven_robot_takes_no_disturbance() -> None:
@@ -283,50 +297,17 @@ def test_a_motion_driven_robot_takes_no_disturbance() -> None:
         load_scene("barnard2012-6kg").replace({"disturbance": [{"kind": "payload", "dropped": 0.1}]})
 
 
-def test_csv_needs_its_column(tmp_path: Path) -> None:
-    """A missing file, a missing column, another unit and a wrong value are told by name, line and column."""
-    file = tmp_path / "force.csv"
-    scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque"})
-    for text, message in (
-        ("", "can't read"),
-        ("time,f\n0,1\n1,2\n", r"line 1: there is no column force\.x \[N\]"),
-        ("time,force.x [kN]\n0,1\n", r"column force\.x is in kN; convert it to N"),
-        ("time [ms],force.x\n0,1\n", r"column time is in ms; convert it to s"),
-        ("time;force.x\n0;1\n0.1;nan\n", r"line 3, column force\.x: 'nan' is not a finite number"),
-        ("time,force.x\n0.2,1\n0.1,1\n", r"line 3: 0\.1 s comes after 0\.2 s"),
-    ):
-        if text:
-            file.write_text(text)
-        with pytest.raises(CosimError, match=message):
-            run_scene(scene.replace({"disturbance": [{"kind": "csv", "signal": "force.x", "file": str(file)}]}))
-
-
-def test_a_csv_file_may_have_units_and_semicolons(tmp_path: Path) -> None:
-    """As those of motions and logs; with a scale any unit is allowed."""
-    file = tmp_path / "force.csv"
-    section = {"kind": "csv", "signal": "force.x", "file": str(file), "sample_time": 1e-3}
-    found = []
-    for text, scale in (
+@pytest.mark.parametrize(
+    ("text", "scale"),
+    [
         ("time,force.x\n0.001,2\n0.003,4\n", 1.0),
         ("# a log\nt [s];other;force.x [N]\n0.001;7;2\n0.003;7;4\n", 1.0),
         ("time\tforce.x [kN]\n0.001\t0.002\n0.003\t0.004\n", 1000.0),
-    ):
-        file.write_text(text)
-        scene = load_scene("barnard2012-6kg").replace(
-            {"cosimulation.drive": "torque", "disturbance": [{**section, "scale": scale}]}
-        )
-        (slave,) = loop_of(scene).disturbances
-        assert isinstance(slave, BlockSlave)
-        found.append(samples(slave.block, 6)[1])
-    np.testing.assert_allclose(found, [[0.0, 2.0, 3.0, 4.0, 0.0, 0.0]] * 3, **TIGHT)
-
-
-def test_a_disturbance_that_never_acts_is_refused() -> None:
-    """It would be a value that nobody takes."""
-    scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque"})
-    for section in (
-        {"kind": "step", "signal": "force.x", "amplitude": 1.0, "start": 5.0},
-        {"kind": "payload", "mass": 1.0, "picked_up": 5.0},
-    ):
-        with pytest.raises(InputError, match=r"_disturbance begins at 5 s, but the run ends at 0\.\d+ s"):
-            loop_of(scene.replace({"disturbance": [section]}))
+    ],
+)
+def test_a_csv_file_may_have_units_and_semicolons(text: str, scale: float, tmp_path: Path) -> None:
+    """As those of motions and logs; with a scale any unit is allowed."""
+    file = tmp_path / "force.csv"
+    file.write_text(text)
+    block = table(str(file), scale=scale, signal="force.x", sample_time=H)
+    np.testing.assert_allclose(samples(block, 6)[1], [0.0, 2.0, 3.0, 4.0, 0.0, 0.0], **TIGHT)

@@ -9,6 +9,7 @@ import casadi
 import numpy as np
 import pytest
 from blocks import pd
+from python_slave import PythonSlave
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -53,22 +54,14 @@ def outputs(slave: BlockSlave) -> list[float]:
     return list(values)
 
 
-class Clock:
+class Clock(PythonSlave):
     """y = t."""
 
     name = "clock"
     variables = (SlaveVariable("y", "output"),)
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.time = start_time
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-
     def get(self, indices: Indices, values: RealArray) -> None:
         values[0] = self.time
-
-    def step(self, time: float, step: float) -> None:
-        self.time = time + step
 
 
 def test_feedthrough_is_read_off_the_equations() -> None:
@@ -116,16 +109,17 @@ def test_save_and_restore() -> None:
 
 
 def test_initialisation_begins_anew() -> None:
-    """A second run with the same slave gives what the first one gave, with the parameters that have been set."""
+    """A second run gives what the first one gave, with the parameters that have been set and without the inputs that the master set
+    last."""
     slave = BlockSlave(running_sum())
-    runs = []
     slave.set(np.array([1]), np.array([4.0]))
     for _ in range(2):
         slave.initialize(0.0, 1.0, None)
         slave.sample(0.0)
         slave.sample(0.1)
-        runs.append(outputs(slave))
-    assert runs == [[7.0, 8.0]] * 2
+        assert outputs(slave) == [7.0, 8.0]
+        slave.set(np.array([0]), np.array([9.0]))
+        slave.terminate()
 
 
 @pytest.mark.parametrize(("indices", "expected"), [([2, 3], [3.0, 4.0]), ([3, 0], [4.0, 1.0]), ([1], [2.0])])
@@ -150,18 +144,10 @@ def test_bound_writing() -> None:
         np.testing.assert_array_equal(got[indices], values)
     with pytest.raises(InputError, match="only inputs can be connected"):
         slave.bind_set(np.array([count]), np.empty(1))
-
-
-@pytest.mark.parametrize(("indices", "value", "message"), [
-    (2, 1.0, "sum.past is an output"),
-    (1, -0.5, r"gain must be at least 0.0 1, got -0.5"),
-    (1, 11.0, r"gain must be at most 10.0 1, got 11.0"),
-    (1, np.nan, r"gain must be a finite number in 1, got nan"),
-])  # fmt: skip
-def test_refused_values(indices: int, value: float, message: str) -> None:
-    """Outputs can't be set, and parameters keep to their range."""
-    with pytest.raises(InputError, match=message):
-        BlockSlave(running_sum()).set(np.array([indices]), np.array([value]))
+    with pytest.raises(InputError, match=r"pd\.joint1\.torque is an output"):
+        slave.set(np.array([len(slave.variables) - 2]), np.ones(1))
+    with pytest.raises(InputError, match=r"gain must be at least 0\.0 N\.m/rad, got -0\.5"):
+        slave.set(np.array([count]), np.array([-0.5]))
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.1])
@@ -196,13 +182,13 @@ def test_not_a_number_stops_the_run() -> None:
 
 @pytest.mark.parametrize(("change", "message"), [
     ({"sample_time": 0.0}, r"sample time of block 'sum' must be positive, got 0.0 s"),
-    ({"sample_time": -1e-3}, r"sample time of block 'sum' must be positive, got -0.001 s"),
     ({"sample_time": np.nan}, r"sample time of block 'sum' must be positive, got nan s"),
     ({"offset": -0.1}, r"offset of block 'sum' must be zero or positive, got -0.1 s"),
     ({"states": (np.inf,)}, r"start value 0 of the states of block 'sum' must be finite, got inf"),
     ({"states": (1.0, 2.0)}, r"'output' of block 'sum' must take \(x, u, p\) of sizes \(2, 1, 1\) and give 2 values"),
     ({"inputs": (Variable("now", "1", "Twice", "input", 0.0),)}, r"two variables are named 'now'"),
     ({"parameters": (replace(GAIN, start=-1.0),)}, r"gain must be at least 0.0 1, got -1.0"),
+    ({"parameters": (replace(GAIN, start=11.0),)}, r"gain must be at most 10.0 1, got 11.0"),
     ({"parameters": (replace(GAIN, start=None),)}, r"gain must be a finite number in 1, got None"),
 ])  # fmt: skip
 def test_blocks_that_contradict_themselves(change: dict[str, object], message: str) -> None:
@@ -218,19 +204,7 @@ def test_cost_of_a_sample(count_calls: Callable[..., int]) -> None:
     assert count_calls(lambda: slave.sample(0.0)) <= 2
 
 
-def test_the_end_of_a_run_takes_its_inputs_back() -> None:
-    """What the master has set last in a run isn't there at the start of the next one."""
-    slave = BlockSlave(running_sum())
-    slave.initialize(0.0, 1.0, None)
-    slave.set(np.array([0]), np.array([9.0]))
-    slave.terminate()
-    slave.initialize(0.0, 1.0, None)
-    assert outputs(slave) == [3.0, 4.0]
-
-
-@pytest.mark.parametrize(
-    ("sizes", "pieces"), [((1, 2), (1, 2, 2)), ((5,), (5,)), ((5, 0), (5, 0)), ((2, 0, 3), (2, 0, 3)), ((0, 5), (0, 5))]
-)
+@pytest.mark.parametrize(("sizes", "pieces"), [((1, 2), (1, 2, 2)), ((5, 0), (5, 0)), ((2, 0, 3), (2, 0, 3))])
 def test_split(sizes: tuple[int, ...], pieces: tuple[int, ...]) -> None:
     """Pieces of these sizes, empty ones too, the last as often as it fits."""
     found = split(casadi.SX.sym("v", 5), *sizes)

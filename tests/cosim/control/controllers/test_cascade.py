@@ -12,6 +12,7 @@ import pytest
 from axis_slave import Axis
 from blocks import cascade, responses
 from numpy.typing import NDArray
+from python_slave import PythonSlave
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
@@ -74,7 +75,7 @@ def test_current_loop_is_a_lag(time_constant: float) -> None:
     assert block.feedthrough["joint1.torque"] == ()
 
 
-class Motion:
+class Motion(PythonSlave):
     """References of an axis: a sine, and a ramp from 0.1 s on, with their derivatives."""
 
     name = "motion"
@@ -82,16 +83,8 @@ class Motion:
         SlaveVariable(f"joint1.reference.{kind}", "output") for kind in ("position", "velocity", "acceleration")
     )
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        self.time = 0.0
-
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-
     def get(self, indices: Indices, values: RealArray) -> None:
         values[:] = np.array(self.at(self.time))[indices]
-
-    def step(self, time: float, step: float) -> None:
-        self.time = time + step
 
     @staticmethod
     def at(time: float) -> tuple[float, float, float]:
@@ -239,6 +232,11 @@ def test_loops_of_a_scene(robot: Any) -> None:
         limits = {each.name: each.start for each in slave.variables if "imum" in each.name}
         expected = {"joint1.torque.minimum": -80.0, "joint2.torque.minimum": -90.0}
         assert limits == expected | {"joint1.torque.maximum": 80.0, "joint2.torque.maximum": 90.0}
+    # without a current loop the command is the torque
+    assert {each.name for each in loop_with(robot, current=None)[1].variables if each.causality == "output"} == {
+        "joint1.torque",
+        "joint2.torque",
+    }
     # the current loop starts from the torques that hold the robot
     initial = [each.start for each in current.variables if each.name.endswith("initial")]
     assert all(each != 0.0 for each in initial)

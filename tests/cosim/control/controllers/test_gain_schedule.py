@@ -12,6 +12,7 @@ from blocks import cascade, pd, pid, responses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from python_slave import PythonSlave
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -110,7 +111,7 @@ def test_gains_over_the_pose_in_a_loop(robot: Scene) -> None:
         np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-12 * abs(expected).max())
 
 
-class Load:
+class Load(PythonSlave):
     """Outputs the payload, which changes at 0.2 s."""
 
     name = "load"
@@ -120,15 +121,11 @@ class Load:
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         self.mass = 2.0
 
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-
     def get(self, indices: Indices, values: RealArray) -> None:
         values[:] = self.mass
 
     def sample(self, time: float) -> None:
         self.mass = 2.0 if time < 0.2 else 6.0
-
-    def step(self, time: float, step: float) -> None: ...
 
 
 def test_gains_over_the_payload(robot: Scene) -> None:

@@ -12,7 +12,6 @@ from blocks import state_space as state_space_section
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
-from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
 from flexfmu.cosim.control.controllers.from_control import (
     LinearSystem,
     Signal,
@@ -64,13 +63,6 @@ def test_a_static_gain_needs_no_states(empty: tuple[Any, Any, Any]) -> None:
     block = state_space_section(*empty, [[3.0, -2.0]], sample_time=H, inputs=["a", "b"], outputs=["y"])
     assert block.states == ()
     np.testing.assert_array_equal(responses(block, {"a": [1.0, 0.5], "b": [1.0, 2.0]})["y"], [1.0, -2.5])
-
-
-def test_compiled_where_it_pays() -> None:
-    """A controller from an H-infinity synthesis of order 30 is compiled, and the numbers stay."""
-    block = control_block(random_system(1, 30, 2, 2))
-    assert block_function(block, compiled=False).n_instructions() > COMPILED_FROM
-    assert block_function(block).class_name() == "External"
 
 
 @pytest.mark.parametrize("system", [
@@ -127,14 +119,6 @@ def test_discretisation(method: Any, theirs: str) -> None:
     found = responses(control_block(CONTINUOUS, method=method, sample_time=H), {"u[0]": signal})["y[0]"]
     expected = control.forced_response(wanted, TIME, signal).outputs
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * abs(expected).max())
-
-
-def test_hold_is_exact() -> None:
-    """The zero-order hold of a lag gives the closed form 1 - exp(-t / T) at the samples, however long they are."""
-    lag, sample_time = 0.02, 0.05
-    block = control_block(control.tf([1.0], [lag, 1.0]), method="zoh", sample_time=sample_time)
-    found = responses(block, {"u[0]": np.ones(8)})["y[0]"]
-    np.testing.assert_allclose(found, 1.0 - np.exp(-sample_time * np.arange(8) / lag), rtol=0, atol=1e-14)
 
 
 def test_prewarping() -> None:
