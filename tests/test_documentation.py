@@ -4,9 +4,7 @@ for, and its pages need nothing from elsewhere."""
 from __future__ import annotations
 
 import ast
-import json
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -116,35 +114,3 @@ def test_site_is_whole_and_offline(site: Path) -> None:
     assert len(pages) >= len(list(DOCS.rglob("*.md")))
     loaded = r"<(?:script|img|link|iframe)[^>]*(?:src|href)=[\"']?(?:https?:)?//[^>]*>"
     assert [page.name for page in pages if re.search(loaded, page.read_text(encoding="utf-8"))] == []
-
-
-SEARCHED = {
-    "install": "install.html",
-    "first frequency": "how-to.html",
-    "natural frequency": "how-to.html",
-    "Bode": "margins.html",
-    "peak torque": "how-to.html",
-    "encoder": "control-loop.html",
-    "python-control": "reference/python.html",
-    "MATLAB": "how-to.html",
-}
-"""What people look for → a page among the first seven that the search shows."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("query", SEARCHED)
-def test_search_finds_what_people_look_for(site: Path, query: str) -> None:
-    """The search of the site, its own script run by Node.js, has the page among the first seven."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("needs Node.js")
-    outcome = subprocess.run(
-        [node, str(ROOT / "tests" / "search_site.js"), str(site), query],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert outcome.returncode == 0, outcome.stderr
-    shown = list(dict.fromkeys(location.partition("#")[0] for location in json.loads(outcome.stdout)))
-    assert SEARCHED[query] in shown[:7], shown

@@ -211,26 +211,6 @@ def test_cantilevers_sag_under_their_weight(basis: str, modes: int, tolerance: f
     np.testing.assert_allclose(sag, -9.81 * np.cos(joints) / (8.0 * rate**2), rtol=tolerance)
 
 
-@pytest.mark.slow
-def test_a_payload_with_rotary_inertia_slows_the_pinned_link_that_carries_it() -> None:
-    """2 = j beta³ (coth beta - cot beta) with j = J/(m l²): a pinned beam with a rotary inertia at one end.
-
-    From w = sin(beta xi) - sin(beta)/sinh(beta) sinh(beta xi) and EI w'' = w² J w' at the end (Blevins 1979, section 8.1.3).
-    """
-    few, scene = (alone({"effects.distal_bending": modes, "payload.inertia": 2e-3}) for modes in (20, 40))
-    link, material = scene.mechanism.distal, scene.mechanism.material
-    mass = material.density * np.pi * link.diameter**2 / 4 * link.length
-    ratio = 2e-3 / (mass * link.length**2)
-    (beta,) = roots(lambda b: 2.0 * np.sin(b) - ratio * b**3 * (np.sin(b) / np.tanh(b) - np.cos(b)), 1, 3.1)
-    expected = wave_speeds(scene, "distal")[0] * beta**2
-    # no shape has a moment at the end, so the error falls like the rest of sum 1/k², which is 1/(modes + 1/2)
-    found = [frequencies(few)[0], frequencies(scene)[0]]
-    assert expected < found[1] < found[0]
-    limit = found[1] + (found[1] - found[0]) * 20.5 / 20.0
-    assert limit == pytest.approx(expected, rel=5e-6)
-    assert frequencies(scene)[1] == pytest.approx(wave_speeds(scene, "distal")[0] * np.pi**2, rel=1e-8)
-
-
 @pytest.mark.parametrize(
     "damping",
     [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from flexfmu.model.enrichment import enrichments, reductions
-from flexfmu.model.five_bar import assemble
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -33,16 +32,6 @@ def test_each_step_can_be_taken_back(scene: Scene) -> None:
     """Whoever adds an effect finds the scene again among the reductions, so that a search can't get stuck."""
     for neighbour in enrichments(scene):
         assert scene.effects in [back.scene.effects for back in reductions(neighbour.scene)], neighbour.change
-
-
-@pytest.mark.slow
-def test_neighbours_differ_from_the_scene_and_from_each_other(scene: Scene) -> None:
-    """No neighbour is listed twice, none is the scene itself, and each one's model can be built."""
-    neighbours = (*enrichments(scene), *reductions(scene))
-    scenes = [neighbour.scene for neighbour in neighbours]
-    assert len({each.model_dump_json() for each in [scene, *scenes]}) == len(scenes) + 1
-    for neighbour in neighbours:
-        assert assemble(neighbour.scene).forces.motors.numel() == 2
 
 
 def test_everything_can_be_left_out_one_by_one(scene: Scene) -> None:

@@ -8,9 +8,7 @@ import pytest
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.assembly import WORKING_MODES, assembly_side, elbows, motor_angles
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet
-from flexfmu.trajectories.joint import JointTrajectory
 
 
 def kinematics(working_mode: str = "elbows-out") -> RigidKinematics:
@@ -55,27 +53,3 @@ def test_margins_fall_to_zero_where_the_leg_is_stretched_and_the_elbows_meet() -
     assert np.all(np.array([reach1.values[1], reach2.values[1], sine.values[1]]) > 0.05)
     assert reach1.values[2] < 0.0
     assert np.isnan(sine.values[2])
-
-
-class StraightUp:
-    """A trajectory that leaves the workspace: straight up at 1 m/s."""
-
-    duration = 1.0
-    breakpoints = (0.0, 1.0)
-
-    def evaluate(self, time: object, order: int = 2, side: str = "right") -> np.ndarray:
-        t = np.atleast_1d(np.asarray(time, dtype=float))
-        values = np.zeros((order + 1, len(t), 2))
-        values[0, :, 1] = 0.3 + t
-        if order:
-            values[1, :, 1] = 1.0
-        return values
-
-
-def test_planning_names_the_point_the_time_and_the_margin_where_the_workspace_ends() -> None:
-    """A path out of reach is refused before anything runs."""
-    with pytest.raises(TrajectoryError, match=r"margin|reach|sine") as error:
-        JointTrajectory(StraightUp(), kinematics())
-    message = str(error.value)
-    assert "m" in message
-    assert " s" in message

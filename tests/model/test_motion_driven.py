@@ -87,16 +87,6 @@ def test_rates_are_the_time_derivatives_of_the_functions(plant: SymbolicModel, d
         np.testing.assert_allclose(exact[part], difference[part], rtol=1e-7, atol=1e-6 * largest)
 
 
-def test_residual_is_linear_in_the_acceleration_with_the_mass_matrix(plant: SymbolicModel, derived: np.ndarray) -> None:
-    """r(a) - r(0) = M a: the contract that the integrator relies on."""
-    motion, rng = PolynomialMotion(plant.degrees_of_freedom), np.random.default_rng(5)
-    y, v, u = motion.y(0.01), motion.y(0.01, 1), motion.u(0.01)
-    a = rng.normal(size=len(y))
-    residual, mass = plant.functions["residual"], plant.functions["mass_matrix"](y, u, derived).full()
-    difference = (residual(y, v, a, u, derived) - residual(y, v, 0 * a, u, derived)).full().ravel()
-    np.testing.assert_allclose(difference, mass @ a, rtol=1e-9, atol=1e-12)
-
-
 def test_unset_references_start_at_the_start_pose(plant: SymbolicModel) -> None:
     """initial_inputs is the rigid inverse kinematics of start.x, start.y, also where these are changed."""
     scene = load_scene("barnard2012-6kg")

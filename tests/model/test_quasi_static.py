@@ -9,10 +9,9 @@ from scipy.optimize import root
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
-from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import natural_frequencies, static_equilibrium
+from flexfmu.model.statics import natural_frequencies
 
 POSE = (-0.1, 0.3)
 FAMILIES = ("distal_axial", "proximal_axial", "proximal_bending")
@@ -52,16 +51,6 @@ def test_the_dynamics_are_those_without_the_family(variant: str, family: str) ->
     )
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_at_rest_the_end_effector_hangs_where_the_full_model_says(scene: Scene, family: str) -> None:
-    """Gravity deflects the family as if it had states, to second order of the deflections."""
-    joints = motor_angles(scene.mechanism, POSE)
-    full, static, left_out = (
-        static_equilibrium(s, joints).position for s in (scene, statically(scene, family), without(scene, family))
-    )
-    assert np.hypot(*(static - full)) < 2e-3 * np.hypot(*(left_out - full))
-
-
 def test_under_the_loads_of_a_motion_the_robot_deflects_as_its_springs_do(scene: Scene) -> None:
     """Without any state the end effector is where the full model's springs balance inertia, to second order."""
     joints = np.array(motor_angles(scene.mechanism, POSE))
@@ -94,14 +83,3 @@ def test_forces_at_the_end_effector_deflect_it_too(scene: Scene) -> None:
     by_q = np.hstack([(ahead - behind) / (2 * step) for ahead, behind in tips])
     expected = by_q @ np.linalg.solve(model.static_stiffness(zeros, u).full(), by_q[1])
     np.testing.assert_allclose((position(1e3) - position(-1e3)) / 2e3, expected, rtol=1e-6)
-
-
-def test_a_family_without_modes_cannot_be_static() -> None:
-    """A wish that changes nothing is a mistake in the scene."""
-    scene = load_scene("barnard2012-6kg")
-    with pytest.raises(
-        SceneError, match=r"`quasi_static` names distal_bending, which has no modes: give `distal_bending`"
-    ):
-        statically(scene, "distal_bending")
-    with pytest.raises(SceneError, match=r"`effects.quasi_static\[0\]` .*'proximal_bending'"):
-        statically(scene, "bending")

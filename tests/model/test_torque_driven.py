@@ -13,10 +13,8 @@ from flexfmu.model.multipliers import constrained_model, motion_driven_accelerat
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
-from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import natural_frequencies
 from flexfmu.model.symbolic import SymbolicModel
 
 POSE = (-0.1, 0.3)
@@ -109,16 +107,6 @@ def test_payload_accelerates_as_the_legs_pull_and_the_force_pushes() -> None:
         assert 6.0 * (values[f"end_effector.acceleration.{axis}"] - gravity) == pytest.approx(pulls + push, abs=1e-9)
 
 
-def test_motor_inertia_alone_takes_its_torque() -> None:
-    """A motor of inertia J at acceleration a needs J a more, whatever the links do."""
-    base, heavy = (
-        inverse_dynamics(load_scene("barnard2012-6kg").replace({"effects.motor_inertia": inertia}))
-        for inertia in (0.0, 0.2)
-    )
-    q, v, a = motor_angles(torque_scene().mechanism, POSE), [1.0, -2.0], [30.0, 40.0]
-    np.testing.assert_allclose((heavy(q, v, a) - base(q, v, a)).full().ravel(), 0.2 * np.array(a), rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("friction", "dry"),
     [
@@ -143,20 +131,6 @@ def test_friction_follows_its_law(friction: dict[str, object], dry: Callable[[fl
         assert lost == pytest.approx([0.5 * w + dry(w), 0.0], abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("friction", "message"),
-    [
-        ({"kind": "stiction", "coulomb": 2.0, "breakaway": 1.0}, r"`breakaway` must be at least `coulomb` = 2.0 N.m"),
-        ({"kind": "stiction", "coulomb": 2.0, "velocity": 0.1}, r"velocity` is not a known key"),
-        ({"kind": "sticky"}, r"`effects.joint_friction.kind` must be one of 'smooth', 'stiction'"),
-    ],
-)
-def test_contradictory_friction_is_refused(friction: dict[str, object], message: str) -> None:
-    """A motor that turns is not braked by more than holds it, and the keys of one kind don't mean anything to the other."""
-    with pytest.raises(SceneError, match=message):
-        torque_scene({"effects.joint_friction": friction})
-
-
 def test_transmission_twists_under_load_and_vibrates_as_two_masses() -> None:
     """Statically the twist is torque / stiffness; a stiff spring's frequency is sqrt(k (1/J + 1/L)) of motor and robot."""
     rigid_links = {"effects.proximal_bending": 0, "effects.distal_axial": 0}
@@ -170,15 +144,6 @@ def test_transmission_twists_under_load_and_vibrates_as_two_masses() -> None:
     poles = linearize(scene, POSE).poles()
     found = np.unique(np.round(np.sort(np.abs(poles.imag)), 3))[-2:]
     np.testing.assert_allclose(found, np.sort(np.sqrt(squares)), rtol=2e-3)
-
-
-def test_locked_motors_give_the_natural_frequencies() -> None:
-    """Very heavy motors don't move: the linearised plant then has the frequencies of locked motors."""
-    scene = torque_scene({"effects.motor_inertia": 1e8, "effects.damping": {"kind": "none"}})
-    poles = linearize(scene, POSE).poles()
-    found = np.sort(np.abs(poles.imag)) / (2 * np.pi)
-    expected = natural_frequencies(scene, motor_angles(scene.mechanism, POSE))
-    np.testing.assert_allclose(found[-2 * len(expected) :: 2], expected, rtol=1e-6)
 
 
 def test_linearisation_predicts_small_responses() -> None:

@@ -71,20 +71,6 @@ def test_roots_and_powers_agree(a: np.ndarray) -> None:
 
 
 @seeded
-@given(coefficients)
-def test_angle_is_recovered_from_sine_and_cosine(a: np.ndarray) -> None:
-    """Protects sine, cosine and the angle of a point against each other, also where the radius varies."""
-    angle = Jet(a)
-    s, c = sincos(angle)
-    radius = 2.0 + 0.5 * sincos(2.0 * angle)[0]
-    found = arctan2(radius * s, radius * c)
-    expected = a.copy()
-    expected[0] = np.arctan2(np.sin(a[0]), np.cos(a[0]))
-    np.testing.assert_allclose((s * s + c * c - 1.0).coefficients, 0.0, atol=1e-9)
-    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-9, atol=1e-9)
-
-
-@seeded
 @given(coefficients, coefficients)
 def test_composition_is_associative_with_multiplication(a: np.ndarray, b: np.ndarray) -> None:
     """Protects composition: (f g)∘h = (f∘h)(g∘h), and the stacked form agrees with the single one."""

@@ -10,7 +10,7 @@ import pytest
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.own import as_trajectory
-from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+from flexfmu.trajectories.trajectory import Trajectory
 
 DURATION = 0.4
 
@@ -116,21 +116,6 @@ def test_breakpoints_have_two_limits() -> None:
     sides = [motion.evaluate(0.2, 2, side)[:, 0, 0] for side in ("left", "right")]  # type: ignore[arg-type]
     np.testing.assert_allclose(sides, [[0.04, 0.4, 2.0], [0.04, 0.4, -2.0]], rtol=1e-9)
     assert 0.13 in as_trajectory(Sudden()).breakpoints
-
-
-def test_trajectories_stay_what_they_are() -> None:
-    """Whoever knows the derivatives gives them."""
-
-    class Known:
-        duration = 1.0
-        breakpoints = (0.0, 1.0)
-
-        def evaluate(self, time: Any, order: int = 2, side: str = "right") -> Any:
-            return np.zeros((order + 1, np.size(time), 2))
-
-    known: Any = Known()
-    assert as_trajectory(known) is known
-    assert not isinstance(as_trajectory(Cycloid()), TaskTrajectory)
 
 
 def test_the_duration_may_be_a_method() -> None:

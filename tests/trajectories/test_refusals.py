@@ -12,6 +12,7 @@ import ruckig
 from scipy.interpolate import CubicSpline
 
 from flexfmu.trajectories.blends import ClothoidPair, LameBlend, PolarPolynomial
+from flexfmu.trajectories.curves import tabulate
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.piecewise import spline
@@ -52,6 +53,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     ),
     *((lambda x=s: LameBlend(0.025, 0.025).curve.jets([0.0, x]), r"arc length must be between 0 and 0.0421562\d+ m, got .* at index 1") for s in (-1e-9, 0.05, math.nan)),
     (lambda: LameBlend(0.025, 0.025).curve.jets(0.0, -1), "order"),
+    (lambda: tabulate(lambda u: 2.0 + np.sin(1e9 * u), 1.0), "too elongated"),
     (lambda: path(height=0.02), r"blend height d = 0.025 m must be at most the path's height, 0.02 m; .* overlap"),
     (lambda: path(width=0.04), r"blend width e = 0.025 m must be at most half the path's width, 0.02 m; .* overlap"),
     (lambda: path(height=-0.025), "path height must be above zero and finite, got -0.025 m"),

@@ -19,7 +19,6 @@ from flexfmu.trajectories.shapers.sequence import (
     path_deviation,
     shape_along_path,
 )
-from flexfmu.trajectories.trajectory import TaskTrajectory
 
 MODE = Oscillator(57.3, 0.08)
 PROFILES = [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.25}, {"kind": "cycloidal"}]
@@ -43,16 +42,6 @@ def test_shaped_joints_are_the_direct_sum(motion: MotionPlan, name: str) -> None
     )
     scale = np.max(np.abs(direct), axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(shaped.evaluate(time, 6) / scale, direct / scale, atol=1e-12)
-
-
-def test_shaped_motion_begins_and_ends_at_rest(motion: MotionPlan) -> None:
-    """Standstill at start and end point, to rounding in value and exactly in the derivatives, one-sided at both ends."""
-    shaped = ShapedTrajectory(motion.joints, design("zvd", [MODE]))
-    ends = shaped.evaluate([-1.0, 0.0], 3, "left"), shaped.evaluate([shaped.duration, 2.0], 3, "right")
-    targets = motion.joints.evaluate(0.0, 0)[0], motion.joints.evaluate(motion.duration, 0)[0]
-    for found, target in zip(ends, targets, strict=True):
-        np.testing.assert_allclose(found[0], np.repeat(target, 2, axis=0), rtol=0.0, atol=1e-14)
-        np.testing.assert_array_equal(found[1:], 0.0)
 
 
 def test_one_sided_limits_at_shifted_breakpoints(motion: MotionPlan) -> None:
@@ -98,15 +87,6 @@ def test_shaped_profile_is_the_sum_of_shifted_profiles(motion: MotionPlan, name:
     np.testing.assert_allclose(found / scale, expected / scale, atol=1e-11)
 
 
-def test_shaped_profile_has_all_breakpoints(motion: MotionPlan) -> None:
-    """Every instant at which one of the shifted profiles starts, ends or jumps is a breakpoint of the shaped motion."""
-    sequence = design("zvd", [MODE])
-    shaped = shape_along_path(motion.profiled, sequence)
-    for delay in sequence.times:
-        for fraction in (0.0, *motion.profiled.profile.jumps, 1.0):
-            assert min(abs(delay + fraction * motion.duration - point) for point in shaped.breakpoints) < 1e-12
-
-
 def test_joints_deviate_and_the_path_says_how_far(motion: MotionPlan) -> None:
     """Shaped joints cut the corners by a fraction of the distance travelled in the shaper's duration; unshaped ones don't."""
     kinematics = RigidKinematics(motion.scene.mechanism)
@@ -117,14 +97,6 @@ def test_joints_deviate_and_the_path_says_how_far(motion: MotionPlan) -> None:
         for name in ("zv", "zvd", "zvdd")
     ]
     assert 1e-4 < found[0] < found[1] < found[2] < 3e-3
-
-
-def test_deviation_is_the_distance_of_a_parallel_motion(motion: MotionPlan) -> None:
-    """A path moved upwards by 1 mm is 1 mm away at most, along the crossing."""
-    start, path = motion.profiled.path.start, motion.profiled.path
-    moved = type(path)((start[0], start[1] + 1e-3), path.lift, path.height, path.width, path.blend)
-    task = TaskTrajectory(moved, motion.profiled.profile, motion.duration)
-    assert path_deviation(task, path) == pytest.approx(1e-3, abs=1e-12)
 
 
 def test_forward_kinematics_inverts_the_inverse(motion: MotionPlan) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.trajectory_slave import TabulatedTrajectory, TrajectorySlave
 from flexfmu.cosim.experiment.cycles import ThereAndBack
 from flexfmu.trajectories.blends import LameBlend
@@ -50,12 +49,6 @@ def test_repeated_motions_too(trajectory: Trajectory) -> None:
         np.testing.assert_allclose(
             table.evaluate(times, 2, side), motion.evaluate(times, 2, side), rtol=0.0, atol=1e-11
         )
-
-
-def test_only_known_derivatives(table: TabulatedTrajectory) -> None:
-    """Orders beyond the table are refused."""
-    with pytest.raises(InputError, match="orders 0 to 6, got 7"):
-        table.evaluate(0.1, 7)
 
 
 def streamed(trajectory: Trajectory, times: np.ndarray) -> TrajectorySlave:

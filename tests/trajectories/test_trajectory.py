@@ -6,18 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
-from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, bang_bang, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 PROFILES = (seventh_degree_polynomial(), bang_bang(), trapezoidal(0.25), trapezoidal(0.125))
 BLENDS = (LameBlend(0.025, 0.025), ClothoidPair(0.025, 0.025), PolarPolynomial(0.025, 0.025), LameBlend(0.02, 0.175))
-seeded = settings(max_examples=30)
 
 
 def planned(
@@ -37,19 +33,6 @@ def test_each_derivative_is_the_integral_of_the_next(
     Between the limits at an interval's ends a derivative changes by the integral of the next one.
     """
     exact_derivatives(planned(blend, profile, height=0.03), 1e-15)
-
-
-ETA = np.array([0.4, 0.45, 0.55])
-SPEEDS = (140 * ETA**3 * (1 - ETA) ** 3, 4 * np.minimum(ETA, 1 - ETA), np.full(3, 4 / 3), np.full(3, 8 / 7))
-
-
-@pytest.mark.parametrize(("profile", "expected"), list(zip(PROFILES, SPEEDS, strict=True)))
-def test_motion_on_a_straight_part_is_the_profile_itself(profile: Profile, expected: RealArray) -> None:
-    """Protects composition and time scaling against a closed form: acceleration in the middle of the crossing."""
-    trajectory = planned(profile=profile, duration=0.5)
-    motion = trajectory.evaluate(0.5 * ETA, 3)
-    np.testing.assert_allclose(motion[1, :, 0], expected * trajectory.path.length / 0.5, rtol=1e-14)
-    np.testing.assert_array_equal(motion[1:, :, 1], 0.0)
 
 
 def test_speed_along_the_path_is_the_profiles() -> None:
@@ -97,14 +80,6 @@ def test_only_breakpoints_have_two_sides(blend: Blend, profile: Profile) -> None
     np.testing.assert_array_equal(left, right)
 
 
-def test_smooth_middle_of_the_polynomial_is_no_breakpoint() -> None:
-    """Protects continuity where the polynomial's expansion changes from one end to the other."""
-    trajectory = planned(profile=seventh_degree_polynomial(), duration=1.0)
-    assert 0.5 not in trajectory.breakpoints
-    left, right = (trajectory.evaluate(0.5, 7, side)[:, 0, 0] for side in ("left", "right"))
-    np.testing.assert_allclose(left, right, rtol=1e-13, atol=1e-11)
-
-
 @pytest.mark.parametrize("profile", PROFILES)
 def test_breakpoints_are_sorted_and_symmetric(profile: Profile) -> None:
     """Protects what a master lands on: jumps of the profile and passages of knots, 0 and the duration included."""
@@ -136,21 +111,6 @@ def test_a_time_next_to_a_breakpoint_is_at_it() -> None:
     for time in (np.nextafter(0.43, 0.0), np.nextafter(0.43, 1.0)):
         assert trajectory.evaluate(time, 2, "left")[2, 0, 1] < -1.0
         assert trajectory.evaluate(time, 2, "right")[2, 0, 1] == 0.0
-
-
-@seeded
-@given(
-    st.sampled_from(BLENDS),
-    st.one_of(st.sampled_from(PROFILES), st.floats(0.01, 0.5).map(trapezoidal)),
-    st.floats(0.01, 50.0),
-)
-def test_derivatives_scale_with_the_duration(blend: Blend, profile: Profile, duration: float) -> None:
-    """Protects the time scale for random motions: the k-th derivative goes with duration^-k."""
-    slow, unit = planned(blend, profile, duration), planned(blend, profile, 1.0)
-    eta = np.linspace(0.0113, 0.9871, 50)
-    expected = unit.evaluate(eta, 5) / duration ** np.arange(6.0)[:, None, None]
-    scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
-    assert np.all(np.abs(slow.evaluate(duration * eta, 5) - expected) <= 1e-10 * scale)
 
 
 def test_shapes_follow_times_and_order() -> None:

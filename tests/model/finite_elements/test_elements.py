@@ -9,9 +9,8 @@ from scipy.linalg import eigh
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.finite_elements.element import COORDINATES, BeamSection, beam_element
-from flexfmu.model.finite_elements.motion import element_frequencies, simulate
+from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
-from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 
@@ -110,16 +109,6 @@ def test_forces_are_the_energies_slopes_and_tangents_the_forces(section: BeamSec
         slope = (element.force(*there) - element.force(*here)).full().ravel() / (2.0 * size)
         expected = direction @ tangent[which]
         assert slope == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("beam", ["euler-bernoulli", "timoshenko"])
-def test_frequencies_converge_with_the_number_of_elements(beam: str) -> None:
-    """Three elements a link leave less than 5e-5 of the first two frequencies to six."""
-    scene = SCENE.replace({"effects.beam": beam})
-    joints = np.array(motor_angles(scene.mechanism, (0.0, 0.295)))
-    few, many = (element_frequencies(finite_element_robot(scene, elements), joints, 2) for elements in (3, 6))
-    assert few == pytest.approx(many, rel=5e-5)
 
 
 def test_integrator_has_its_order() -> None:

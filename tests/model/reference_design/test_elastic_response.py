@@ -109,15 +109,6 @@ def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scene
         )
 
 
-def test_a_rigid_robot_moves_as_its_references_say(scene: Scene, motion: JointSpline) -> None:
-    rigid = scene.replace(
-        {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.damping": {"kind": "none"}}
-    )
-    found = ElasticResponse(rigid, [{}], motion.coefficients[0], 30).of_spline(motion)
-    assert found.end.shape == (1, 2, 0)
-    np.testing.assert_allclose(found.position[0, -1], (0.175, 0.320), atol=1e-9)
-
-
 def test_an_unknown_parameter_is_named(scene: Scene, motion: JointSpline) -> None:
     with pytest.raises(SceneError, match=r"has no parameter `payload\.weight`"):
         ElasticResponse(scene, [{"payload.weight": 1.0}], motion.coefficients[0], 10)

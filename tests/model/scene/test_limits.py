@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.parameters import scene_values
-from flexfmu.model.linear import linear_plant
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.schema import Scene
 
 STICTION = {"kind": "stiction", "coulomb": 1.0, "breakaway": 2.0, "stribeck_velocity": 0.1, "viscous": 0.1}
 RICH: dict[str, Any] = {
@@ -48,22 +45,3 @@ def test_limits_are_those_of_the_model(changes: dict[str, Any]) -> None:
                 scene.replace({key: written})
             # a length may be out of reach first, or a tube without a wall
             assert any(part in str(refused.value) for part in (key, key.rpartition(".")[0], "reach")), refused.value
-
-
-def test_a_damping_ratio_above_one_is_an_overdamped_mode() -> None:
-    """It is proportional to the damping matrix at any size, and the modes of the links become real poles."""
-    robot = load_scene("barnard2012-6kg").replace(
-        {"effects.proximal_bending": 1, "effects.distal_axial": 0, "effects.motor_inertia": 1e6}
-    )
-
-    def matrix(scene: Scene, ratio: float) -> np.ndarray[Any, Any]:
-        changed = scene.replace({"effects.damping": {"kind": "modal", "ratio": ratio}})
-        return np.asarray(linear_plant(changed, scene.trajectory.start, ["joint1.position"]).a)
-
-    slight, strong = matrix(robot, 0.5), matrix(robot, 50.0)
-    n = len(slight) // 2
-    assert strong[n:, n:] == pytest.approx(100.0 * slight[n:, n:], rel=1e-9, abs=1e-9)
-    poles = [np.linalg.eigvals(each[np.ix_([2, 3, n + 2, n + 3], [2, 3, n + 2, n + 3])]) for each in (slight, strong)]
-    assert np.all(abs(poles[0].imag) > 1.0)
-    assert np.all(poles[1].imag == 0.0)
-    assert np.all(poles[1].real < 0.0)
