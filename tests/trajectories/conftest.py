@@ -1,4 +1,4 @@
-"""The paper's mechanism, path and profiles, for the tests of this folder."""
+"""Quadrature of derivatives, for the tests of this folder."""
 
 from __future__ import annotations
 
