@@ -25,7 +25,9 @@ SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recove
 PATHS = {path.name: path for path in sorted(RUNTIME.glob("*/*.[ch]"))}
 INCLUDES = [f"-I{folder}" for folder in (*sorted(RUNTIME.iterdir()), fmi_header_folder()) if folder.is_dir()]
 SOURCES = [PATHS[name] for name in c_files(runtime_sources("plant"))]
-NAMES = re.findall(r"\bX\((\w+)\)", (TESTS / "tests.h").read_text().split("#define X(")[0])
+NAMES = [
+    name for path in sorted(TESTS.glob("test_*.c")) for name in re.findall(r"^TEST\((\w+)\)", path.read_text(), re.M)
+]
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -81,7 +83,7 @@ def test_c(program: Path, name: str) -> None:
 
 def test_lists_all_tests(program: Path) -> None:
     """A test that isn't found here would never run."""
-    assert run(program).split() == NAMES
+    assert sorted(run(program).split()) == sorted(NAMES)
     assert len(NAMES) >= 40
 
 

@@ -4,30 +4,14 @@
 
 #include "tests.h"
 
-static const struct {
-  const char *name;
-  void (*run)(void);
-} tests[] = {
-#define X(name) {#name, test_##name},
-    TESTS(X)
-#undef X
-};
-
-#define N_TESTS (sizeof tests / sizeof *tests)
+test *all_tests;
 
 int main(int count, char **names) {
-  for (size_t i = 0; count == 1 && i < N_TESTS; i++) printf("%s\n", tests[i].name);
-  for (int k = 1; k < count; k++) {
-    int found = 0;
-    for (size_t i = 0; i < N_TESTS; i++)
-      if (strcmp(names[k], tests[i].name) == 0) {
-        tests[i].run();
-        found = 1;
-      }
-    if (!found) {
-      printf("no test is named '%s'\n", names[k]);
-      return 2;
-    }
+  int found = 0;
+  for (test *each = all_tests; each; each = each->next) {
+    if (count == 1) printf("%s\n", each->name);
+    for (int k = 1; k < count; k++)
+      if (strcmp(names[k], each->name) == 0) each->run(), found++;
   }
-  return 0;
+  return found == count - 1 ? 0 : 2;
 }

@@ -2,10 +2,8 @@
 #include "models.h"
 
 #include <math.h>
-#include <string.h>
 
 #define LIMITLESS -HUGE_VAL, HUGE_VAL
-#define FUNCTION(f) {f, 10, 1, 0, 0}
 
 /* the functions of a model, in the order of the contract */
 #define FUNCTIONS(d, u, y, r, m, o, forward, rate1, rate2, start, margin, scale)                                     \
@@ -14,12 +12,9 @@
   .motion_rate1 = FUNCTION(rate1), .motion_rate2 = FUNCTION(rate2), .start_forward = FUNCTION(start),                \
   .singularity = FUNCTION(margin), .error_scale = FUNCTION(scale), .default_tolerance = 1e-6
 
-typedef const double **in;
-typedef double **out;
-
 /* rates along the motion from directional derivatives, with v, a and du/dt as seeds */
 #define RATE1(name, forward)                                                                                       \
-  static int name(in arg, out res, int *iw, double *w, int mem) {                                                  \
+  EQUATION(name) {                                                  \
     static const double none[16];                                                                                  \
     const double *seeds[] = {arg[0], arg[1], arg[2], arg[3], arg[5], arg[1], arg[2], arg[4], none};                \
     return forward(seeds, res, iw, w, mem);                                                                        \
@@ -27,75 +22,31 @@ typedef double **out;
 
 /* functions that several models share */
 
-static int no_inputs(in arg, out res, int *iw, double *w, int mem) {
-  return 0;
-}
-
 static int origin(double *y, int n) {
   for (int i = 0; i < n; i++) y[i] = 0.0;
   return 0;
 }
 
-static int origin_1(in arg, out res, int *iw, double *w, int mem) {
-  return origin(res[0], 1);
-}
-
-static int origin_2(in arg, out res, int *iw, double *w, int mem) {
-  return origin(res[0], 2);
-}
-
-static int origin_3(in arg, out res, int *iw, double *w, int mem) {
-  return origin(res[0], 3);
-}
-
-static int zero_input(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = 0.0;
+EQUATION(nothing) {
   return 0;
 }
 
-static int nothing_to_derive(in arg, out res, int *iw, double *w, int mem) {
-  return 0;
-}
-
-static int ample_margin(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = 1.0;
-  return 0;
-}
-
-static int unit_mass_1(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = 1.0;
-  return 0;
-}
-
-static int unit_scale_1(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = 1.0, res[0][1] = 1.0, res[0][2] = 1e-6;
-  return 0;
-}
-
-static int unit_scale_2(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = res[0][1] = res[0][2] = res[0][3] = 1.0, res[0][4] = 1e-6;
-  return 0;
-}
-
-// positions, rates, and a floor of everyday size
-static int sliders_scale(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = res[0][1] = res[0][2] = res[0][3] = 1.0, res[0][4] = 0.1;
-  return 0;
-}
+CONSTANT(origin_1, 0.0)
+CONSTANT(origin_2, 0.0, 0.0)
+CONSTANT(origin_3, 0.0, 0.0, 0.0)
+CONSTANT(one, 1.0)
+CONSTANT(unit_mass_2, 1.0, 0.0, 0.0, 1.0)
+CONSTANT(unit_mass_3, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+CONSTANT(unit_scale_1, 1.0, 1.0, 1e-6)
+CONSTANT(unit_scale_2, 1.0, 1.0, 1.0, 1.0, 1e-6)
+CONSTANT(sliders_scale, 1.0, 1.0, 1.0, 1.0, 0.1) // positions, rates, and a floor of everyday size
+COPY(first_1, 1)
+COPY(first_2, 2)
+COPY(first_4, 4)
 
 /* oscillators: y = R q, R orthogonal; d = frequencies and damping ratio */
 
 static const double rotation[3][3] = {{0.6, -0.8, 0.0}, {0.8, 0.6, 0.0}, {0.0, 0.0, 1.0}};
-
-static int oscillators_derive(in arg, out res, int *iw, double *w, int mem) {
-  memcpy(res[0], arg[0], 4 * sizeof(double));
-  return 0;
-}
-
-static int oscillators_inputs(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = res[0][1] = res[0][2] = 0.0;
-  return 0;
-}
 
 // x'' + 2 zeta w x' + w^2 (x - u) in the mixed frame
 static void oscillators_balance(const double *y, const double *v, const double *a, const double *u, const double *d,
@@ -112,23 +63,18 @@ static void oscillators_balance(const double *y, const double *v, const double *
   }
 }
 
-static int oscillators_residual(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(oscillators_residual) {
   oscillators_balance(arg[0], arg[1], arg[2], arg[3], arg[4], res[0]);
   return 0;
 }
 
-static int oscillators_mass(in arg, out res, int *iw, double *w, int mem) {
-  for (int i = 0; i < 9; i++) res[0][i] = i % 4 == 0;
-  return 0;
-}
-
-static int oscillators_outputs(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(oscillators_outputs) {
   for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k], 3 * sizeof(double));
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
-static int oscillators_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(oscillators_forward) {
   const double held[3] = {0.0, 0.0, 0.0};
   oscillators_balance(arg[5], arg[6], held, arg[7], arg[4], res[0]);
 
@@ -148,7 +94,7 @@ static int oscillators_forward(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // d changes with p, the start position does not
-static int oscillators_start_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(oscillators_start_forward) {
   memcpy(res[0], arg[1], 4 * sizeof(double));
   return origin(res[0] + 4, 3);
 }
@@ -156,7 +102,7 @@ static int oscillators_start_forward(in arg, out res, int *iw, double *w, int me
 // arg: y, v, a, j, u, u1, u2, d
 RATE1(oscillators_rate1, oscillators_forward)
 
-static int oscillators_rate2(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(oscillators_rate2) {
   const double no_snap[3] = {0.0, 0.0, 0.0};
   oscillators_balance(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
   memcpy(res[0] + 3, arg[2], 3 * sizeof(double));
@@ -166,7 +112,7 @@ static int oscillators_rate2(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // energy norm, without the products of different coordinates
-static int oscillators_scale(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(oscillators_scale) {
   const double *d = arg[0];
   for (int i = 0; i < 3; i++) {
     res[0][i] = 0.0;
@@ -195,24 +141,24 @@ const flex_model oscillators = {
     .n_outputs = 9, .max_input_order = 9, .input_variables = oscillator_inputs,
     .parameter_variables = oscillator_parameters, .output_variables = oscillator_outputs, .n_acceleration_terms = 3,
     .acceleration_terms = shown_accelerations, .static_start = 1, .minimum_margin = 0.0, .margin_name = "margin",
-    FUNCTIONS(oscillators_derive, oscillators_inputs, origin_3, oscillators_residual, oscillators_mass,
+    FUNCTIONS(first_4, origin_3, origin_3, oscillators_residual, unit_mass_3,
               oscillators_outputs, oscillators_forward, oscillators_rate1, oscillators_rate2,
-              oscillators_start_forward, ample_margin, oscillators_scale)};
+              oscillators_start_forward, one, oscillators_scale)};
 
 /* pendulum */
 
-static int pendulum_residual(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(pendulum_residual) {
   res[0][0] = arg[2][0] + sin(arg[0][0]) - arg[3][0];
   return 0;
 }
 
-static int pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(pendulum_energy) {
   res[0][0] = 0.5 * arg[1][0] * arg[1][0] - cos(arg[0][0]);
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
-static int pendulum_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(pendulum_forward) {
   res[0][0] = cos(arg[0][0]) * arg[5][0] - arg[7][0];
   res[0][1] = arg[1][0] * arg[6][0] + sin(arg[0][0]) * arg[5][0];
   return 0;
@@ -221,7 +167,7 @@ static int pendulum_forward(in arg, out res, int *iw, double *w, int mem) {
 // arg: y, v, a, j, u, u1, u2, d
 RATE1(pendulum_rate1, pendulum_forward)
 
-static int pendulum_rate2(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(pendulum_rate2) {
   double y = arg[0][0], v = arg[1][0], a = arg[2][0];
   res[0][0] = -sin(y) * v * v + cos(y) * a - arg[6][0];
   res[0][1] = a * (a + sin(y)) + v * (arg[3][0] + cos(y) * v);
@@ -234,52 +180,22 @@ static const flex_variable energy_output[] = {{"energy", "J", 0.0, LIMITLESS, 0}
 const flex_model pendulum = {
     .name = "pendulum", .guid = "{pendulum}", .n = 1, .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
     .input_variables = torque_input, .output_variables = energy_output, .static_start = 1, .margin_name = "margin",
-    FUNCTIONS(nothing_to_derive, zero_input, origin_1, pendulum_residual, unit_mass_1, pendulum_energy,
-              pendulum_forward, pendulum_rate1, pendulum_rate2, origin_1, ample_margin, unit_scale_1)};
-
-/* orbit */
-
-static int orbit_residual(in arg, out res, int *iw, double *w, int mem) {
-  const double *y = arg[0], *a = arg[2];
-  double square = y[0] * y[0] + y[1] * y[1], cube = square * sqrt(square);
-  for (int i = 0; i < 2; i++) res[0][i] = a[i] + y[i] / cube;
-  return 0;
-}
-
-static int orbit_mass(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = res[0][3] = 1.0, res[0][1] = res[0][2] = 0.0;
-  return 0;
-}
-
-static int orbit_invariants(in arg, out res, int *iw, double *w, int mem) {
-  const double *y = arg[0], *v = arg[1];
-  res[0][0] = 0.5 * (v[0] * v[0] + v[1] * v[1]) - 1.0 / sqrt(y[0] * y[0] + y[1] * y[1]);
-  res[0][1] = y[0] * v[1] - y[1] * v[0];
-  return 0;
-}
-
-static int unknown_rates(in arg, out res, int *iw, double *w, int mem) {
-  return 1;
-}
-
-static const flex_variable invariant_outputs[] = {{"energy", "J", 0.0, LIMITLESS, 0},
-                                                  {"momentum", "kg.m2/s", 0.0, LIMITLESS, 0}};
-
-const flex_model orbit = {
-    .name = "orbit", .guid = "{orbit}", .n = 2, .n_outputs = 2, .output_variables = invariant_outputs,
-    .margin_name = "margin",
-    FUNCTIONS(nothing_to_derive, no_inputs, origin_2, orbit_residual, orbit_mass, orbit_invariants, unknown_rates,
-              unknown_rates, unknown_rates, unknown_rates, ample_margin, unit_scale_2)};
+    FUNCTIONS(nothing, origin_1, origin_1, pendulum_residual, one, pendulum_energy,
+              pendulum_forward, pendulum_rate1, pendulum_rate2, origin_1, one, unit_scale_1)};
 
 /* double pendulum with angles y from the vertical */
 
-static int double_pendulum_mass(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(unknown_rates) {
+  return 1;
+}
+
+EQUATION(double_pendulum_mass) {
   double c = cos(arg[0][0] - arg[0][1]);
   res[0][0] = 2.0, res[0][1] = res[0][2] = c, res[0][3] = 1.0;
   return 0;
 }
 
-static int double_pendulum_residual(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(double_pendulum_residual) {
   const double *y = arg[0], *v = arg[1], *a = arg[2];
   double c = cos(y[0] - y[1]), s = sin(y[0] - y[1]);
   res[0][0] = 2.0 * a[0] + c * a[1] + s * v[1] * v[1] + 2.0 * sin(y[0]);
@@ -287,7 +203,7 @@ static int double_pendulum_residual(in arg, out res, int *iw, double *w, int mem
   return 0;
 }
 
-static int double_pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(double_pendulum_energy) {
   const double *y = arg[0], *v = arg[1];
   res[0][0] = v[0] * v[0] + 0.5 * v[1] * v[1] + v[0] * v[1] * cos(y[0] - y[1]) - 2.0 * cos(y[0]) - cos(y[1]);
   return 0;
@@ -296,19 +212,19 @@ static int double_pendulum_energy(in arg, out res, int *iw, double *w, int mem) 
 const flex_model double_pendulum = {
     .name = "double_pendulum", .guid = "{double_pendulum}", .n = 2, .n_outputs = 1,
     .output_variables = energy_output, .margin_name = "margin",
-    FUNCTIONS(nothing_to_derive, no_inputs, origin_2, double_pendulum_residual, double_pendulum_mass,
-              double_pendulum_energy, unknown_rates, unknown_rates, unknown_rates, unknown_rates, ample_margin,
+    FUNCTIONS(nothing, nothing, origin_2, double_pendulum_residual, double_pendulum_mass,
+              double_pendulum_energy, unknown_rates, unknown_rates, unknown_rates, unknown_rates, one,
               unit_scale_2)};
 
 /* rigid: u, u' and u'' of the input are all there is */
 
-static int rigid_outputs(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(rigid_outputs) {
   res[0][0] = arg[3][0] * arg[3][0];
   return 0;
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
-static int rigid_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(rigid_forward) {
   res[0][0] = 2.0 * arg[3][0] * arg[7][0];
   return 0;
 }
@@ -316,18 +232,13 @@ static int rigid_forward(in arg, out res, int *iw, double *w, int mem) {
 // arg: y, v, a, j, u, u1, u2, d
 RATE1(rigid_rate1, rigid_forward)
 
-static int rigid_rate2(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(rigid_rate2) {
   res[0][0] = 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]);
   return 0;
 }
 
-static int margin_below_one(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(margin_below_one) {
   res[0][0] = 1.0 - arg[1][0];
-  return 0;
-}
-
-static int unit_floor(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = 1.0;
   return 0;
 }
 
@@ -338,12 +249,12 @@ const flex_model rigid = {
     .name = "rigid", .guid = "{rigid}", .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
     .input_variables = angle_input, .output_variables = square_output, .static_start = 1, .minimum_margin = 0.0,
     .margin_name = "distance to the wall",
-    FUNCTIONS(nothing_to_derive, zero_input, no_inputs, no_inputs, no_inputs, rigid_outputs, rigid_forward,
-              rigid_rate1, rigid_rate2, no_inputs, margin_below_one, unit_floor)};
+    FUNCTIONS(nothing, origin_1, nothing, nothing, nothing, rigid_outputs, rigid_forward,
+              rigid_rate1, rigid_rate2, nothing, margin_below_one, one)};
 
 /* sliders: d = c, b, viscous, coupling, direction 1, direction 2 */
 
-static int sliders_derive(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(sliders_derive) {
   memcpy(res[0], arg[0], 4 * sizeof(double));
   return origin(res[0] + 4, 2);
 }
@@ -355,19 +266,14 @@ static void sliders_forces(const double *y, const double *v, const double *a, co
   r[1] = a[1] + d[2] * v[1] + link;
 }
 
-static int sliders_residual(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(sliders_residual) {
   const double *d = arg[4];
   sliders_forces(arg[0], arg[1], arg[2], arg[3], d, res[0]);
   for (int i = 0; i < 2; i++) res[0][i] += d[4 + i] * d[0];
   return 0;
 }
 
-static int sliders_mass(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = res[0][3] = 1.0, res[0][1] = res[0][2] = 0.0;
-  return 0;
-}
-
-static int sliders_outputs(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(sliders_outputs) {
   memcpy(res[0], arg[0], 2 * sizeof(double));
   memcpy(res[0] + 2, arg[1], 2 * sizeof(double));
   sliders_forces(arg[0], arg[1], arg[2], arg[3], arg[4], res[0] + 4);
@@ -375,7 +281,7 @@ static int sliders_outputs(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // arg: y, v, a, u, d, dy, dv, du, dd
-static int sliders_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(sliders_forward) {
   const double held[2] = {0.0, 0.0};
   sliders_forces(arg[5], arg[6], held, arg[7], arg[4], res[0]);
   memcpy(res[0] + 2, arg[5], 2 * sizeof(double));
@@ -388,7 +294,7 @@ static int sliders_forward(in arg, out res, int *iw, double *w, int mem) {
 // arg: y, v, a, j, u, u1, u2, d
 RATE1(sliders_rate1, sliders_forward)
 
-static int sliders_rate2(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(sliders_rate2) {
   const double no_snap[2] = {0.0, 0.0};
   sliders_forces(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
   memcpy(res[0] + 2, arg[2], 2 * sizeof(double));
@@ -397,7 +303,7 @@ static int sliders_rate2(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static int sliders_start_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(sliders_start_forward) {
   memcpy(res[0], arg[1], 4 * sizeof(double));
   return origin(res[0] + 4, 4);
 }
@@ -418,29 +324,19 @@ const flex_model sliders = {
     .max_input_order = 9, .input_variables = sliders_input, .parameter_variables = sliders_parameters,
     .output_variables = sliders_shown, .n_acceleration_terms = 2, .acceleration_terms = sliders_terms,
     .n_frictions = 2, .frictions = sliders_frictions, .margin_name = "margin",
-    FUNCTIONS(sliders_derive, zero_input, origin_2, sliders_residual, sliders_mass, sliders_outputs, sliders_forward,
-              sliders_rate1, sliders_rate2, sliders_start_forward, ample_margin, sliders_scale)};
+    FUNCTIONS(sliders_derive, origin_1, origin_2, sliders_residual, unit_mass_2, sliders_outputs, sliders_forward,
+              sliders_rate1, sliders_rate2, sliders_start_forward, one, sliders_scale)};
 
 /* fragile: d = limit, load */
 
-static int fragile_derive(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = arg[0][0], res[0][1] = arg[0][1];
-  return 0;
-}
-
-static int fragile_residual(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(fragile_residual) {
   const double *d = arg[4];
   res[0][0] = arg[0][0] > d[0] ? NAN : arg[2][0] + arg[0][0] - arg[3][0] - d[1];
   return 0;
 }
 
-static int first_coordinate(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = arg[0][0];
-  return 0;
-}
-
 // arg: y, v, a, u, d, dy, dv, du, dd
-static int fragile_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(fragile_forward) {
   res[0][0] = arg[5][0] - arg[7][0] - arg[8][1];
   res[0][1] = arg[5][0];
   return 0;
@@ -449,19 +345,19 @@ static int fragile_forward(in arg, out res, int *iw, double *w, int mem) {
 // arg: y, v, a, j, u, u1, u2, d
 RATE1(fragile_rate1, fragile_forward)
 
-static int fragile_rate2(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(fragile_rate2) {
   res[0][0] = arg[2][0] - arg[6][0];
   res[0][1] = arg[2][0];
   return 0;
 }
 
 // d changes with p, the start position does not
-static int fragile_start_forward(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(fragile_start_forward) {
   memcpy(res[0], arg[1], 2 * sizeof(double));
   return origin(res[0] + 2, 1);
 }
 
-static int margin_below_two(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(margin_below_two) {
   res[0][0] = 2.0 - arg[1][0];
   return 0;
 }
@@ -479,7 +375,7 @@ static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS
    .parameter_variables = fragile_parameters, .output_variables = position_output,                   \
    .state_outputs = position_alone, .static_start = 1, .minimum_margin = 0.5,                        \
    .margin_name = "distance between the elbows (m)",                                                 \
-   FUNCTIONS(fragile_derive, zero_input, origin_1, fragile_residual, unit_mass_1, first_coordinate,  \
+   FUNCTIONS(first_2, origin_1, origin_1, fragile_residual, one, first_1,  \
              fragile_forward, fragile_rate1, fragile_rate2, fragile_start_forward, margin_below_two, \
              unit_scale_1)}
 

@@ -37,7 +37,7 @@ static void stick_slip(double speed, double t, double *y, double *v, double *for
 }
 
 // pulls the first slider from rest: position, rate and friction force follow the closed form, by every method
-void test_stick_slip_follows_its_closed_form(void) {
+TEST(stick_slip_follows_its_closed_form) {
   const double tolerances[] = {1e-3, 1e-6, 1e-9}, speed = 0.3;
   for (int method = FLEX_AUTOMATIC; method <= FLEX_LAST_INTEGRATOR; method++)
     for (int k = 0; k < 3; k++) {
@@ -60,7 +60,7 @@ void test_stick_slip_follows_its_closed_form(void) {
 }
 
 // fixed steps end at events too: the classical method keeps its order over them
-void test_fixed_steps_end_at_events(void) {
+TEST(fixed_steps_end_at_events) {
   double worst[2] = {0.0, 0.0};
   for (int k = 0; k < 2; k++) {
     flex_plant *plant = make_plant(&sliders, 1e-6);
@@ -81,7 +81,7 @@ void test_fixed_steps_end_at_events(void) {
 }
 
 // what is held doesn't creep, not by the last digit in an hour; a millionth more than breakaway moves it
-void test_sticking_is_a_state(void) {
+TEST(sticking_is_a_state) {
   for (int moves = 0; moves < 2; moves++) {
     flex_plant *plant = make_plant(&sliders, 1e-6);
     CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
@@ -94,7 +94,7 @@ void test_sticking_is_a_state(void) {
 }
 
 // the largest force that friction stands while the pull grows is the breakaway force, wherever steps end
-void test_breakaway_is_met_within_a_step(void) {
+TEST(breakaway_is_met_within_a_step) {
   for (int k = 0; k < 7; k++) {
     flex_plant *plant = make_plant(&sliders, 1e-4);
     plant->p[1] = 1.0 + 0.37 * k;
@@ -111,7 +111,7 @@ void test_breakaway_is_met_within_a_step(void) {
 }
 
 // two bodies that catch and drag each other: friction takes what energy is lost, and never more than it can bear
-void test_two_frictions_keep_the_balance(void) {
+TEST(two_frictions_keep_the_balance) {
   flex_plant *plant = make_plant(&sliders, 1e-8);
   double lost = 0.0, last[2] = {0.0, 0.0};
   int stuck[2] = {0, 0};
@@ -135,7 +135,7 @@ void test_two_frictions_keep_the_balance(void) {
 }
 
 // the same motion again from any state in between, to the last bit, with events on the way and after trial inputs
-void test_friction_rolls_back(void) {
+TEST(friction_rolls_back) {
   flex_plant *plant = make_plant(&sliders, 1e-6);
   char *saved = malloc(plant->state_size), *end = malloc(plant->state_size);
   plant->p[3] = 3.0;
@@ -166,7 +166,7 @@ void test_friction_rolls_back(void) {
 }
 
 // a load that trembles about breakaway makes and breaks the contact thousands of times, at a bounded price for each
-void test_chatter_is_bounded(void) {
+TEST(chatter_is_bounded) {
   flex_plant *plant = make_plant(&sliders, 1e-6);
   plant->p[1] = C; // the same friction at rest and in motion
   CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
@@ -179,7 +179,7 @@ void test_chatter_is_bounded(void) {
 }
 
 // between events outputs are smooth: their rates are those of the closed form, zero for what sticks
-void test_rates_with_friction_are_exact(void) {
+TEST(rates_with_friction_are_exact) {
   flex_plant *plant = make_plant(&sliders, 1e-9);
   CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
   flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 0.3);
@@ -202,16 +202,15 @@ void test_rates_with_friction_are_exact(void) {
  * the pulls on the carts, so that each friction relieves or loads all others; d = masses, forces in motion and at rest, directions */
 #define CARTS 4
 
-static int carts_derive(const double **arg, double **res, int *iw, double *w, int mem) {
+EQUATION(carts_derive) {
   memcpy(res[0], arg[0], 3 * CARTS * sizeof(double));
   memset(res[0] + 3 * CARTS, 0, CARTS * sizeof(double));
   return 0;
 }
 
-static int carts_zeros(const double **arg, double **res, int *iw, double *w, int mem) {
-  memset(res[0], 0, CARTS * sizeof(double));
-  return 0;
-}
+CONSTANT(carts_zeros, 0.0, 0.0, 0.0, 0.0)
+CONSTANT(carts_margin, 1.0)
+CONSTANT(carts_scale, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 // what the frictions have to balance: pulls less inertia of all carts from here on
 static void carts_load(const double *a, const double *u, const double *m, double *load) {
@@ -221,14 +220,14 @@ static void carts_load(const double *a, const double *u, const double *m, double
   for (int k = CARTS - 2; k >= 0; k--) load[k] = load[k + 1] + u[k] - m[k] * absolute[k];
 }
 
-static int carts_residual(const double **arg, double **res, int *iw, double *w, int mem) {
+EQUATION(carts_residual) {
   const double *d = arg[4];
   carts_load(arg[2], arg[3], d, res[0]);
   for (int k = 0; k < CARTS; k++) res[0][k] = d[3 * CARTS + k] * d[CARTS + k] - res[0][k];
   return 0;
 }
 
-static int carts_mass(const double **arg, double **res, int *iw, double *w, int mem) {
+EQUATION(carts_mass) {
   for (int i = 0; i < CARTS; i++)
     for (int j = 0; j < CARTS; j++) {
       res[0][i * CARTS + j] = 0.0;
@@ -237,42 +236,17 @@ static int carts_mass(const double **arg, double **res, int *iw, double *w, int 
   return 0;
 }
 
-static int carts_margin(const double **arg, double **res, int *iw, double *w, int mem) {
-  res[0][0] = 1.0;
-  return 0;
-}
-
-static int carts_scale(const double **arg, double **res, int *iw, double *w, int mem) {
-  for (int k = 0; k < 2 * CARTS; k++) res[0][k] = 1.0;
-  res[0][2 * CARTS] = 1.0;
-  return 0;
-}
-
-#define ANY(name) {name, "1", 1.0, -HUGE_VAL, HUGE_VAL, 1}
-static const flex_variable carts_variables[] = {ANY("1"), ANY("2"), ANY("3"), ANY("4"),  ANY("5"),  ANY("6"),
-                                                ANY("7"), ANY("8"), ANY("9"), ANY("10"), ANY("11"), ANY("12")};
+#define ANY {"any", "1", 1.0, -HUGE_VAL, HUGE_VAL, 1}
+static const flex_variable carts_variables[] = {ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY};
 static const flex_friction carts_frictions[] = {{0, 8, 12}, {1, 9, 13}, {2, 10, 14}, {3, 11, 15}};
 
-#define FUNCTION(f) {f, 10, 1, 0, 0}
-static const flex_model carts = {.name = "carts",
-                                 .guid = "{carts}",
-                                 .n = CARTS,
-                                 .n_inputs = CARTS,
-                                 .n_parameters = 3 * CARTS,
-                                 .n_derived = 4 * CARTS,
-                                 .input_variables = carts_variables,
-                                 .parameter_variables = carts_variables,
-                                 .n_frictions = CARTS,
-                                 .frictions = carts_frictions,
-                                 .default_tolerance = 1e-6,
-                                 .margin_name = "margin",
-                                 .derive = FUNCTION(carts_derive),
-                                 .initial_inputs = FUNCTION(carts_zeros),
-                                 .initial_coordinates = FUNCTION(carts_zeros),
-                                 .residual = FUNCTION(carts_residual),
-                                 .mass_matrix = FUNCTION(carts_mass),
-                                 .singularity = FUNCTION(carts_margin),
-                                 .error_scale = FUNCTION(carts_scale)};
+static const flex_model carts = {
+    .name = "carts", .guid = "{carts}", .n = CARTS, .n_inputs = CARTS, .n_parameters = 3 * CARTS, .n_derived = 4 * CARTS,
+    .input_variables = carts_variables, .parameter_variables = carts_variables, .n_frictions = CARTS,
+    .frictions = carts_frictions, .default_tolerance = 1e-6, .margin_name = "margin", .derive = FUNCTION(carts_derive),
+    .initial_inputs = FUNCTION(carts_zeros), .initial_coordinates = FUNCTION(carts_zeros),
+    .residual = FUNCTION(carts_residual), .mass_matrix = FUNCTION(carts_mass), .singularity = FUNCTION(carts_margin),
+    .error_scale = FUNCTION(carts_scale)};
 
 static double drawn(unsigned *seed) {
   *seed = *seed * 1664525u + 1013904223u;
@@ -298,7 +272,7 @@ static flex_plant *pulled_carts(unsigned *seed, const double *v, double more_at_
 // what has the same friction at rest and in motion has one solution (accelerations minimise the convex function
 // a' M a / 2 - a' F + sum of c |a|), which its conditions prove: what stays at rest bears at most its largest force, what
 // begins to slip is held back by just that, as is what slips already
-void test_coupled_frictions_release_what_must_slip(void) {
+TEST(coupled_frictions_release_what_must_slip) {
   unsigned seed = 1;
   int counts[CARTS + 1] = {0};
   for (int trial = 0; trial < 3000; trial++) {
@@ -322,7 +296,7 @@ void test_coupled_frictions_release_what_must_slip(void) {
 
 // while a pull grows, what bears the greatest part of its breakaway force lets go first; where that relieves all others enough,
 // nothing else does
-void test_the_most_overloaded_friction_lets_go_first(void) {
+TEST(the_most_overloaded_friction_lets_go_first) {
   const double zeros[CARTS] = {0.0};
   unsigned seed = 2;
   int others_were_overloaded = 0;

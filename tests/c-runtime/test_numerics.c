@@ -17,7 +17,7 @@ static double random_number(unsigned long *state) {
 enum { SIZE = 9 };
 
 // a solver that loses digits would stop Newton's iterations early
-void test_linear_solvers_invert(void) {
+TEST(linear_solvers_invert) {
   unsigned long seed = 7;
   for (int n = 1; n <= SIZE; n++) {
     double a[SIZE * SIZE], lu[SIZE * SIZE], x[SIZE], b[SIZE], z[2 * SIZE * SIZE], inverse[2 * SIZE * SIZE], zx[2 * SIZE],
@@ -80,7 +80,7 @@ void test_linear_solvers_invert(void) {
 }
 
 // a singular or poisoned matrix must be reported, not divided by
-void test_linear_solvers_refuse_singular_matrices(void) {
+TEST(linear_solvers_refuse_singular_matrices) {
   double singular[4] = {1.0, 2.0, 2.0, 4.0}, poisoned[4] = {NAN, 0.0, 0.0, 1.0}, indefinite[4] = {1.0, 2.0, 2.0, 1.0};
   double complex_singular[8] = {1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 4.0, 4.0};
   int pivots[2];
@@ -98,7 +98,7 @@ void test_linear_solvers_refuse_singular_matrices(void) {
 static const flex_tableau *const tableaus[] = {&flex_gauss_2, &flex_gauss_3, &flex_gauss_4, &flex_radau_3};
 
 // a wrong digit in a table costs orders of convergence
-void test_tableaus_meet_the_order_conditions(void) {
+TEST(tableaus_meet_the_order_conditions) {
   for (int t = 0; t < 4; t++) {
     const flex_tableau *m = tableaus[t];
     int s = m->stages;
@@ -130,7 +130,7 @@ void test_tableaus_meet_the_order_conditions(void) {
 }
 
 // b_i a_ij + b_j a_ji = b_i b_j keeps quadratic invariants, the energy of a linear vibration among them (Cooper 1987)
-void test_tableaus_are_symplectic(void) {
+TEST(tableaus_are_symplectic) {
   for (int t = 0; t < 3; t++) {
     const flex_tableau *m = tableaus[t];
     for (int i = 0; i < m->stages; i++)
@@ -165,7 +165,7 @@ static void check_order_conditions(const flex_explicit_tableau *m, const double 
 }
 
 // a wrong fraction in a published table would still integrate, only worse
-void test_explicit_tableaus_meet_the_order_conditions(void) {
+TEST(explicit_tableaus_meet_the_order_conditions) {
   const flex_explicit_tableau *const explicits[] = {&flex_dormand_prince, &flex_runge_kutta_4};
   for (int t = 0; t < 2; t++) {
     const flex_explicit_tableau *m = explicits[t];
@@ -183,7 +183,7 @@ void test_explicit_tableaus_meet_the_order_conditions(void) {
 }
 
 // Newton's method is solved in the eigenvectors: A and A A must come back from them
-void test_tableaus_are_diagonal_in_their_eigenvectors(void) {
+TEST(tableaus_are_diagonal_in_their_eigenvectors) {
   for (int t = 0; t < 4; t++) {
     const flex_tableau *m = tableaus[t];
     for (int i = 0; i < m->stages; i++)
@@ -211,7 +211,7 @@ static void make_inputs(flex_inputs *inputs, double *memory) {
 }
 
 // the plant integrates over the polynomial that the importer has described, from whatever time it was set
-void test_inputs_are_polynomials(void) {
+TEST(inputs_are_polynomials) {
   double memory[64] = {0}, u[2], u1[2], u2[2];
   flex_inputs inputs;
   make_inputs(&inputs, memory);
@@ -237,7 +237,7 @@ void test_inputs_are_polynomials(void) {
 }
 
 // the derivatives of a value belong to it: a new value without them is a constant
-void test_inputs_forget_derivatives_when_set(void) {
+TEST(inputs_forget_derivatives_when_set) {
   double memory[64] = {0}, u[2];
   flex_inputs inputs;
   make_inputs(&inputs, memory);

@@ -9,7 +9,7 @@
 #include "variables.h"
 
 // the motion starts where gravity and loads leave the structure, so that it does not ring from the first moment on
-void test_static_equilibrium_is_found(void) {
+TEST(static_equilibrium_is_found) {
   for (double torque = -0.99; torque < 1.0; torque += 0.33) {
     flex_plant *plant = make_plant(&pendulum, 1e-6);
     set_input(plant, 0, torque);
@@ -23,7 +23,7 @@ void test_static_equilibrium_is_found(void) {
 }
 
 // a torque that no deflection can balance is an answer, not an endless search
-void test_static_equilibrium_may_be_missing(void) {
+TEST(static_equilibrium_may_be_missing) {
   flex_plant *plant = make_plant(&pendulum, 1e-6);
   set_input(plant, 0, 1.5);
   flex_failure failure = flex_plant_begin(plant);
@@ -41,7 +41,7 @@ void test_static_equilibrium_may_be_missing(void) {
 }
 
 // metrics interpolate outputs by their derivatives: both must be exact, also right after an input has changed
-void test_rates_of_outputs_are_exact(void) {
+TEST(rates_of_outputs_are_exact) {
   flex_plant *plant = make_plant(&oscillators, 1e-12);
   const double y[3] = {0.3, -0.2, 0.1}, v[3] = {1.0, 0.5, -2.0};
   plant->p[3] = 0.1;
@@ -78,7 +78,7 @@ void test_rates_of_outputs_are_exact(void) {
 }
 
 // a scene without elastic links is a valid scene
-void test_rigid_models_follow_their_inputs(void) {
+TEST(rigid_models_follow_their_inputs) {
   flex_plant *plant = make_plant(&rigid, 1e-6);
   set_input(plant, 0, -3.0);
   flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 2.0);
@@ -99,7 +99,7 @@ void test_rigid_models_follow_their_inputs(void) {
 }
 
 // a tunable parameter acts from the communication point on, a fixed one is refused
-void test_parameters_may_be_tuned(void) {
+TEST(parameters_may_be_tuned) {
   flex_plant *plant = make_plant(&fragile, 1e-9);
   begin_static(plant);
   advance(plant, 0.0, 0.5, 2);
@@ -112,42 +112,28 @@ void test_parameters_may_be_tuned(void) {
   free_plant(plant);
 }
 
-typedef const double **in;
-typedef double **out;
+CONSTANT(negative_mass, -1.0)
+CONSTANT(no_floor, 1.0, 1.0, 0.0)
+CONSTANT(nan_result, NAN)
 
-static int negative_mass(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = -1.0;
-  return 0;
-}
-
-static int no_floor(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = res[0][1] = 1.0, res[0][2] = 0.0;
-  return 0;
-}
-
-static int refusal(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(refusal) {
   return 1;
 }
 
-static int nan_result(in arg, out res, int *iw, double *w, int mem) {
-  res[0][0] = NAN;
-  return 0;
-}
-
 // M = 1 says the mass matrix, but the residual has M = 4: Newton's corrections grow threefold at any step size
-static int false_mass(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(false_mass) {
   res[0][0] = 4.0 * arg[2][0] - 1.0;
   return 0;
 }
 
 // y'' = 6 y^2, solved by 1/(1 - t)^2
-static int blow_up(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(blow_up) {
   res[0][0] = arg[2][0] - 6.0 * arg[0][0] * arg[0][0];
   return 0;
 }
 
 // y'' = force, but only up to 50 N
-static int picky(in arg, out res, int *iw, double *w, int mem) {
+EQUATION(picky) {
   res[0][0] = arg[3][0] > 50.0 ? NAN : arg[2][0] - arg[3][0];
   return 0;
 }
@@ -165,7 +151,7 @@ static void check_start(const flex_model *model, flex_outcome outcome, const cha
 }
 
 // whatever a model does wrong has its own sentence, and reading outputs says the same instead of giving numbers
-void test_failures_are_explained(void) {
+TEST(failures_are_explained) {
   flex_model model = fragile;
   model.mass_matrix.call = negative_mass;
   check_start(&model, FLEX_NOT_DEFINITE, "mass matrix is not positive definite");
@@ -175,7 +161,7 @@ void test_failures_are_explained(void) {
   model = fragile;
   model.minimum_margin = 3.0;
   check_start(&model, FLEX_TOO_SINGULAR, "distance between the elbows (m) is 2, but must be at least 3");
-  const flex_function fragile_parts[] = {{refusal, 9, 1, 0, 0}, {nan_result, 9, 1, 0, 0}};
+  const flex_function fragile_parts[] = {FUNCTION(refusal), FUNCTION(nan_result)};
   for (int k = 0; k < 2; k++) {
     flex_function *const parts[] = {&model.derive, &model.initial_inputs, &model.residual, &model.mass_matrix};
     for (int i = 0; i < 4; i++) {
@@ -201,7 +187,7 @@ void test_failures_are_explained(void) {
 }
 
 // equations that no step size makes solvable end the search, with the plant as it was
-void test_unsolvable_equations_are_given_up(void) {
+TEST(unsolvable_equations_are_given_up) {
   flex_model model = fragile;
   model.residual.call = false_mass;
   flex_plant *plant = make_plant(&model, 1e-6);
@@ -217,7 +203,7 @@ void test_unsolvable_equations_are_given_up(void) {
 }
 
 // a solution that ends has to be followed to its end and left there, finite
-void test_blow_up_is_reported(void) {
+TEST(blow_up_is_reported) {
   flex_model model = fragile;
   model.residual.call = blow_up;
   for (double tolerance = 1e-3; tolerance > 0.9e-9; tolerance *= 1e-3) {
@@ -235,7 +221,7 @@ void test_blow_up_is_reported(void) {
 }
 
 // the energy of a pendulum under torque changes by its power: rates of a nonlinear model
-void test_rates_follow_the_power(void) {
+TEST(rates_follow_the_power) {
   flex_plant *plant = make_plant(&pendulum, 1e-11);
   const double y[1] = {0.4}, v[1] = {1.5};
   begin_at(plant, y, v);
@@ -250,7 +236,7 @@ void test_rates_follow_the_power(void) {
 }
 
 // an input that the model cannot bear gives an error, and the next one that it can gives the motion again
-void test_bad_inputs_leave_no_trace(void) {
+TEST(bad_inputs_leave_no_trace) {
   flex_model model = fragile;
   model.residual.call = picky;
   flex_plant *plant = make_plant(&model, 1e-6);

@@ -19,11 +19,9 @@ from typer.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
 from mutants import (
-    BEHAVIOUR,
     DESCRIPTION,
     LIBRARY,
     MUTANTS,
-    Files,
     Mutant,
     compile_spring,
     described,
@@ -32,7 +30,7 @@ from mutants import (
     zipped,
 )
 
-from flexfmu.cosim.cli.main import app, validate
+from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.errors import ArchiveError
@@ -105,27 +103,6 @@ def test_mutants_that_need_not_run_are_found(found: Found) -> None:
     assert [each.name for each in still if not found(each)] == []
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    {
-        "guid empty": "guid: the attribute guid is empty",
-        "guid of another build": "instantiation: fmi2Instantiate returns no instance",
-        "start beyond max": "starts at 2.0, outside -1.0 to 1.0",
-        "unknown element": "model description: ",
-        "no binary": f"binary: {LIBRARY} is missing",
-        "binary of another name": "linux64/ has binaries/linux64/other.so",
-        "binary is text": "not a 64-bit ELF file",
-        "nan_late": "simulation: ",
-        "cut off": "build it again",
-        "no archive": "no intact FMU",
-        "description in a folder": "modelDescription.xml is missing",
-    }.items(),
-)
-def test_messages_of_what_is_usual(found: Found, name: str, message: str) -> None:
-    """Each names the check, what was found and where."""
-    assert message in "\n".join(map(str, found(mutant(name))))
-
-
 @pytest.mark.parametrize("name", NAMED)
 def test_spoilt_behaviour_is_found(found: Found, name: str) -> None:
     """What costs users most, each by the check for it."""
@@ -141,29 +118,40 @@ PARTS = 6
 def test_mutants_that_run_are_found(found: Found, part: int) -> None:
     """All but those that no run can tell from a sound FMU."""
     running = [each for each in MUTANTS if each.runs and each.name not in {*NAMED, "hang"}][part::PARTS]
-    assert len(MUTANTS) >= 170
     findings = {each.name: found(each) for each in running}
     assert {name for name, listed in findings.items() if not listed} == UNKNOWABLE & set(findings)
     assert [str(each) for listed in findings.values() for each in listed if not each.remedy] == []
 
 
 @pytest.mark.parametrize(
-    ("name", "check", "words"),
-    [
-        ("function missing", "binary", "does not export fmi2CancelStep"),
-        ("binary for another processor", "binary", "another processor"),
-        ("start beyond max", "start value", "starts at 2.0, outside -1.0 to 1.0"),
-        ("value reference of two parameters", "value reference", "stiffness and damping share the value reference 6"),
-        ("unit's exponent", "units", "N/m is defined with m=1"),
-        ("dependency out of range", "model description", "refers to variable 20 of 14"),
-        ("folder in capitals", "archive", "Resources/data.txt is where no tool looks; call it resources"),
-    ],
+    ("name", "words"),
+    {
+        "guid empty": "guid: the attribute guid is empty",
+        "guid of another build": "instantiation: fmi2Instantiate returns no instance",
+        "start beyond max": "starts at 2.0, outside -1.0 to 1.0",
+        "unknown element": "model description: ",
+        "no binary": f"binary: {LIBRARY} is missing",
+        "binary of another name": "linux64/ has binaries/linux64/other.so",
+        "binary is text": "not a 64-bit ELF file",
+        "binary for another processor": "another processor",
+        "function missing": "does not export fmi2CancelStep",
+        "nan_late": "simulation: ",
+        "cut off": "build it again",
+        "no archive": "no intact FMU",
+        "description in a folder": "modelDescription.xml is missing",
+        "value reference of two parameters": "value reference: stiffness and damping share the value reference 6",
+        "unit's exponent": "units: N/m is defined with m=1",
+        "dependency out of range": "model description: Outputs refers to variable 20 of 14",
+        "folder in capitals": "archive: Resources/data.txt is where no tool looks; call it resources",
+        "another version": "fmiVersion is 2.1: FMUs of version 2.0 are checked, of 3.0 the description",
+    }.items(),
 )
-def test_findings_say_what_and_where(found: Found, name: str, check: str, words: str) -> None:
-    """Name, value and remedy in one line, with the section of the standard."""
-    lines = [str(each) for each in found(mutant(name)) if each.check == check]
-    assert any(words in line and "[FMI 2.0.4, 2." in line for line in lines)
+def test_findings_say_what_and_where(found: Found, name: str, words: str) -> None:
+    """Check, name, value and remedy in one line, with the section of the standard where the description is at fault."""
+    lines = [str(each) for each in found(mutant(name)) if words in str(each)]
+    assert lines
     assert all("\n" not in line for line in lines)
+    assert "[FMI 2.0.4, 2." in lines[0] or not words.startswith(("value reference:", "units:", "archive:"))
 
 
 def test_findings_of_one_kind_are_one_line(found: Found, library: bytes) -> None:
@@ -299,21 +287,6 @@ def test_index_out_of_range_is_told_once(found: Found) -> None:
     assert not any("list index" in line for line in lines)
 
 
-def test_help_has_whole_paragraphs() -> None:
-    """The terminal breaks lines, the text does not."""
-    text, _, _ = (validate.__doc__ or "").partition("Args:")
-    paragraphs = text.strip().split("\n\n")
-    assert [text for text in paragraphs if "\n" in text] == []
-
-
-def test_other_versions_get_one_line(found: Found) -> None:
-    """An FMU of another version isn't judged by the rules of this one."""
-    findings = found(mutant("another version"))
-    assert [each.message for each in findings] == [
-        "fmiVersion is 2.1: FMUs of version 2.0 are checked, of 3.0 the description"
-    ]
-
-
 def test_unusual_dependencies_are_found(found: Found, tmp_path: Path) -> None:
     """A library that needs others, looks for them where it was built, or shows its insides, loads there alone."""
     library = compile_spring(tmp_path, "-DVISIBLE", "-Wl,--no-as-needed", "-lstdc++", "-Wl,-rpath,/opt/mine")
@@ -335,11 +308,8 @@ def test_robots_with_coarse_steps_have_no_findings(tmp_path: Path, drive: str, s
 
 
 def test_mutants_are_mutants(library: bytes, tmp_path: Path) -> None:
-    """Each name stands for one mutant, the library knows those that behave, and fmpy finds nothing in the sound FMU."""
+    """Each name stands for one mutant, and fmpy finds nothing in the sound FMU."""
     names = [each.name for each in MUTANTS]
-    assert len(set(names)) == len(names)
-    assert set(names) >= UNKNOWABLE
-    assert all(f"{each.name}\0".encode() in library for each in BEHAVIOUR)
-    sound: Files = spring_files(library)
-    (tmp_path / "spring.fmu").write_bytes(zipped(sound))
+    assert len({*names} | UNKNOWABLE) == len(names) >= 170
+    (tmp_path / "spring.fmu").write_bytes(zipped(spring_files(library)))
     assert validate_by_fmpy(str(tmp_path / "spring.fmu")) == []
