@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from blocks import c_function
+from blocks import c_function, sampled
 from fmpy import simulate_fmu
 
 import flexfmu
@@ -30,6 +31,7 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 INPUTS = [
     f"joint{j}.{kind}" for kind in ("reference.position", "reference.velocity", "position", "velocity") for j in (1, 2)
@@ -81,6 +83,19 @@ def section(path: Path, **changes: Any) -> dict[str, Any]:
     }
 
 
+def pd_block(path: Any, **changes: Any) -> SymbolicBlock:
+    """The block of PD control in C."""
+    keys = {key: value for key, value in section(path, **changes).items() if key not in ("kind", "source")}
+    block: SymbolicBlock = c_function(changes.get("source", str(path)), **keys)
+    return block
+
+
+def single(source: Any, **keys: Any) -> SymbolicBlock:
+    """The block of a function of one input and one output."""
+    block: SymbolicBlock = c_function(source, inputs=["in"], outputs=["out"], sample_time=H, **keys)
+    return block
+
+
 @pytest.mark.slow
 def test_it_is_the_built_in_pd(write: Write, robot: Scene, tmp_path: Path) -> None:
     """The same numbers as `pd` in the loop, as an exported FMU and as an SSP file, with the names of the scene."""
@@ -106,37 +121,15 @@ def test_states_parameters_and_time(write: Write) -> None:
     """y_k = a x_k + sin(t_k), x_k+1 = x_k + u_k, the time counted from the first instant's offset; both to the last bit but the
     sine's."""
     path = write("sums", "y[0] = p[0] * x[0] + sin(t); next_x[0] = x[0] + u[0];", "#include <math.h>")
-    block = c_function(
-        path, inputs=["in"], outputs=["out"], parameters={"a": 3.0}, states=[0.25], sample_time=H, offset=0.1
-    )
-    slave, u = BlockSlave(block), np.random.default_rng(3).normal(size=30)
-    slave.initialize(0.0, 1.0, None)
-    x, value = 0.25, np.empty(1)
-    for k in range(30):
-        slave.set(np.array([0]), u[k : k + 1])
-        slave.sample(0.1 + k * H)
-        slave.get(np.array([2]), value)
-        assert value[0] == pytest.approx(3.0 * x + np.sin(0.1 + k * H), rel=1e-15, abs=1e-15)
-        x += u[k]
+    u = np.random.default_rng(3).normal(size=30)
+    y = sampled(single(path, parameters={"a": 3.0}, states=[0.25], offset=0.1), u)[:, 0]
+    x = 0.25 + np.concatenate([[0.0], np.cumsum(u[:-1])])
+    np.testing.assert_allclose(y, 3.0 * x + np.sin(0.1 + H * np.arange(30)), rtol=1e-14, atol=1e-15)
 
 
 def test_loop_in_c_calls_it(write: Write) -> None:
-    """No Python in a sample; and the run is isolated, since C may crash."""
-    slave = BlockSlave(
-        c_function(
-            write("own_pd", PD), inputs=INPUTS, outputs=OUTPUTS, parameters={"kp": 1.0, "kd": 1.0}, sample_time=H
-        )
-    )
-    assert any(isinstance(call, Evaluation) for call in slave.sample_calls("sample") or ())
-    assert isolation(None, [slave], 1.0, caller_owned=True) is not None
-
-
-def test_compiled_block_includes_it(write: Write) -> None:
-    """Compiled C of output and update has the same numbers as CasADi's virtual machine."""
-    block = c_function(
-        write("own_pd", PD), inputs=INPUTS, outputs=OUTPUTS, parameters={"kp": 7.0, "kd": 3.0}, sample_time=H
-    )
-    found = []
+    """No Python in a sample; compiled C has the numbers of CasADi's virtual machine; and the run is isolated, since C may crash."""
+    block, found = pd_block(write("own_pd", PD)), []
     for compiled in (False, True):
         slave, values = BlockSlave(block, compiled=compiled), np.empty(2)
         slave.set(np.arange(8), np.linspace(-1.0, 1.0, 8))
@@ -144,6 +137,8 @@ def test_compiled_block_includes_it(write: Write) -> None:
         slave.get(np.array([10, 11]), values)
         found.append(values)
     assert found[0].tolist() == found[1].tolist() != [0.0, 0.0]
+    assert any(isinstance(call, Evaluation) for call in slave.sample_calls("sample") or ())
+    assert isolation(None, [slave], 1.0, caller_owned=True) is not None
 
 
 def test_several_files(write: Write, tmp_path: Path) -> None:
@@ -152,18 +147,11 @@ def test_several_files(write: Write, tmp_path: Path) -> None:
     (tmp_path / "half.c").write_text('#include "half.h"\ndouble half(double x) { return 0.5 * x; }\n')
     first = write("halved", "y[0] = half(u[0]);", '#include "half.h"')
     files = [first, tmp_path / "half.c", tmp_path / "half.h"]
-    slave, value = (
-        BlockSlave(c_function([str(each) for each in files], inputs=["in"], outputs=["out"], sample_time=H)),
-        np.empty(1),
-    )
-    slave.set(np.array([0]), np.array([3.0]))
-    slave.initialize(0.0, 1.0, None)
-    slave.get(np.array([1]), value)
-    assert value[0] == 1.5
+    assert sampled(single([str(each) for each in files]), [3.0]) == 1.5
 
 
 @pytest.mark.skipif("sys.platform != 'linux'", reason="shared libraries are taken on Linux")
-def test_a_shared_library_is_in_the_fmu(write: Write, robot: Scene, tmp_path: Path) -> None:
+def test_a_shared_library_is_in_the_fmu(write: Write, tmp_path: Path) -> None:
     """The FMU holds the library, whatever its SONAME, and needs no other file: it runs after that is gone; and two libraries of one
     name are two."""
     found = []
@@ -171,15 +159,11 @@ def test_a_shared_library_is_in_the_fmu(write: Write, robot: Scene, tmp_path: Pa
         library = tmp_path / "libgain.so"
         source = write("gain", f"y[0] = {gain} * u[0];")
         subprocess.run(["cc", "-shared", "-fPIC", "-Wl,-soname,libgain.so.7", "-o", library, source], check=True)
-        block = c_function(library, inputs=["in"], outputs=["out"], sample_time=H)
-        slave, value = BlockSlave(block), np.empty(1)
+        block = single(library)
         fmu = build_fmu(block, tmp_path / f"gain{gain:g}.fmu").path
         library.unlink()
-        slave.set(np.array([0]), np.array([3.0]))
-        slave.initialize(0.0, 1.0, None)
-        slave.get(np.array([1]), value)
         result = simulate_fmu(str(fmu), start_values={"in": 3.0}, stop_time=2 * H, output=["out"])
-        found += [value[0], result["out"][-1]]
+        found += [sampled(block, [3.0]), result["out"][-1]]
     assert found == [3.0, 3.0, 6.0, 6.0]
 
 
@@ -224,12 +208,9 @@ def test_a_crash_ends_the_run_alone(write: Write, robot: Scene, tmp_path: Path) 
 def test_variables_that_outlive_a_call_are_refused(write: Write, front: str, body: str, named: str) -> None:
     """They would make a repeated sample another one; tables, helpers and types are no such variables."""
     path = write("memory", body, front)
-    arguments: dict[str, Any] = {"inputs": INPUTS, "outputs": OUTPUTS, "sample_time": H}
-    if named:
-        with pytest.raises(InputError, match=re.escape(f"`{named}` keeps its value between calls")):
-            c_function(path, **arguments)
-    else:
-        c_function(path, **arguments)
+    refused = pytest.raises(InputError, match=re.escape(f"`{named}` keeps its value between calls"))
+    with refused if named else nullcontext():
+        pd_block(path, parameters={})
 
 
 @pytest.mark.skipif("sys.platform != 'linux'", reason="shared libraries are taken on Linux")
@@ -253,15 +234,9 @@ def test_a_library_with_memory_is_refused(write: Write, tmp_path: Path, front: s
     path = tmp_path / "libkept.so"
     source = write("kept", ("" if "next_x" in body else "next_x[0] = 0.0;") + body, front)
     subprocess.run(["cc", "-shared", "-fPIC", "-o", path, source], check=True)
-    arguments: dict[str, Any] = {"inputs": ["in"], "outputs": ["out"], "sample_time": H, "states": [0.0]}
-    if repeats:
-        c_function(path, **arguments)
-    else:
-        with pytest.raises(
-            InputError,
-            match=r"libkept\.so: kept keeps values between calls: with equal arguments (out|next_x\[0\]) was",
-        ):
-            c_function(path, **arguments)
+    words = r"libkept\.so: kept keeps values between calls: with equal arguments (out|next_x\[0\]) was"
+    with nullcontext() if repeats else pytest.raises(InputError, match=words):
+        single(path, states=[0.0])
 
 
 def test_an_output_that_the_function_does_not_write_is_no_number(write: Write, robot: Scene) -> None:
@@ -282,54 +257,51 @@ def test_an_output_that_the_function_does_not_write_is_no_number(write: Write, r
         ({"inputs": ["a", "a"]}, "two variables are named 'a'"),
         ({"units": {"joint1.torqe": "N.m"}}, "did you mean 'joint1.torque'"),
         ({"source": "missing.c"}, "can't read the C file missing.c"),
+        ({"source": 3}, "`source`.*got 3"),
     ],
 )
 def test_wrong_input_is_named(write: Write, changes: dict[str, Any], message: str) -> None:
     """Every mistake is said in a sentence with what would do."""
-    given: dict[str, Any] = {
-        "source": write("own_pd", PD),
-        "inputs": INPUTS,
-        "outputs": OUTPUTS,
-        "sample_time": H,
-        **changes,
-    }
-    with pytest.raises(InputError, match=message):
-        c_function(**given)
+    with pytest.raises((InputError, SceneError), match=message):
+        pd_block(write("own_pd", PD), **changes)
 
 
-def test_another_signature_is_refused(tmp_path: Path) -> None:
-    """The compiler sees the prototype; the message has the signature."""
-    path = tmp_path / "short.c"
-    path.write_text("void short_one(double t, double *y) { y[0] = t; }\n")
-    with pytest.raises(InputError, match=r"void short_one\(double t, const double \*u, const double \*p"):
-        c_function(path, "short_one", inputs=["u"], outputs=["y"], sample_time=H)
+HALF = "double half(double x);\ndouble half(double x) { return 0.5 * x; }\n"
 
 
-def test_a_missing_symbol_is_named(write: Write, tmp_path: Path) -> None:
-    """The linker's own lines say which; and what is defined twice."""
-    arguments: dict[str, Any] = {"inputs": ["in"], "outputs": ["out"], "sample_time": H}
-    path = write("uses", "y[0] = absent(u[0]) + gone();", "double absent(double x);\ndouble gone(void);")
-    with pytest.raises(
-        InputError, match="nothing defines absent, gone; add the C file or library that does to `source`"
-    ):
-        c_function(path, **arguments)
-    (tmp_path / "more.c").write_text("double half(double x);\ndouble half(double x) { return 0.5 * x; }\n")
-    first = write("doubled", "y[0] = half(u[0]);", "double half(double x) { return x; }")
-    with pytest.raises(InputError, match="half") as refused:
-        c_function([str(first), str(tmp_path / "more.c")], **arguments)
+@pytest.mark.parametrize(
+    ("body", "front", "more", "message"),
+    [
+        (
+            None,
+            "void f(double t, double *y) { y[0] = t; }\n",
+            "",
+            r"void f\(double t, const double \*u, const double \*p",
+        ),
+        (
+            "y[0] = absent(u[0]) + gone();",
+            "double absent(double x);\ndouble gone(void);",
+            "",
+            "nothing defines absent, gone; add the C file or library that does to `source`",
+        ),
+        ("y[0] = half(u[0]);", "double half(double x) { return x; }", HALF, "half"),
+    ],
+    ids=["another signature", "a missing symbol", "one that is defined twice"],
+)
+def test_what_compiler_and_linker_say(write: Write, body: str | None, front: str, more: str, message: str) -> None:
+    """The compiler sees the prototype; the linker's own lines say which symbol is missing or there twice, without noise."""
+    path = write("f", body or "", front)
+    if body is None:
+        path.write_text(front)
+    (path.parent / "more.c").write_text(more)
+    with pytest.raises(InputError, match=message) as refused:
+        single([str(path), str(path.parent / "more.c")], function="f")
     assert "exit status" not in str(refused.value)
-    assert SIGNATURE.format("doubled") not in str(refused.value)
+    assert body is None or SIGNATURE.format("f") not in str(refused.value)
 
 
 def test_a_file_of_the_runtime_keeps_its_name(write: Write, tmp_path: Path) -> None:
     """A user's file can't replace one that every FMU has."""
-    block = c_function(write("taken", "y[0] = u[0];"), inputs=["in"], outputs=["out"], sample_time=H)
-    header = {**block.c_files, "model.h": ""}
+    block = single(write("taken", "y[0] = u[0];"))
     with pytest.raises(ModelError, match=r"'model\.h' has the name of a file of every FMU; rename it"):
-        build_fmu(replace(block, c_files=header), tmp_path / "x.fmu")
-
-
-def test_section_says_what_it_takes() -> None:
-    """A source that is no path is named with its key."""
-    with pytest.raises(SceneError, match=r"controller\[0\].*source.*got 3"):
-        load_scene("barnard2012-6kg").replace({"controller": [section(Path("x.c"), source=3)]})
+        build_fmu(replace(block, c_files={**block.c_files, "model.h": ""}), tmp_path / "x.fmu")

@@ -55,7 +55,7 @@ def branching(reference: Any, measurement: Any, *, stiffness: float = 5e3, dampi
     return stiffness * error[:2] + damping * error[2:]
 
 
-def sampled(slave: Any, inputs: np.ndarray) -> np.ndarray:
+def stepped(slave: Any, inputs: np.ndarray) -> np.ndarray:
     """Outputs (N, outputs) for inputs (N, inputs)."""
     kinds = [each.causality for each in slave.variables]
     read = np.array([i for i, kind in enumerate(kinds) if kind == "output"])
@@ -66,6 +66,11 @@ def sampled(slave: Any, inputs: np.ndarray) -> np.ndarray:
         slave.sample(k * H)
         slave.get(read, found[k])
     return found
+
+
+def law_of(function: Callable[..., Any], **options: Any) -> FunctionController:
+    """The controller of a function with four inputs and one output."""
+    return flexfmu.controller(**{"sample_time": H, **SINGLE, **options})(function)
 
 
 def test_both_ways_are_the_built_in_pd(robot: Scene) -> None:
@@ -92,7 +97,7 @@ def test_time_state_and_parameters(symbolic: bool) -> None:
     assert [each.name for each in slave.variables if each.causality == "parameter"] == ["a", "b[1]", "b[2]"]
     states = 0.5 + np.concatenate([[0.0], np.cumsum(u[:-1, 1] - u[:-1, 2])])
     expected = 2.0 * states + 4.0 * (0.02 + H * np.arange(20))
-    np.testing.assert_allclose(sampled(slave, u)[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(stepped(slave, u)[:, 0], expected, rtol=1e-12)
     # rollback: a sample repeated from a saved state is the same
     saved = slave.save()
     slave.sample(0.1)
@@ -129,7 +134,7 @@ def test_usual_operations_are_traced(index: int) -> None:
     slave, u = law.slave(), np.random.default_rng(2).normal(size=(5, 4))
     assert isinstance(slave, BlockSlave)
     expected = [np.array(function(row[:2], row[2:]), dtype=float).ravel() for row in u]
-    np.testing.assert_allclose(sampled(slave, u), expected, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(stepped(slave, u), expected, rtol=1e-14, atol=1e-14)
 
 
 def test_traced_function_leaves_as_an_fmu(robot: Scene, tmp_path: Path) -> None:
@@ -145,17 +150,16 @@ def test_traced_function_leaves_as_an_fmu(robot: Scene, tmp_path: Path) -> None:
         export_slaves(other, tmp_path)
 
 
-def test_arguments_may_be_changed_in_place() -> None:
+@pytest.mark.parametrize("symbolic", [None, False])
+def test_arguments_may_be_changed_in_place(symbolic: bool | None) -> None:
     """A function that adds to its state in place is no other function."""
 
-    @flexfmu.controller(sample_time=H, state=[1.0], **SINGLE)
     def law(reference: Any, state: Any) -> Any:
         state += reference[0]
         return state[0], state
 
-    for symbolic in (None, False):
-        slave = flexfmu.controller(sample_time=H, state=[1.0], symbolic=symbolic, **SINGLE)(law.function).slave()
-        np.testing.assert_allclose(sampled(slave, np.full((4, 4), 2.0))[:, 0], [3.0, 5.0, 7.0, 9.0], rtol=1e-15)
+    slave = law_of(law, state=[1.0], symbolic=symbolic).slave()
+    np.testing.assert_allclose(stepped(slave, np.full((4, 4), 2.0))[:, 0], [3.0, 5.0, 7.0, 9.0], rtol=1e-15)
 
 
 def test_impure_functions_are_refused() -> None:
@@ -166,20 +170,13 @@ def test_impure_functions_are_refused() -> None:
         sums.append(1.0)
         return float(len(sums))
 
-    def draws() -> float:
-        return random.random()
-
-    for function in (remembers, draws):
+    for function in (remembers, random.random):
         with pytest.raises(InputError, match="gives other values for the same arguments: what it keeps"):
-            flexfmu.controller(sample_time=H, **SINGLE)(function).slave()
+            law_of(function).slave()
     sums.clear()
-    tried = flexfmu.controller(sample_time=H, symbolic=False, **SINGLE)(remembers).slave()
+    tried = law_of(remembers, symbolic=False).slave()
     assert isinstance(tried, FunctionSlave)
     assert not sums
-
-
-def law_of(function: Callable[..., Any], **options: Any) -> FunctionController:
-    return flexfmu.controller(**{"sample_time": H, **SINGLE, **options})(function)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +249,7 @@ def test_failures_in_the_run_end_it(robot: Scene) -> None:
     run = flexfmu.run(robot, controllers=[undefined])
     assert run.message == "undefined failed at 0.011 s: joint2.torque isn't finite"
     with pytest.raises(SlaveError):
-        sampled(fails.slave(), np.zeros((20, 8)))
+        stepped(fails.slave(), np.zeros((20, 8)))
 
 
 def test_block_is_named_and_described() -> None:
