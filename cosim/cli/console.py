@@ -13,7 +13,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from hashlib import sha256
 from io import StringIO
 from pathlib import Path
@@ -142,21 +142,23 @@ def abandon_stdout() -> None:
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - lives as long as the process
 
 
-FAILURE, USAGE, TERMINATED = 1, 2, 143
+FAILURE, USAGE = 1, 2
+
+ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
+"""Signals that end the program in good order; the status is 128 + the signal's number. SIGHUP tells of a lost terminal."""
 
 TERMINATION_GRACE = 5.0
-"""How long a call of a library, an FMU's for example, may keep the program from ending after SIGTERM [s]."""
+"""How long a call of a library, an FMU's for example, may keep the program from ending after one of `ENDING` [s]."""
 
 
 @contextmanager
 def orderly_termination() -> Iterator[None]:
-    """SIGTERM ends the program like Ctrl-C: results so far are written, temporary folders removed; the status is 143.
+    """Signals of `ENDING` end the program like Ctrl-C: results so far are written, temporary folders removed.
 
-    Without that, folders with unpacked FMUs would stay. A program that hangs in a library's call ends all the same.
+    Without that, folders with unpacked FMUs would stay. A program that hangs in a library's call ends all the same. A signal that is
+    ignored, SIGHUP under nohup, stays so.
     """
-    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
+    handled = [each for each in ENDING if signal.getsignal(each) is signal.SIG_DFL]
     asked: list[int] = []
 
     def interrupt(number: int, _: object) -> Never:
@@ -166,14 +168,15 @@ def orderly_termination() -> Iterator[None]:
     def watch(reading: int) -> None:
         """Python calls handlers between its own instructions alone, but writes the signal's number here at once."""
         while number := os.read(reading, 1):
-            if number[0] == signal.SIGTERM:
+            if number[0] in handled:
                 sleep(TERMINATION_GRACE)
                 if not asked:
-                    os._exit(TERMINATED)
+                    os._exit(128 + number[0])
 
     # where Python's handler may wait for a library's call, a thread watches as well
-    signal.signal(signal.SIGTERM, interrupt)
-    if os.name == "posix":
+    for each in handled:
+        signal.signal(each, interrupt)
+    if handled and os.name == "posix":
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -182,7 +185,7 @@ def orderly_termination() -> Iterator[None]:
         yield
     except SystemExit:
         if asked:
-            sys.exit(TERMINATED)
+            sys.exit(128 + asked[0])
         raise
 
 
@@ -220,10 +223,11 @@ def one_line_errors() -> Iterator[None]:
 
 
 def show_note(message: str) -> None:
-    """Write an error, a warning or a note as one line to standard error, if there is one."""
+    """Write an error, a warning or a note as one line to standard error, if there is one: a terminal may be lost."""
     stderr: TextIO | None = sys.stderr
     if stderr is not None:
-        print(f"flexfmu: {' '.join(message.split())}", file=stderr)
+        with suppress(OSError):
+            print(f"flexfmu: {' '.join(message.split())}", file=stderr)
 
 
 def _showing(others: Callable[..., None]) -> Callable[..., None]:

@@ -43,7 +43,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     # a default for --help: to check one that isn't given, typer would load pydantic
     context_settings={"help_option_names": ["-h", "--help"], "default_map": {"help": False}},
-    epilog="Exit status: 0 done, 1 it ran and failed, 2 wrong usage or input, 143 ended by SIGTERM. Results go to "
+    epilog="Exit status: 0 done, 1 it ran and failed, 2 wrong usage or input, 129, 131, 143 ended by SIGHUP, SIGQUIT, SIGTERM. Results go to "
     "standard output, progress to standard error.",
 )
 

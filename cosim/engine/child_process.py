@@ -130,9 +130,8 @@ class _Supervisor:
 
     def _gone(self) -> bool:
         """Return whether the child has ended."""
-        if self._status is None:
-            process, status = os.waitpid(self._child, os.WNOHANG)
-            self._status = status if process else None
+        if self._status is None and os.waitid(os.P_PID, self._child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+            self._end()
         return self._status is not None
 
     def _how(self) -> str:
@@ -154,8 +153,14 @@ class _Supervisor:
         """Close the pipe, and kill the child if it is still running."""
         os.close(self._reading)
         if not self._gone():
-            os.kill(self._child, signal.SIGKILL)
-            self._status = os.waitpid(self._child, 0)[1]
+            self._end()
+
+    def _end(self) -> None:
+        """Kill the child's session, with processes that its code has started, before its number is free for others; keep the status."""
+        for kill in (os.killpg, os.kill):  # a child that has just begun is in no session of its own
+            with suppress(ProcessLookupError):
+                kill(self._child, signal.SIGKILL)
+        self._status = os.waitpid(self._child, 0)[1]
 
 
 def _flush() -> None:
@@ -179,6 +184,8 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
     """Run the action in the child, send its result or exception, and exit without the parent's clean-up."""
     code = 1
     try:
+        # a session of its own: what its code starts ends with it
+        os.setsid()
         # end with the parent, which may have ended already
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:
@@ -193,7 +200,7 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
         sys.stdout, sys.stderr = (getattr(each, "rich_proxied_file", each) for each in (sys.stdout, sys.stderr))
         # signals of the child must not reach the parent's event loop
         signal.set_wakeup_fd(-1)
-        # the parent receives Ctrl-C as well and passes it on as SIGTERM
+        # the parent passes Ctrl-C on as SIGTERM
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})

@@ -21,10 +21,10 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from itertools import islice
 from math import inf
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from threading import Lock
+from threading import Lock, Thread
 from time import monotonic
 from typing import Any, Generic, TypeVar
 
@@ -237,9 +237,11 @@ class Processes(Generic[S, T]):
 def _serve(
     work: Callable[[S], T], pipe: Connection, other: Connection, unpacked: str, leave: Callable[[], object]
 ) -> None:
-    """Work on items until the pipe is closed. Ctrl-C is for the parent, which then ends its processes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Work on items until the pipe is closed. What a terminal sends is for the parent, which then ends its processes."""
+    for name in {"SIGINT", "SIGHUP", "SIGQUIT"} & set(dir(signal)):
+        signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    Thread(target=_end_with_parent, daemon=True).start()
     other.close()
     tempfile.tempdir = unpacked
     # without the locks of a progress bar, and without warnings of every item
@@ -254,6 +256,14 @@ def _serve(
                 found = error
             pipe.send(found)
     leave()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent has ended, however long its work would take: nobody waits for the result."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
 
 
 def _timed(work: Callable[[S], T], items: Sequence[S]) -> tuple[list[T], float]:

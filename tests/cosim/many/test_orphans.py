@@ -1,0 +1,96 @@
+"""Processes that work for another one end with it, and so does what foreign code has started."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from time import monotonic, sleep
+
+import pytest
+
+from flexfmu.cosim.engine.child_process import in_child
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at processes as Linux shows them")
+
+WORKING = """
+import os, sys, time
+from flexfmu.cosim.many.executor import mapping
+
+def work(item):
+    print(os.getpid(), flush=True)
+    time.sleep(600)
+
+with mapping(work, 2) as mapped:
+    list(mapped([1, 2]))
+"""
+
+ENDING = """
+import sys, time, typer
+from flexfmu.cosim.cli.console import one_line_errors, orderly_termination
+
+def command():
+    with one_line_errors():
+        print("ready", flush=True)
+        time.sleep(600)
+
+with orderly_termination():
+    typer.run(command)
+"""
+
+
+def is_running(process: int) -> bool:
+    """Whether there is such a process that hasn't ended."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def ended(process: int) -> bool:
+    """Whether a process ends soon."""
+    end = monotonic() + 60.0
+    while is_running(process) and monotonic() < end:
+        sleep(0.02)
+    return not is_running(process)
+
+
+def test_busy_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    """SIGKILL leaves the parent no time to end them."""
+    (tmp_path / "working.py").write_text(WORKING)
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "working.py")], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    workers = [int(parent.stdout.readline()) for _ in range(2)]
+    parent.kill()
+    parent.wait()
+    assert all(map(ended, workers))
+    parent.stdout.close()
+
+
+def test_what_foreign_code_starts_ends_with_its_run() -> None:
+    """Also where it outlives the call that started it."""
+    assert ended(in_child(lambda: subprocess.Popen(["sleep", "600"]).pid, lambda: None, 60.0))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_signals_end_a_command_in_good_order(number: signal.Signals) -> None:
+    """With one line, and the status that shells expect; under nohup a lost terminal changes nothing."""
+    for ignored in (False, True) if number is signal.SIGHUP else (False,):
+        process = subprocess.Popen(
+            [sys.executable, "-c", ENDING],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=(lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) if ignored else None,
+        )
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        os.kill(process.pid, number)
+        if ignored:
+            sleep(0.2)
+            os.kill(process.pid, signal.SIGTERM)
+        problem = process.communicate(timeout=60)[1]
+        assert process.returncode == 128 + (signal.SIGTERM if ignored else number)
+        assert problem == "flexfmu: interrupted\n"
