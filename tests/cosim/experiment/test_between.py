@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from blocks import pd
+from python_slave import SampledSlave
 
 import flexfmu
 from flexfmu.cosim.control.shapers import Shaper
-from flexfmu.cosim.engine.errors import InputError, WiringError
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
@@ -109,15 +110,15 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_imperfection_can_act_on_every_signal(robot: Scene, kind: str, signal: str) -> None:
+def test_every_imperfection_can_act_on_every_signal(robot: Scene, kind: str) -> None:
     """Imperfections that are next to nothing change next to nothing, wherever they act."""
     short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3, "controller": [COMPUTED_TORQUE]})
-    section = {"kind": kind, "signal": signal, **KINDS[kind]}
-    run = run_scene(short.replace({"imperfection": [section]}))
+    run = run_scene(
+        short.replace({"imperfection": [{"kind": kind, "signal": each, **KINDS[kind]} for each in SIGNALS]})
+    )
     assert run.completed
-    assert run.slaves[-1].sample_time == 1e-3
+    assert [each.sample_time for each in run.slaves[-len(SIGNALS) :]] == [1e-3] * len(SIGNALS)
     assert (measure_run(run, companions=0)["peak_tracking_error_1"].value or 1.0) < 1e-3
 
 
@@ -149,64 +150,37 @@ def test_a_lag_without_a_sample_time_is_the_limit_of_short_ones(robot: Scene, si
     assert halfway() == pytest.approx(2.0 * fine - coarse, abs=0.1 * abs(fine - coarse))
 
 
-def test_noise_is_the_same_for_the_same_seed(robot: Scene) -> None:
-    """And another one for another seed."""
-    short = robot.replace({"trajectory.dwell": 0.0, "controller": [COMPUTED_TORQUE]})
-
-    def torque(seed: int) -> np.ndarray:
-        noise = {"kind": "noise", "standard_deviation": 1e-5, "seed": seed}
-        return run_scene(short.replace({"imperfection": [noise]})).recording["joint1.torque"].values
-
-    np.testing.assert_array_equal(torque(1), torque(1))
-    assert abs(torque(1) - torque(2)).max() > 1e-3
-
-
-def test_an_exported_controller_in_the_scene_file(robot: Scene, tmp_path: Path) -> None:
-    """The FMU of a controller moves the robot as its Python twin does, and its parameters can be set."""
+def test_an_exported_controller(robot: Scene, tmp_path: Path) -> None:
+    """The FMU of a controller moves the robot as its Python twin does: from the scene file, with its parameters, and by its path,
+    which stands for the block that it was exported from, sampled at the same instants, no step late."""
     short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
-    build_fmu(pd(5e3, 100.0, sample_time=1e-3), tmp_path / "pd.fmu")
+    path = build_fmu(pd(5e3, 100.0, sample_time=1e-3), tmp_path / "mine.fmu").path
     gains = {f"joint{joint}.proportional_gain": 1e4 for joint in (1, 2)}
-    section = {"kind": "fmu", "path": str(tmp_path / "pd.fmu"), "name": "mine", "parameters": gains}
-    exported = run_scene(short.replace({"controller": [section]})).recording
-    python = flexfmu.run(short, controllers=[pd(1e4, 100.0, sample_time=1e-3)]).recording
-    for name in ("joint1.position", "end_effector.position.y"):
-        twin = np.interp(exported.time, python.time, python[name].values)
-        np.testing.assert_allclose(exported[name].values, twin, rtol=0.0, atol=1e-12)
-    assert "mine.joint1.torque" in exported.columns
+    section = {"kind": "fmu", "path": str(path), "name": "mine", "parameters": gains}
+    for gain, exported in (
+        (1e4, run_scene(short.replace({"controller": [section]}))),
+        (5e3, flexfmu.run(short, controllers=[path])),
+    ):
+        assert {each.name: each.sample_time for each in exported.slaves}["mine"] == 1e-3
+        assert {each.seconds for each in exported.delays} == {0.0}
+        python = flexfmu.run(short, controllers=[pd(gain, 100.0, sample_time=1e-3)]).recording
+        for name in ("joint1.position", "end_effector.position.y"):
+            twin = np.interp(exported.recording.time, python.time, python[name].values)
+            np.testing.assert_allclose(exported.recording[name].values, twin, rtol=0.0, atol=1e-12)
 
 
-def test_an_exported_controller_by_its_path(robot: Scene, tmp_path: Path) -> None:
-    """An FMU's path stands for the block that it was exported from: sampled at the same instants, no step late."""
-    short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
-    block = pd(5e3, 100.0, sample_time=1e-3)
-    build_fmu(block, tmp_path / "mine.fmu")
-    exported = flexfmu.run(short, controllers=[tmp_path / "mine.fmu"])
-    assert {each.name: each.sample_time for each in exported.slaves}["mine"] == 1e-3
-    for delay in exported.delays:
-        assert delay.seconds == 0.0
-    python = flexfmu.run(short, controllers=[block]).recording["joint1.position"]
-    found = exported.recording["joint1.position"]
-    np.testing.assert_allclose(found.values, python.values, rtol=0.0, atol=1e-12)
-
-
-class Constant:
-    """A slave with foreign names that puts out what it was told."""
+class Constant(SampledSlave):
+    """A slave with foreign names that outputs what it is made with."""
 
     name = "foreign"
     sample_time = 1e-3
     variables = (SlaveVariable("in", "input"), SlaveVariable("out", "output"))
 
     def __init__(self, value: float) -> None:
-        self._value = value
+        super().__init__()
+        self.memory[1] = value
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def set(self, indices: Any, values: Any) -> None: ...
     def sample(self, time: float) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
-
-    def get(self, indices: Any, values: Any) -> None:
-        """The constant."""
-        values[:] = self._value
 
 
 def test_foreign_names_are_connected_explicitly(robot: Scene) -> None:
@@ -223,19 +197,11 @@ def test_foreign_names_are_connected_explicitly(robot: Scene) -> None:
     assert run.recording["joint1.torque"].values[-1] == -15.0
 
 
-@pytest.mark.parametrize(
-    ("target", "message"),
-    [
-        ("joint1.positon", "pd has no input 'joint1.positon'; did you mean 'joint1.position'"),
-        ("foo", "pd has no input 'foo'; it has: joint1.reference.position"),
-        ("nobody.foo", "there is no slave 'nobody'"),
-    ],
-)
-def test_misspelt_connections_name_their_table(robot: Scene, target: str, message: str) -> None:
-    """A name in `connect` that fits no input is told with the slave whose table it stands in."""
-    section = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
-    with pytest.raises(WiringError, match=message):
-        run_scene(robot.replace({"controller": [section | {"connect": {target: "joint1.position"}}]}))
+BROKEN = {
+    "broken_class": "class Mine:\n    def __init__(self):\n        raise KeyError('gain')\n",
+    "broken_module": "1 / 0\n",
+    "broken_syntax": "def damper(:\n",
+}
 
 
 @pytest.mark.parametrize(
@@ -245,43 +211,25 @@ def test_misspelt_connections_name_their_table(robot: Scene, target: str, messag
         ("math:thing", "module math has no 'thing'"),
         ("math:sqrt", "math:sqrt\\(\\)"),
         ("math:pi", "a float can't be a slave"),
+        ("broken_class:Mine", r"Mine\(\): KeyError: 'gain' \(.*broken_class\.py, line 3\)"),
+        (
+            "broken_module:Mine",
+            r"can't import broken_module: ZeroDivisionError: .* \(.*broken_module\.py, line 1\)",
+        ),
+        ("broken_syntax:Mine", r"broken_syntax isn't valid Python: .*line 1"),
     ],
 )
-def test_own_sources_that_fail_are_named(robot: Scene, source: str, message: str) -> None:
-    """Module, name, call and kind are checked, each with its sentence."""
+def test_own_sources_that_fail_are_named(robot: Scene, tmp_path: Path, source: str, message: str) -> None:
+    """Module, name, call and kind are checked, each with its sentence; what a user's file raises is told with its line."""
+    for name, text in BROKEN.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    section = {"kind": "python", "source": source, "folder": str(tmp_path)}
     with pytest.raises(InputError, match=message):
-        run_scene(robot.replace({"controller": [{"kind": "python", "source": source}]}))
+        loop_of(robot.replace({"controller": [section]}))
 
 
-def test_own_sources_that_raise_are_one_line(robot: Scene, tmp_path: Path) -> None:
-    """Whatever a user's class or module raises becomes a message with its kind, words, file and line."""
-    (tmp_path / "broken_class.py").write_text("class Mine:\n    def __init__(self):\n        raise KeyError('gain')\n")
-    (tmp_path / "broken_module.py").write_text("1 / 0\n")
-    expected = {
-        "broken_class": r"Mine\(\): KeyError: 'gain' \(.*broken_class\.py, line 3\)",
-        "broken_module": r"can't import broken_module: ZeroDivisionError: .* \(.*broken_module\.py, line 1\)",
-    }
-    for module, message in expected.items():
-        section = {"kind": "python", "source": f"{module}:Mine", "folder": str(tmp_path)}
-        with pytest.raises(InputError, match=message):
-            run_scene(robot.replace({"controller": [section]}))
-
-
-def test_state_space_and_state_feedback_from_the_scene_file(robot: Scene) -> None:
-    """Matrices of the file are the controller; LQG weights of the file make one that arrives."""
-    gain = 1e4
-    section = {
-        "kind": "state-space",
-        "A": [[0.0]],
-        "B": [[0.0, 0.0, 0.0, 0.0]],
-        "C": [[0.0], [0.0]],
-        "D": [[gain, 0.0, -gain, 0.0], [0.0, gain, 0.0, -gain]],
-        "inputs": ["joint1.reference.position", "joint2.reference.position", "joint1.position", "joint2.position"],
-        "outputs": ["joint1.torque", "joint2.torque"],
-        "sample_time": 2.5e-4,
-    }
-    spring = loop_of(robot.replace({"controller": [section]})).controllers[0]
-    assert spring.name == "state_space"
+def test_state_feedback_from_the_scene_file(robot: Scene) -> None:
+    """LQG weights of the file make a controller that arrives."""
     lqg = run_scene(robot.replace({"controller": [{"kind": "state-feedback", "sample_time": 1e-3}]}))
     end = abs(lqg.recording["joint1.position"].values[-1] - lqg.recording["joint1.reference.position"].values[-1])
     assert lqg.completed

@@ -12,19 +12,15 @@ from blocks import pd
 
 import flexfmu
 from flexfmu.cosim.cli import run as command
-from flexfmu.cosim.engine.errors import WiringError
-from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.parameters import holding_torques
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, LOOP_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.schema import Scene
-
-COMPUTED_TORQUE = {"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0, "sample_time": 1e-3}
 
 
 @pytest.fixture(scope="module")
@@ -81,19 +77,19 @@ def test_computed_torque_follows_the_plan(run: Run) -> None:
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("offset", [0.0, 5e-4])
-def test_first_row_is_the_standstill(robot: Scene, offset: float) -> None:
+def test_first_row_is_the_standstill(robot: Scene, controlled: Scene, offset: float) -> None:
     """Left of the start, and until a late first sample, every slave puts out what it makes of the robot at rest: the
     controller behind an encoder sees the true angles, so its torques hold the robot but for the encoder's step and the
     links' sag, and the jump of the reference acceleration comes with the first sample."""
     sections = {
-        "controller": [COMPUTED_TORQUE | {"offset": offset}],
+        "controller.computed-torque.offset": offset,
         "imperfection": [{"kind": "encoder", "counts_per_turn": 1e7}],
         "trajectory.profile": {"kind": "bang-bang"},
         "trajectory.dwell": 0.0,
         "trajectory.duration": 0.8,
         "cosimulation.step": 5e-4,
     }
-    recording = run_scene(robot.replace(sections)).recording
+    recording = run_scene(controlled.replace(sections)).recording
     before = recording.time < offset if offset else np.arange(recording.time.size) < 1
     for joint in (1, 2):
         torque, angle = (recording[f"joint{joint}.{kind}"].values for kind in ("torque", "position"))
@@ -107,20 +103,10 @@ def test_first_row_is_the_standstill(robot: Scene, offset: float) -> None:
 
 def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:
     """The torque that acts on the robot is the controller's, held between its samples."""
-    torque = run.recording["joint1.torque"].values
+    time, torque = run.recording.time, run.recording["joint1.torque"].values
     np.testing.assert_array_equal(torque, run.recording["computed_torque.joint1.torque"].values)
-    assert (
-        measure_run(run, companions=0)["peak_torque_1"].value
-        == abs(torque[run.recording.time <= run.plan.duration]).max()
-    )
-    held = np.diff(torque)[np.diff(run.recording.time) > 0.0]
-    assert abs(held).max() == 0.0
-
-
-def test_motion_driven_scenes_have_their_metrics_alone(robot: Scene) -> None:
-    """Joints that follow their references exactly have no tracking error."""
-    run = run_scene(robot.replace({"cosimulation.drive": "motion"}))
-    assert list(values(run)) == list(COMMON_METRICS)
+    assert values(run)["peak_torque_1"] == abs(torque[time <= run.plan.duration]).max()
+    assert abs(np.diff(torque)[np.diff(time) > 0.0]).max() == 0.0
 
 
 def test_the_python_way_gives_the_same_numbers(robot: Scene) -> None:
@@ -140,17 +126,10 @@ def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run
     assert (values(heavy)["peak_tracking_error_1"] or 0.0) > 5.0 * (values(run)["peak_tracking_error_1"] or 1.0)
     by_python = flexfmu.run(
         controlled,
-        controllers=heavy_controllers(controlled),
+        controllers=loop_of(controlled).controllers,
         imperfections=[flexfmu.imperfections.payload_error(relative=0.3)],
     )
     np.testing.assert_array_equal(by_python.recording["joint1.torque"].values, heavy.recording["joint1.torque"].values)
-
-
-def heavy_controllers(scene: Scene) -> list[object]:
-    """The controllers of a scene's own sections."""
-    from flexfmu.cosim.experiment.scene_loop import loop_of
-
-    return list(loop_of(scene).controllers)
 
 
 def test_the_summary_lists_slaves_and_delays(run: Run) -> None:
@@ -164,52 +143,6 @@ def test_the_summary_lists_slaves_and_delays(run: Run) -> None:
         "read at the sample instants"
         in delays["plant.joint1.position -> computed_torque.joint1.position"]["description"]
     )
-
-
-class Failing:
-    """A controller that gives up after a tenth of a second."""
-
-    name = "mine"
-    sample_time = 1e-3
-    variables = (SlaveVariable("joint1.position", "input", "rad"), SlaveVariable("joint1.torque", "output", "N.m"))
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """The torque that about holds the start pose."""
-        values[:] = -15.73
-
-    def sample(self, time: float) -> None:
-        """Fail sooner or later."""
-        if time > 0.0995:
-            raise RuntimeError("no idea what to do")
-
-
-@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.RunWarning")
-def test_a_failing_controller_keeps_the_beginning(robot: Scene) -> None:
-    """The message names slave, time and reason, and what was recorded until then is there."""
-    run = flexfmu.run(robot, controllers=[Failing()])
-    assert run.outcome is Outcome.STEP_FAILED
-    assert run.message.startswith("mine failed at 0.1 s: RuntimeError: no idea what to do")
-    assert run.recording.time[-1] == pytest.approx(0.1)
-
-
-def test_imperfections_of_torques_need_a_controller(robot: Scene) -> None:
-    """A saturation without anything to saturate is a mistake."""
-    scene = robot.replace({"imperfection": [{"kind": "saturation", "limit": 50.0}]})
-    with pytest.raises(WiringError, match=r"saturation acts on joint1\.torque.* needs a controller"):
-        run_scene(scene)
-
-
-def test_foreign_effects_are_refused(robot: Scene, run: Run) -> None:
-    """An FMU without the scene's friction would silently be another robot."""
-    from flexfmu.cosim.engine.errors import InputError
-
-    rough = robot.replace({"effects.joint_friction": {"viscous": 0.5}})
-    with pytest.raises(InputError, match=r"the FMU lacks joint_friction\.viscous"):
-        run_scene(rough, fmu_path=Path(run.fmu_path))
 
 
 QUITTER = """

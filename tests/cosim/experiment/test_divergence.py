@@ -39,12 +39,13 @@ def largest_multiplier(robot: Scene, derivative: float) -> float:
     return float(abs(np.linalg.eigvals(a - b @ gains @ c)).max())
 
 
-@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("derivative", [600.0, 1000.0])
 def test_growth_is_that_of_the_linearised_loop(robot: Scene, derivative: float) -> None:
     """A gain that is too high: the run fails where the mechanism no longer assembles, and the growth per sample that the message
-    states is the loop's largest multiplier."""
-    run = controlled(robot, derivative)
+    states is the loop's largest multiplier. A warning says so from Python too."""
+    with pytest.warns(LoopWarning, match="the control loop is unstable"):
+        run = controlled(robot, derivative)
+    assert run.health.unstable_loop == run.health.messages[0]
     assert run.outcome in (Outcome.LOOP_UNSTABLE, Outcome.COUPLING_UNSTABLE)
     assert "unstable" in run.message.partition("in the end plant failed")[0]
     sentence = divergence(run) or ""

@@ -68,12 +68,6 @@ def test_every_blend_and_profile(
     assert len(motion.joints.breakpoints) >= knots - 1
 
 
-def test_infeasible_motions_are_refused(scene: Scene) -> None:
-    """A path out of the workspace is an error while planning, with point, time and margin."""
-    with pytest.raises(TrajectoryError, match=r"reach of leg . .* t = .* s"):
-        plan(scene.replace({"trajectory.height": 0.1, "trajectory.width": 1.4}))
-
-
 def test_a_duration_changes_only_the_time(scene: Scene) -> None:
     """A plan that shares the checks of another duration has the bits of one that was made alone."""
     for kind in ("poly7", "bang-bang"):

@@ -14,11 +14,13 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
 from flexfmu.cosim.engine.master.couplings import GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
+from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.many.prepared_scene import coupling_of, run_scene
+from flexfmu.cosim.experiment.system import CouplingMethod, coupling_of
+from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
@@ -61,93 +63,29 @@ def test_noise_sections_have_numbers_of_their_own(robot: Scene) -> None:
     assert abs(np.corrcoef(*(each[1:] - np.arange(1.0, 200.0) for each in jitters))[0, 1]) < 0.25
 
 
-def test_uniform_noise(robot: Scene) -> None:
-    """With a half width the noise is uniform: it stays within, and has the variance of a uniform one."""
-    (slave,) = imperfections(robot, {"kind": "noise", "half_width": 0.3})
-    found = response(slave, np.zeros(4000))
-    assert 0.299 < abs(found).max() <= 0.3
-    assert found.std() == pytest.approx(0.3 / np.sqrt(3.0), rel=0.02)
-
-
-def test_one_sided_saturation(robot: Scene) -> None:
-    """Lower and upper limits hold each for itself, a single limit both ways."""
-    one_sided, both = imperfections(
-        robot, {"kind": "saturation", "lower": -2.0, "upper": [5.0, 6.0]}, {"kind": "saturation", "limit": 3.0}
-    )
-    np.testing.assert_array_equal(response(one_sided, [-9.0, 1.0, 9.0]), [-2.0, 1.0, 5.0])
-    np.testing.assert_array_equal(response(both, [-9.0, 1.0, 9.0]), [-3.0, 1.0, 3.0])
-
-
-def test_falling_rate(robot: Scene) -> None:
-    """The signal may fall slower than it rises."""
-    (slave,) = imperfections(
-        robot, {"kind": "rate-limit", "signal": "velocity", "rate": 2000.0, "falling_rate": 500.0, "sample_time": 1e-3}
-    )
-    np.testing.assert_allclose(response(slave, [4.0, 4.0, 4.0, 0.0, 0.0]), [2.0, 4.0, 4.0, 3.5, 3.0], rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("interpolation", "error"),
-    [("linear", 3e-2), ({"kind": "lagrange", "order": 3}, 1e-3), ({"kind": "thiran", "order": 3}, 1e-5)],
-)
-def test_interpolation_of_delays(robot: Scene, interpolation: Any, error: float) -> None:
-    """A sine of 20 samples a period comes 3.4 samples later, the better the higher the order."""
-    section = {"kind": "delay", "signal": "velocity", "time": 3.4e-3, "interpolation": interpolation}
-    (slave,) = imperfections(robot, section)
-    k = np.arange(400.0)
-    found = response(slave, np.sin(np.pi / 10.0 * k))[100:]
-    largest = abs(found - np.sin(np.pi / 10.0 * (k[100:] - 3.4))).max()
-    assert 0.05 * error < largest < error
-
-
-@pytest.mark.parametrize(
-    ("anti_windup", "overshoot"),
-    [("clamping", 0), ({"kind": "back-calculation", "tracking_time": 2e-3}, 2), ("none", 100)],
-)
-def test_anti_windup_of_pid(robot: Scene, anti_windup: Any, overshoot: int) -> None:
-    """After a hundred samples in its limit, an integral controller leaves it at once, soon, or after as long again."""
-    section = {
-        "kind": "pid",
-        "proportional": 0.0,
-        "integral": 1e4,
-        "derivative": 0.0,
-        "torque_limit": 1.0,
-        "sample_time": 1e-3,
-        "anti_windup": anti_windup,
-    }
-    (slave,) = loop_of(robot.replace({"controller": [section]})).controllers
-    error = np.repeat([1.0, -1.0], [100, 300])
-    found = response(slave, error)
-    stuck = int(np.argmax(found[100:] < 1.0))
-    assert abs(stuck - overshoot) <= 3, stuck
-
-
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [
-        ({}, (GaussSeidel(), None)),
-        ({"algorithm": "jacobi"}, (Jacobi(), None)),
-        ({"algorithm": "implicit"}, (Implicit(), None)),
+        ({}, CouplingMethod(GaussSeidel(), None, None)),
+        ({"algorithm": "jacobi"}, CouplingMethod(Jacobi(), None, None)),
         (
             {"algorithm": "implicit", "loop_solver": {"kind": "fixed-point", "relaxation": 0.5, "iterations": 7}},
-            (Implicit(FixedPoint(0.5, rounds=7)), FixedPoint(0.5, rounds=7)),
+            CouplingMethod(Implicit(FixedPoint(0.5, rounds=7)), FixedPoint(0.5, rounds=7), None),
         ),
-        ({"loop_solver": {"kind": "anderson", "iterations": 9}}, (GaussSeidel(), Anderson(rounds=9))),
+        (
+            {"loop_solver": {"kind": "anderson", "iterations": 9}},
+            CouplingMethod(GaussSeidel(), Anderson(rounds=9), None),
+        ),
+        (
+            {"step_control": {"tolerance": 1e-3, "minimum": 1e-7, "maximum": 2e-3}},
+            CouplingMethod(GaussSeidel(), None, StepDoubling(1e-3, smallest=1e-7, largest=2e-3)),
+        ),
     ],
 )
-def test_coupling_keys(robot: Scene, keys: dict[str, Any], expected: tuple[Any, Any]) -> None:
-    """Algorithm and solver of the master are what the scene names."""
-    found = coupling_of(robot.replace({f"cosimulation.{key}": value for key, value in keys.items()}).cosimulation)
-    assert (found.algorithm, found.loops) == expected
-    assert found.step_control is None
-
-
-def test_step_control_keys(robot: Scene) -> None:
-    """Steps between minimum and maximum that keep the tolerance."""
-    keys = {"tolerance": 1e-3, "minimum": 1e-7, "maximum": 2e-3}
-    control = coupling_of(robot.replace({"cosimulation.step_control": keys}).cosimulation).step_control
-    assert control is not None
-    assert (control.tolerance, control.smallest, control.largest) == (1e-3, 1e-7, 2e-3)
+def test_coupling_keys(robot: Scene, keys: dict[str, Any], expected: CouplingMethod) -> None:
+    """Algorithm, solver and step control of the master are what the scene names."""
+    scene = robot.replace({f"cosimulation.{key}": value for key, value in keys.items()})
+    assert coupling_of(scene.cosimulation) == expected
 
 
 def test_specified_insensitivity(robot: Scene) -> None:
@@ -275,11 +213,3 @@ def test_modules_are_found_beside_the_scene(tmp_path: Path) -> None:
         assert isinstance(slave, BlockSlave)
         found.append([each.start for each in slave.block.parameters])
     assert found == [[5.0, 10.0], [5.0, 20.0]]
-
-
-def test_broken_modules_are_named(tmp_path: Path) -> None:
-    """A slip in the user's own file is told with its line, not by a traceback."""
-    scene = scene_in(tmp_path, 'kind = "python"\nsource = "broken_controllers:damper"')
-    (tmp_path / "broken_controllers.py").write_text("def damper(:\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"broken_controllers isn't valid Python: .*line 1"):
-        loop_of(scene)
