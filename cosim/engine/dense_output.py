@@ -43,7 +43,7 @@ class CDense(Structure):
 @cache
 def load_interpolation() -> Callable[..., None]:
     """``master_interpolate``; a `BuildError` if it can't be compiled or loaded, for example without a C compiler."""
-    function: Any = shared_library("flexfmu.cosim.engine.master", "c-master").master_interpolate
+    function: Any = shared_library("master").master_interpolate
     function.argtypes = (POINTER(CDense), c_void_p, c_size_t, c_void_p, c_size_t, c_size_t, c_void_p)
     function.restype = None
     interpolate: Callable[..., None] = function

@@ -1,4 +1,7 @@
-"""C libraries of this package: compiled once on a machine, cached under the hash of sources and compiler."""
+"""C libraries of this package: compiled once on a machine, cached under the hash of sources and flags.
+
+A library that is in the cache needs no compiler, like an FMU that is there; a scene's FMU is built together with them.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +12,37 @@ from pathlib import Path
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
-from flexfmu.fmu_build.toolchain import Compiler, find_compiler, native_platform
+from flexfmu.fmu_build.toolchain import COMMON_FLAGS, RUNTIME_FLAGS, find_compiler, native_platform
+
+LIBRARIES = {"master": "flexfmu.cosim.engine.master", "metrics": "flexfmu.cosim.metrics"}
+"""Package of each library; its C files are in the folder ``c-<name>`` there."""
 
 
-def shared_library(package: str, folder: str) -> CDLL:
-    """Load the library of the C files in a package's folder, compiled on its first use on this machine.
+def shared_library(name: str) -> CDLL:
+    """Load a library, compiled on its first use on this machine.
 
     Raises:
         BuildError: it can't be compiled or loaded, for example without a C compiler.
     """
     try:
-        return CDLL(str(_library(package, folder)))
+        return CDLL(str(library_file(name)))
     except OSError as error:
-        raise BuildError(f"can't load the library of {package}/{folder}: {error}") from None
+        raise BuildError(f"can't load the library of {LIBRARIES[name]}/c-{name}: {error}") from None
 
 
-def _library(package: str, folder: str) -> Path:
-    """Path of the shared library in the cache."""
-    found = files(package).joinpath(folder)
-    texts = {file.name: file.read_text(encoding="utf-8") for file in found.iterdir() if file.name[-2:] in (".c", ".h")}
-    platform = native_platform()
-    compiler = find_compiler(platform)
-    key = content_hash(part.encode() for part in (compiler.identity(), *(t for _, t in sorted(texts.items()))))
-    file = f"{folder.removeprefix('c-')}/{key}{platform.suffix}"
-    return cached(file) or store(file, _compile(folder, texts, compiler))
+def library_file(name: str) -> Path:
+    """Path of a library in the cache, compiled where it is missing.
 
+    Raises:
+        BuildError: it can't be compiled.
+    """
+    folder, platform = files(LIBRARIES[name]).joinpath(f"c-{name}"), native_platform()
+    texts = {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name[-2:] in (".c", ".h")}
+    parts = (platform.name, *COMMON_FLAGS, *RUNTIME_FLAGS, *(text for _, text in sorted(texts.items())))
+    file = f"{name}/{content_hash(part.encode() for part in parts)}{platform.suffix}"
+    if (path := cached(file)) is not None:
+        return path
+    from flexfmu.fmu_build.sources import Sources  # loads CasADi, which only compilation needs
 
-def _compile(folder: str, texts: dict[str, str], compiler: Compiler) -> bytes:
-    """Content of the shared library. The import is local because it loads CasADi, which only compilation needs."""
-    from flexfmu.fmu_build.sources import Sources
-
-    return compile_library(Sources(f"flexfmu_{folder.removeprefix('c-')}", "", "", {}, texts, {}), compiler)
+    sources = Sources(f"flexfmu_{name}", "", "", {}, texts, {})
+    return store(file, compile_library(sources, find_compiler(platform)))

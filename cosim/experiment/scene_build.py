@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexfmu.cosim.engine.shared_library import LIBRARIES, library_file
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
 from flexfmu.model.scene.disturbances import disturbance_inputs
 from flexfmu.model.scene.motion import TrajectorySection
@@ -94,7 +95,7 @@ def build_scene(
 
     # end of motion and dwell, rounded: 0.43 + 0.25 = 0.68
     stop_time = float(f"{scene.trajectory.moving_time + scene.trajectory.dwell:.12g}")
-    return build_fmu(
+    built = build_fmu(
         make_model,
         key=scene_key(scene),
         output=output,
@@ -107,3 +108,8 @@ def build_scene(
         cache=cache,
         progress=progress,
     )
+    if not built.cached:
+        # a run with the FMU from the cache shall need no compiler
+        for name in LIBRARIES:
+            library_file(name)
+    return built

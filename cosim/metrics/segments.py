@@ -202,7 +202,7 @@ def library() -> Any:
     Raises:
         BuildError: it can't be compiled or loaded.
     """
-    found: Any = shared_library("flexfmu.cosim.metrics", "c-metrics")
+    found: Any = shared_library("metrics")
     pair, size = POINTER(c_double), POINTER(c_size_t)
     for name, result, arguments in (
         ("prepare", c_size_t, ()),

@@ -227,7 +227,7 @@ RunProgram = Callable[[CProgram, int, CProgress], int]
 def load() -> RunProgram | None:
     """The C function that runs programs; None if it can't be compiled or loaded, for example without a C compiler."""
     try:
-        function: Any = shared_library("flexfmu.cosim.engine.master", "c-master").master_run
+        function: Any = shared_library("master").master_run
     except BuildError:
         return None
     function.argtypes = (POINTER(CProgram), c_size_t, POINTER(CProgress))

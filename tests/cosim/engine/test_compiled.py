@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.master.compiled_loop import load
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment import scene_build
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
@@ -140,8 +144,13 @@ def test_interruption_keeps_what_was_recorded() -> None:
     assert run.recording.time[-1] == pytest.approx(0.05)
 
 
-def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
-    """The run goes on in Python."""
+def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The run goes on in Python; a scene's FMU brings the C libraries into the cache, where they need no compiler."""
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "built"))
+    monkeypatch.setattr(scene_build, "build_fmu", lambda *_, **__: SimpleNamespace(cached=False))
+    build_scene(SCENE)
     monkeypatch.setenv("CC", "there-is-no-such-compiler")
-    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
+    assert load.__wrapped__() is not None
+    assert shared_library("metrics").metrics_peak
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "empty"))
     assert load.__wrapped__() is None
