@@ -8,14 +8,12 @@ import pickle
 from collections.abc import Callable, Collection, Mapping
 from copy import copy, deepcopy
 from dataclasses import replace
-from typing import get_type_hints
 
 import pandas
 import pytest
 
-import flexfmu
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.experiment.metric import Metric, RunMetrics
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Companion, Run
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
@@ -84,15 +82,6 @@ def test_a_metric_is_a_number(run: Run) -> None:
         assert (again.unit, again.name, again.label) == ("N.m", "peak_torque_1", "Peak torque, joint 1")
     assert (metric("settling_time", None).value, math.isnan(metric("settling_time", None))) == (None, True)
     assert pandas.DataFrame([run.metrics, run.metrics]).dtypes["peak_torque_1"] == "float64"
-
-
-def test_the_types_of_metrics_are_known() -> None:
-    """A type checker, an editor's completion and the run agree: `run.metrics.peak_torque_1` is a `flexfmu.Metric`."""
-    assert flexfmu.run.__annotations__["return"] == "Run"
-    assert Run.metrics.func.__annotations__["return"] == "RunMetrics"
-    assert (
-        get_type_hints(RunMetrics.__getattr__)["return"] is get_type_hints(RunMetrics.__getitem__)["return"] is Metric
-    )
 
 
 def test_no_value(make_run: MakeRun) -> None:

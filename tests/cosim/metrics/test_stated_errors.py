@@ -10,14 +10,13 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from python_slave import SampledSlave
 
 import flexfmu
-from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metric_table import display, display_error, printed
@@ -45,23 +44,15 @@ def run() -> Run:
     return run_scene(load_scene("barnard2012-6kg"), communication_step=5e-3, tolerance=1e-4)
 
 
-def held_and_near(
-    study: dict[str, Any], names: list[str], settings: tuple[list[float], list[float]]
-) -> tuple[int, int, int]:
-    """How many metrics there are, are held, and are near."""
-    judged = [one for name in names for one in study["judge"](name, *settings)[1]]
-    return len(judged), sum(one.is_held for one in judged), sum(one.is_near for one in judged)
-
-
 @pytest.mark.slow
 def test_stated_errors_hold(study: dict[str, Any]) -> None:
     """Three scenes of the study, with motions, torques and friction: of all metrics 99 % are within the
     stated error, 90 % above a hundredth of it."""
     names = ["6 kg", "PD, friction", "released, friction"]
-    count, held, near = held_and_near(study, names, ([1e-2, 1e-6], [5e-3]))
-    assert count > 80
-    assert held >= 0.99 * count
-    assert near >= 0.90 * count
+    judged = [one for name in names for one in study["judge"](name, [1e-2, 1e-6], [5e-3])[1]]
+    assert len(judged) > 80
+    assert sum(one.is_held for one in judged) >= 0.99 * len(judged)
+    assert sum(one.is_near for one in judged) >= 0.90 * len(judged)
 
 
 @pytest.mark.slow
@@ -87,9 +78,7 @@ def test_without_a_companion_errors_are_unknown(run: Run) -> None:
 
 def test_a_companion_changes_nothing_in_the_run(run: Run) -> None:
     """The loop's slaves take part in both: the prepared scene's next run is the one before, to the last bit."""
-    controller = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}
-    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "controller": [controller]}
-    prepared = PreparedScene(run.scene.replace(changes), communication_step=5e-3)
+    prepared = PreparedScene(run.scene.replace(LOOP), communication_step=5e-3)
     first = prepared.run()
     assert first.companion is not None
     assert first.companion.communication_step <= 0.5 * 1e-3
@@ -99,48 +88,25 @@ def test_a_companion_changes_nothing_in_the_run(run: Run) -> None:
         assert column.values.tobytes() == second.recording[name].values.tobytes(), name
 
 
-class Spring:
-    """A sampled slave of a user's: ties the motors to their start, and counts its samples."""
+class Counter(SampledSlave):
+    """A sampled slave of a user's that leaves the motors without torque and counts its samples."""
 
-    name, sample_time, samples = "spring", 5e-3, 0
-    variables = (
-        *(SlaveVariable(f"joint{joint}.position", "input", "rad") for joint in (1, 2)),
-        *(SlaveVariable(f"joint{joint}.torque", "output", "N.m") for joint in (1, 2)),
-    )
-
-    def __init__(self) -> None:
-        self.angles, self.torques, self.start = np.zeros(2), np.zeros(2), np.zeros(2)
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Begin anew: the first sample finds the start."""
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        """Angles."""
-        self.angles[indices] = values
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """Torques."""
-        values[:] = self.torques[indices - 2]
+    sample_time, samples = 5e-3, 0
+    variables = tuple(SlaveVariable(f"joint{joint}.torque", "output", "N.m") for joint in (1, 2))
 
     def sample(self, time: float) -> None:
-        """Springs of 100 N.m/rad."""
-        self.start = self.angles.copy() if time == 0.0 else self.start
-        self.torques = 100.0 * (self.start - self.angles)
         self.samples += 1
-
-    def step(self, time: float, step: float) -> None:
-        """Nothing happens between samples."""
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="isolation needs Linux")
 def test_a_companion_leaves_a_user_s_slaves_alone(run: Run) -> None:
     """Whoever looks into their own slave after the run finds what the run left there, not what the companion did."""
-    spring, scene = Spring(), run.scene.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
-    own = flexfmu.run(scene, controllers=[spring], communication_step=5e-3)
-    samples = spring.samples
+    counter, scene = Counter(), run.scene.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    own = flexfmu.run(scene, controllers=[counter], communication_step=5e-3)
+    samples = counter.samples
     assert samples > 100
     assert (measure_run(own)["peak_tracking_error_1"].error or math.inf) < 1e-3
-    assert spring.samples == samples
+    assert counter.samples == samples
 
 
 @pytest.mark.slow
@@ -157,21 +123,11 @@ def test_overdamped_links_give_no_false_alarm(tolerance: float, step: float, err
     assert step > 2e-4 or not list(coarse_metrics(found))
 
 
-def test_a_step_longer_than_the_motion_is_refused() -> None:
-    """One communication step over the whole motion isn't a simulation of it; the message names the remedy."""
-    expected = r"step of 0\.5 s is longer than the motion of 0\.43 s: reduce `cosimulation.step`"
-    with pytest.raises(InputError, match=expected):
-        run_scene(load_scene("barnard2012-6kg"), communication_step=0.5)
-
-
 @pytest.mark.parametrize(
     ("value", "error", "shown", "bound"),
     [
-        (42.3873123, 4e-7, "42.387312 N·m", "1e-6"),
         (73.60460092, 2.18e-6, "73.60460 N·m", "1e-5"),
-        (73.6, 0.03, "73.6 N·m", "0.1"),
         (2117.3, 300.0, "2000 N·m", "1000"),
-        (12345678.9, 1e-3, "12345678.90 N·m", "0.01"),
         (1.2345e-6, 1e-8, "1.2e-06 N·m", "1e-7"),
         (1e-9, 0.5, "0 N·m", "1"),
         (0.0, 2e-15, "0 N·m", ""),
@@ -195,31 +151,6 @@ def test_the_printed_number_is_within_its_bound(value: float, power: float, digi
     if bound and float(text) != 0.0:
         place = round(math.log10(float(bound)))
         assert Decimal(text).as_tuple().exponent == (place if "e" in text else min(place, 0))
-
-
-@pytest.mark.slow
-def test_companions_are_more_accurate_than_they_say(study: dict[str, Any]) -> None:
-    """Drawn scenes at the default tolerance: the printed values are within their errors. In the median these are a
-    tenth of the runs' own where those are worth a word, above a fiftieth of the tolerance."""
-    rng = np.random.default_rng(11)
-    held, gains = [], list[float]()
-    for scene in ("6 kg", "all families, Rayleigh, trapezoidal", "PD"):
-        changes = {
-            "payload.mass": round(rng.uniform(0.0, 8.0), 3),
-            "trajectory.duration": round(rng.uniform(0.2, 0.8), 4),
-            "trajectory.dwell": round(rng.uniform(0.02, 0.2), 4),
-            "mechanism.proximal.diameter": round(rng.uniform(0.03, 0.05), 4),
-        }
-        drawn = study["scene_of"](scene).replace(changes)
-        found = measure_run(run_scene(drawn))
-        exact = measure_run(run_scene(drawn, tolerance=1e-11, communication_step=1e-4), companions=0)
-        for name, one in found.items():
-            if one.value is None or one.error is None or one.own_error is None:
-                continue
-            held.append(abs(one.value - (exact[name].value or 0.0)) <= one.error + 1e-11 * abs(one.value))
-            gains += [one.own_error / one.error] if one.own_error > 2e-8 * abs(one.value) else []
-    assert sum(held) >= 0.995 * len(held) - 1
-    assert np.median(gains) > 10.0
 
 
 @pytest.mark.slow
@@ -251,16 +182,16 @@ def test_orders_that_are_known(run: Run) -> None:
     assert shares == [1.0, 0.1, 1.0]
 
 
-@pytest.mark.parametrize("extra", [1e-7, 1e-11])
-def test_a_short_step_does_not_spoil_the_acceleration(extra: float) -> None:
+def test_a_short_step_does_not_spoil_the_acceleration() -> None:
     """A motion that ends just beyond a communication point: differences of rounded positions over that step squared are noise,
     in the value as in its error."""
     scene = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.01})
     usual = measure_run(run_scene(scene), companions=0)["rms_acceleration_error"].value or 0.0
-    found = measure_run(run_scene(scene.replace({"trajectory.duration": 0.43 + extra})))["rms_acceleration_error"]
-    assert abs((found.value or 0.0) - usual) < 1e-5 * usual
-    assert (found.error or math.inf) < 1e-6
-    assert (found.own_error or math.inf) < 1e-5
+    for extra in (1e-7, 1e-11):
+        found = measure_run(run_scene(scene.replace({"trajectory.duration": 0.43 + extra})))["rms_acceleration_error"]
+        assert abs((found.value or 0.0) - usual) < 1e-5 * usual
+        assert (found.error or math.inf) < 1e-6
+        assert (found.own_error or math.inf) < 1e-5
 
 
 @pytest.mark.parametrize(("dwell", "exists"), [(1e-9, True), (1e-10, False)])
