@@ -91,36 +91,6 @@ def test_error_estimate_of_a_single_segment_is_pessimistic() -> None:
     assert Analysis(alone).errors[0] > largest_error(alone, 2.0)[0]
 
 
-def test_maximum_lies_between_communication_points() -> None:
-    """The peak of a vibration is found although no communication point hits it."""
-    assert Analysis(sine_segments(0.01, 12.0)).peak()[0] == pytest.approx(1.0, abs=1e-9)
-
-
-def test_maximum_of_a_polynomial_is_exact() -> None:
-    """t (1 - t) (t - 0.3) has closed-form extrema; the quintic reproduces the cubic exactly."""
-    polynomial = np.polynomial.Polynomial([0.0, -0.3, 1.3, -1.0])
-    nodes = np.array([[polynomial.deriv(k)(t) if k else polynomial(t) for t in (0.0, 1.0)] for k in range(3)])[
-        :, :, np.newaxis
-    ]
-    segments = HermiteSegments(np.zeros(1), np.ones(1), nodes[:, :1], nodes[:, 1:])
-    assert Analysis(segments).peak()[0] == pytest.approx(
-        np.abs(polynomial(polynomial.deriv().roots())).max(), rel=1e-13
-    )
-
-
-def test_norm_of_a_circle_is_constant() -> None:
-    """The norm goes over the channels: cosine and sine together have norm one everywhere."""
-    sine, cosine = sine_segments(0.01, 4.0), sine_segments(0.01, 4.0, phase=0.3 + np.pi / 2)
-    circle = HermiteSegments(
-        sine.start,
-        sine.end,
-        np.concatenate([sine.left, cosine.left], axis=2),
-        np.concatenate([sine.right, cosine.right], axis=2),
-    )
-    assert Analysis(circle).peak()[0] == pytest.approx(1.0, rel=1e-10)
-    assert Analysis(circle).mean_products()[0] == pytest.approx(1.0, rel=1e-10)
-
-
 def test_mean_square_against_closed_form() -> None:
     """Integral of sin^2 over [0, 1] by exact quadrature of the interpolant."""
     omega, phase = 7.0, 0.3
@@ -134,13 +104,6 @@ def test_bisection_keeps_the_polynomial() -> None:
     first, second = cut(control)
     np.testing.assert_allclose(first[-1], second[0])
     assert maximum_norm(control) == pytest.approx(max(maximum_norm(first), maximum_norm(second)), rel=1e-12)
-
-
-def test_nan_does_not_hide() -> None:
-    """A NaN anywhere makes the maximum NaN instead of being skipped."""
-    control = np.zeros((6, 3, 1))
-    control[2, 1, 0] = np.nan
-    assert np.isnan(maximum_norm(control))
 
 
 def added(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:

@@ -32,25 +32,23 @@ OMEGA = 2.0 * math.pi
 MOTOR = Motor(continuous_torque=1.0, peak_torque=3.0, maximum_speed=300.0, gear_ratio=10.0, gear_efficiency=0.8)
 
 
+def waves(offset: float, amplitude: float, shift: int = 0, steps: int = 500) -> Column:
+    """A constant plus a derivative of a sine of one period, over one period of 1 s."""
+    phase = OMEGA * np.linspace(0.0, 1.0, steps + 1)
+    column = [amplitude * OMEGA**k * np.sin(phase + 0.5 * math.pi * k) for k in range(shift, shift + 3)]
+    return Column("", column[0] + offset, *column[1:])
+
+
 def loaded(
-    run: Run, torque: tuple[float, float], speed: tuple[float, float], motor: Motor = MOTOR, steps: int = 500
+    run: Run, torque: tuple[float, ...], speed: tuple[float, float], motor: Motor = MOTOR, steps: int = 500
 ) -> MotorLoad:
-    """The load of motor 1: torque and speed are constants plus sines of one period, over one period of 1 s."""
-    time = np.linspace(0.0, 1.0, steps + 1)
-
-    def column(offset: float, amplitude: float, shift: int = 0) -> Column:
-        waves = [
-            amplitude * OMEGA ** (k + shift) * np.sin(OMEGA * time + 0.5 * math.pi * (k + shift)) for k in range(3)
-        ]
-        waves[0] = waves[0] + offset
-        return Column("", *waves)
-
+    """The load of motor 1, whose torque and speed are `waves`."""
     columns = {}
     for joint in ("joint1", "joint2"):
-        columns[f"{joint}.torque"] = column(*torque)
-        columns[f"{joint}.reference.velocity"] = column(*speed)
-        columns[f"{joint}.reference.acceleration"] = column(0.0, speed[1], 1)
-    return motor_loads(replace(run, recording=Recording(time, columns)), motor)[0]
+        columns[f"{joint}.torque"] = waves(*torque, steps=steps)  # type: ignore[arg-type]
+        columns[f"{joint}.reference.velocity"] = waves(*speed, steps=steps)
+        columns[f"{joint}.reference.acceleration"] = waves(0.0, speed[1], 1, steps=steps)
+    return motor_loads(replace(run, recording=Recording(np.linspace(0.0, 1.0, steps + 1), columns)), motor)[0]
 
 
 @pytest.fixture(scope="module")
@@ -101,14 +99,7 @@ def test_motor_inertia_counts_once(make_run: MakeRun) -> None:
     motor = replace(MOTOR, rotor_inertia=2e-3, gear_efficiency=1.0)
     included = 2e-3 * 10.0**2
     run = make_run(changes={"effects.motor_inertia": included})
-    time = np.linspace(0.0, 1.0, 501)
-    speed = [5.0 * OMEGA**k * np.sin(OMEGA * time + 0.5 * math.pi * k) for k in range(5)]
-    columns = {}
-    for joint in ("joint1", "joint2"):
-        columns[f"{joint}.torque"] = Column("", *(included * each for each in speed[1:4]))
-        columns[f"{joint}.reference.velocity"] = Column("", *speed[:3])
-        columns[f"{joint}.reference.acceleration"] = Column("", *speed[1:4])
-    load = motor_loads(replace(run, recording=Recording(time, columns)), motor)[0]
+    load = loaded(run, (0.0, included * 5.0, 1), (0.0, 5.0), motor)
     assert load.margins[0].value == pytest.approx(2e-3 * 10.0 * 5.0 * OMEGA, rel=1e-9)
 
 
