@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from base64 import b64decode
 from dataclasses import replace
 from math import nan
 from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.results import Column, Recording
@@ -59,22 +61,15 @@ def test_rows_are_told_in_every_form() -> None:
     assert picture.startswith(b"\x89PNG")
 
 
-class ManyRuns(Runs):
-    """More runs than a notebook shows, with a column that is empty."""
-
-    def rows(self) -> list[dict[str, Any]]:
-        """None failed."""
-        return [{"run": f"r{k}", "torque": float(k), "message": "", "error": None} for k in range(SHOWN + 5)]
-
-
-def test_a_notebook_shows_the_first_rows_without_empty_columns() -> None:
+def test_a_notebook_shows_the_first_rows_without_empty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     """The others are counted."""
-    html = ManyRuns().html_tables()
+    rows = [{"run": f"r{k}", "torque": float(k), "message": "", "error": None} for k in range(SHOWN + 5)]
+    monkeypatch.setattr(Runs, "rows", lambda self: rows)
+    html = Runs().html_tables()
     assert html.count("<tr>") == 1 + SHOWN
     assert "5 more" in html
-    assert "message" not in html
-    assert "error" not in html
-    assert list(ManyRuns().to_pandas().columns) == ["torque", "message", "error"]
+    assert not re.search("message|error", html)
+    assert list(Runs().to_pandas().columns) == ["torque", "message", "error"]
 
 
 def test_signals_that_would_be_flat_have_axes_of_their_own() -> None:
@@ -87,11 +82,8 @@ def test_signals_that_would_be_flat_have_axes_of_their_own() -> None:
         "y": Column("m", np.full(50, 0.3)),
     }
     figure = Recording(t, columns).plot(list(columns))
-    assert [[line.get_label() for line in axes.lines] for axes in figure.axes] == [
-        ["x", "y"],
-        ["torque"],
-        ["deflection"],
-    ]
+    shown = [" ".join(str(line.get_label()) for line in axes.lines) for axes in figure.axes]
+    assert shown == ["x y", "torque", "deflection"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["[m]", "[N·m]", "[m]"]
 
 
