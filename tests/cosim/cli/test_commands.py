@@ -21,7 +21,7 @@ from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.workprec.trial import RunError
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import EquilibriumError
-from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.file import load_scene, read_scene_text
 
 MakeRun = Callable[..., Run]
 SCENE = "barnard2012-6kg"
@@ -71,23 +71,18 @@ def test_run_writes_the_formats_that_are_asked_for(simulated: Callable[..., None
     assert (units["time"], units["joint1.torque"]) == ("s", "N.m")
 
 
-def test_run_json_is_the_summary_and_nothing_else(simulated: Callable[..., None], tmp_path: Path) -> None:
-    """Standard output holds exactly what summary.json holds."""
-    simulated()
-    result = flexfmu("run", SCENE, "--out", str(tmp_path), "--json")
-    assert result.exit_code == 0
-    assert result.stdout == (tmp_path / "summary.json").read_text(encoding="utf-8")
-    assert json.loads(result.stdout)["scene"]["name"] == SCENE
-
-
 def test_the_report_is_drawn_on_request(simulated: Callable[..., None], tmp_path: Path) -> None:
-    """--json doesn't draw unless --report is given, and leaves no report of an earlier run; --no-report saves the time."""
+    """--json prints what summary.json holds and nothing else; it doesn't draw unless --report is given, and leaves no report of
+    an earlier run; --no-report saves the time."""
     simulated()
     drawn = []
     for options in (["--json", "--report"], ["--json"], [], ["--no-report"]):
         result = flexfmu("run", SCENE, "--out", str(tmp_path), *options)
         assert result.exit_code == 0
         drawn.append((tmp_path / "report.html").is_file())
+        if "--json" in options:
+            assert result.stdout == (tmp_path / "summary.json").read_text(encoding="utf-8")
+            assert json.loads(result.stdout)["scene"]["name"] == SCENE
     assert drawn == [True, False, True, False]
     assert "results.csv and summary.json are in" in result.stdout
 
@@ -126,38 +121,27 @@ def test_metrics_that_cannot_be_computed_do_not_lose_the_recording(
 
 
 @pytest.mark.parametrize(
-    ("error", "status"),
+    "error",
     [
-        (MissingCompilerError("no C compiler found; install gcc"), 1),
-        (KeyboardInterrupt(), 1),
-        (ResultsError("can't write results.csv: No space left on device"), 1),
-        (OSError(28, "No space left on device"), 1),
-        (RunError("plant failed at 0.1 s"), 1),
+        MissingCompilerError("no C compiler found; install gcc"),
+        KeyboardInterrupt(),
+        ResultsError("can't write results.csv: No space left on device"),
+        OSError(28, "No space left on device"),
+        RunError("plant failed at 0.1 s"),
     ],
 )
-def test_failures_are_one_line(
-    simulated: Callable[..., None], tmp_path: Path, error: BaseException, status: int
-) -> None:
-    """Every failure that a user can meet is one line on standard error, nothing on standard output."""
+def test_failures_are_one_line(simulated: Callable[..., None], tmp_path: Path, error: BaseException) -> None:
+    """Every failure that a user can meet is one line on standard error, nothing on standard output; a mistake of ours keeps its
+    traceback. A folder below a file can't be made: the simulation isn't even started."""
     simulated(error=error)
     result = flexfmu("run", SCENE, "--out", str(tmp_path))
-    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (status, "", 1)
-
-
-def test_mistakes_of_ours_keep_their_traceback(simulated: Callable[..., None], tmp_path: Path) -> None:
-    """An unexpected error isn't hidden behind a friendly line."""
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (1, "", 1)
     simulated(error=ZeroDivisionError("a mistake"))
     assert isinstance(flexfmu("run", SCENE, "--out", str(tmp_path)).exception, ZeroDivisionError)
-
-
-def test_unwritable_folder_is_found_before_the_simulation(simulated: Callable[..., None], tmp_path: Path) -> None:
-    """A folder below a file can't be made: status 1, and the simulation isn't even started."""
-    simulated(error=ZeroDivisionError("must not be simulated"))
     (tmp_path / "file").write_text("")
     result = flexfmu("run", SCENE, "--out", str(tmp_path / "file" / "out"))
-    assert result.exit_code == 1
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert "Not a directory" in result.stderr
-    assert result.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -189,20 +173,11 @@ def test_full_disk_leaves_no_half_file(
 WRONG_SCENES = {
     "unknown key": ('name = "x"', 'nmae = "x"', "name"),
     "missing key": ("mass = 6.0", "", "payload.mass"),
-    "wrong type": ("mass = 6.0", 'mass = "six"', "payload.mass"),
-    "out of range": ("mass = 6.0", "mass = -0.1", "payload.mass"),
     "beyond the model's range": ("mass = 6.0", "mass = 1e9", "payload.mass"),
-    "not a number": ("mass = 6.0", "mass = nan", "payload.mass"),
     "not TOML": ("mass = 6.0", "mass = ", "TOML"),
-    "out of reach": ("start = [-0.175, 0.320]", "start = [-0.175, 3.2]", "reaches 0.14"),
     "path leaves the workspace": ("width = 0.350", "width = 1.350", "reach"),
-    "blends overlap": ("width = 0.025 }", "width = 0.2 }", "width"),
-    "contradicting mode": ('working_mode = "elbows-out"', 'working_mode = "elbows-in"', "mode"),
-    "unknown blend": ('kind = "lame"', 'kind = "circle"', "blend.kind"),
     "unfeasible clothoid": ('kind = "lame", height = 0.025', 'kind = "clothoid", height = 0.010', "clothoid"),
 }
-
-
 FINE_FOR = {
     "build": {"path leaves the workspace", "unfeasible clothoid"},  # the FMU doesn't depend on the path
     "modes": {"beyond the model's range"},  # frequencies need no FMU, but so heavy a robot has no equilibrium
@@ -219,22 +194,14 @@ def test_wrong_scene_files_are_one_line_and_status_2(
 ) -> None:
     """Each mistake names the key and the file, in one line, with exit status 2."""
     old, new, named = WRONG_SCENES[mistake]
-    shipped = _shipped_text()
-    text = shipped.replace('name = "barnard2012-6kg"', 'name = "x"').replace(old, new)
-    assert text != shipped.replace('name = "barnard2012-6kg"', 'name = "x"')
-    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    shipped = read_scene_text(SCENE)[0].replace(f'name = "{SCENE}"', 'name = "x"')
+    assert old in shipped
+    (tmp_path / "scene.toml").write_text(shipped.replace(old, new), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "cache"))
     result = flexfmu(command, "scene.toml")
     assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1), result.stderr
     assert named in result.stderr
-
-
-def _shipped_text() -> str:
-    """The text of a shipped scene."""
-    from importlib.resources import files
-
-    return files("flexfmu.model.scene").joinpath("scenes", f"{SCENE}.toml").read_text(encoding="utf-8")
 
 
 SHIPPED = "barnard2012-0.1kg.*barnard2012-6kg"
@@ -289,11 +256,10 @@ def test_modes_json_has_the_contract_s_poses() -> None:
     assert poses[2]["x"] == pytest.approx(0.175)
 
 
-def test_modes_of_a_rigid_robot_are_none(tmp_path: Path) -> None:
+def test_modes_of_a_rigid_robot_are_none() -> None:
     """A rigid scene has no frequencies, and that is no error."""
-    text = _shipped_text().replace("proximal_bending = 3", "").replace("distal_axial = 3", "")
-    (tmp_path / "rigid.toml").write_text(text, encoding="utf-8")
-    result = flexfmu("modes", str(tmp_path / "rigid.toml"), "--poses", "3")
+    rigid = ("--set", "effects.proximal_bending=0", "--set", "effects.distal_axial=0")
+    result = flexfmu("modes", SCENE, "--poses", "3", *rigid)
     assert result.exit_code == 0
     assert "no natural frequencies" in result.stdout
 

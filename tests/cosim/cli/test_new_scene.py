@@ -65,12 +65,10 @@ def test_a_file_is_overwritten_by_force_alone(tmp_path: Path) -> None:
 
 
 def test_a_new_scene_runs_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The two commands of the page, with JSON for scripts."""
+    """With JSON for scripts."""
     monkeypatch.chdir(tmp_path)
     assert json.loads(flexfmu("new", "robot.toml", "--json").stdout)["path"] == "robot.toml"
-    few = ("--set", "effects.proximal_bending=1", "--set", "effects.distal_axial=0")
-    result = flexfmu("modes", "robot.toml", "--poses", "3", "--json", *few)
-    assert json.loads(result.stdout)["scene"] == "robot"
+    assert json.loads(flexfmu("modes", "robot.toml", "--poses", "3", "--json").stdout)["scene"] == "robot"
 
 
 def test_a_new_scene_has_a_basis_for_any_robot(tmp_path: Path) -> None:
@@ -94,15 +92,8 @@ def test_a_new_scene_has_a_basis_for_any_robot(tmp_path: Path) -> None:
         hint = basis_hint(load_scene(file, changes))
         assert (f"`{differs}`" in hint) if differs else hint == "", changes
     # beside results; an error stays one line
-    few = (
-        "--set",
-        "effects.proximal_bending=1",
-        "--set",
-        "effects.distal_axial=0",
-        "--set",
-        "payload.mass=3",
-        "--json",
-    )
+    changes = ("effects.proximal_bending=1", "effects.distal_axial=0", "payload.mass=3")
+    few = ("--json", *(word for each in changes for word in ("--set", each)))
     result = flexfmu("modes", str(paper), "--poses", "3", *few)
     assert json.loads(result.stdout)["poses"]
     assert "in `payload.mass`" in result.stderr

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shlex
+import signal
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from fmpy.util import read_csv
 
 from flexfmu.cosim.many.prepared_scene import run_scene
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.file import load_scene
@@ -65,14 +71,6 @@ def test_result_on_stdout_nothing_on_stderr() -> None:
     assert len(json.loads(outcome.stdout)["poses"]) == 3
 
 
-@pytest.mark.parametrize("arguments", ["modes nowhere.toml", "run nowhere", "build nowhere", "validate nowhere.fmu"])
-def test_wrong_input_is_one_line_without_traceback(arguments: str) -> None:
-    """Status 2, one line on standard error, nothing on standard output."""
-    outcome = flexfmu(*arguments.split())
-    assert (outcome.returncode, outcome.stdout, outcome.stderr.count("\n")) == (2, "", 1)
-    assert "Traceback" not in outcome.stderr
-
-
 @pytest.mark.slow
 def test_missing_compiler(tmp_path: Path) -> None:
     """Without a compiler a build that isn't in the cache ends with status 1 and says what to do."""
@@ -91,6 +89,51 @@ def test_useless_cache(tmp_path: Path) -> None:
     assert (outcome.returncode, outcome.stderr.count("\n")) == (0, 1)
     assert outcome.stderr.startswith(f"flexfmu: warning: cannot write to the cache's folder {tmp_path / 'file'} (")
     assert json.loads(outcome.stdout)["health"]["outcome"] == "completed"
+
+
+@pytest.mark.slow
+def test_scene_to_results(tmp_path: Path) -> None:
+    """build, validate and run: an FMU without findings, a CSV that fmpy reads, metrics of a flexible robot."""
+    built = flexfmu("build", SCENE, "-o", str(tmp_path / "robot.fmu"), "--json")
+    assert (built.returncode, built.stderr) == (0, "")
+    fmu = json.loads(built.stdout)["path"]
+    assert flexfmu("validate", fmu).stdout == f"{fmu}: no findings\n"
+    run = flexfmu("run", SCENE, "--out", str(tmp_path), "--json")
+    assert (run.returncode, run.stderr) == (0, "")
+    summary = json.loads(run.stdout)
+    assert summary == json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert list(summary["metrics"]) == list(COMMON_METRICS)
+    assert all(value is None or math.isfinite(value) for value in summary["metrics"].values())
+    assert 60.0 < summary["metrics"]["peak_torque_1"] < 90.0
+    assert summary["versions"]["compiler"]
+    results = read_csv(tmp_path / "results.csv")
+    assert results.dtype.names[0] == "time"
+    assert np.all(np.diff(results["time"]) >= 0.0)
+    assert results["time"][-1] == pytest.approx(0.68)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX does")
+def test_interrupt_is_one_line(tmp_path: Path) -> None:
+    """Ctrl-C at any moment: one line and status 1."""
+    long = (
+        "run",
+        SCENE,
+        "--set",
+        "cosimulation.step=1e-6",
+        "--set",
+        "cosimulation.record_step=0.01",
+        "--out",
+        str(tmp_path / "out"),
+    )
+    process = subprocess.Popen([*FLEXFMU, *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not (tmp_path / "out").is_dir():
+        time.sleep(0.02)
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=600)
+    assert (process.returncode, errors.count("\n")) == (1, 1), errors
+    assert "interrupted" in errors
 
 
 def test_closed_reader_before_the_output_comes() -> None:

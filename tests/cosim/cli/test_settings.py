@@ -55,8 +55,9 @@ def test_other_forms_are_refused(text: str) -> None:
         parse_setting(text)
 
 
-def test_changes_are_as_if_they_stood_in_the_file() -> None:
-    """Sections, arrays by index, and controllers by their kind: the same scene as with `replace`."""
+def test_changes_are_as_if_they_stood_in_the_file(tmp_path: Path) -> None:
+    """Sections, arrays by index, and controllers by their kind: the same scene as with `replace`. A file may be complete with
+    the settings alone."""
     changes = {
         "payload.mass": 2.5,
         "effects.gravity[1]": -1.62,
@@ -68,15 +69,11 @@ def test_changes_are_as_if_they_stood_in_the_file() -> None:
     assert changed == load_scene(EXAMPLE).replace(changes)
     assert changed.effects.gravity == (0.0, -1.62)
     assert changed != load_scene(EXAMPLE)
-
-
-def test_a_missing_key_may_be_set(tmp_path: Path) -> None:
-    """A file that is complete with the settings alone can be used."""
-    text = EXAMPLE.read_text(encoding="utf-8").replace("duration = 0.43\n", "")
-    (tmp_path / "incomplete.toml").write_text(text, encoding="utf-8")
+    incomplete = tmp_path / "incomplete.toml"
+    incomplete.write_text(EXAMPLE.read_text(encoding="utf-8").replace("duration = 0.43\n", ""), encoding="utf-8")
     with pytest.raises(SceneError, match="duration"):
-        load_scene(tmp_path / "incomplete.toml")
-    assert load_scene(tmp_path / "incomplete.toml", {"trajectory.duration": 0.5}).trajectory.duration == 0.5
+        load_scene(incomplete)
+    assert load_scene(incomplete, {"trajectory.duration": 0.5}).trajectory.duration == 0.5
 
 
 def test_every_command_with_a_scene_can_change_it() -> None:

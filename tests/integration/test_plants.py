@@ -1,8 +1,8 @@
-"""The torque-driven FMU: against the motion-driven one, against SciPy on the same equations, and against its own energy."""
+"""Both plants through plain fmpy: against each other, against SciPy and statics on the same equations, and against their own energy."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 
 import fmpy
@@ -15,16 +15,18 @@ from flexfmu.cosim.engine.hermite import hermite_derivatives
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.plants import build_model
+from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.statics import static_equilibrium
 
 TORQUES = ("joint1.torque", "joint2.torque")
 
 
 class Plant:
-    """The torque-driven FMU of a scene through plain fmpy."""
+    """The FMU of a scene through plain fmpy, in initialization mode."""
 
     def __init__(self, scene: Scene, folder: Path, tolerance: float) -> None:
         path = build_fmu(lambda: build_model(scene), output=folder / "plant.fmu").path
@@ -40,13 +42,13 @@ class Plant:
         self.slave.setupExperiment(tolerance=tolerance, startTime=0.0)
         self.slave.enterInitializationMode()
 
-    def set(self, names: tuple[str, ...], values: np.ndarray) -> None:
+    def set(self, names: Sequence[str], values: np.ndarray) -> None:
         self.slave.setReal([self.references[name] for name in names], [float(value) for value in values])
 
-    def get(self, names: tuple[str, ...]) -> np.ndarray:
+    def get(self, names: Sequence[str]) -> np.ndarray:
         return np.array(self.slave.getReal([self.references[name] for name in names]))
 
-    def set_derivatives(self, names: tuple[str, ...], derivatives: np.ndarray) -> None:
+    def set_derivatives(self, names: Sequence[str], derivatives: np.ndarray) -> None:
         for order, values in enumerate(derivatives, start=1):
             self.slave.setRealInputDerivatives(
                 [self.references[name] for name in names], [order] * len(names), [float(value) for value in values]
@@ -99,37 +101,47 @@ def test_recorded_torques_reproduce_the_motion_and_converge(tmp_path: Path) -> N
     assert errors[2] < 1e-8
 
 
-@pytest.fixture
-def free_fall(tmp_path: Path) -> Iterator[tuple[Plant, SymbolicModel]]:
-    """The undamped robot, let go from its undeformed start pose."""
-    scene = torque_scene({"effects.damping": {"kind": "none"}, "cosimulation.initial": "undeformed"})
-    plant = Plant(scene, tmp_path, tolerance=1e-12)
-    plant.set(TORQUES, np.zeros(2))
-    plant.slave.exitInitializationMode()
-    yield plant, build_model(scene)
-    plant.close()
+FREE = {"effects.damping": {"kind": "none"}, "cosimulation.initial": "undeformed"}
+"""The undamped robot, let go from its undeformed start pose."""
 
 
-def test_unforced_and_undamped_it_keeps_its_energy(free_fall: tuple[Plant, SymbolicModel]) -> None:
-    """Falling under gravity turns potential into kinetic energy without a loss of 1e-9 of what was turned."""
-    from flexfmu.model.numeric import numeric_model
-
-    plant, model = free_fall
-    numeric = numeric_model(torque_scene({"effects.damping": {"kind": "none"}, "cosimulation.initial": "undeformed"}))
-    names = model.unknowns
-    rates = ("joint1.velocity", "joint2.velocity", *(f"der({name})" for name in names[2:]))
+@pytest.mark.parametrize(
+    ("drive", "tolerance", "steps"),
+    [("motion", 1e-10, 100_000), ("torque", 1e-12, 1500)],
+    ids=["motors locked", "falling"],
+)
+def test_unforced_and_undamped_it_keeps_its_energy(drive: str, tolerance: float, steps: int, tmp_path: Path) -> None:
+    """Ten seconds of free vibration with locked motors, and a fall under gravity, neither gain nor lose 1e-9 of the energy of the
+    vibration, or of what the fall turns from potential into kinetic energy."""
+    scene = load_scene("barnard2012-6kg").replace(FREE | {"cosimulation.drive": drive})
+    names, numeric, plant = build_model(scene).unknowns, numeric_model(scene), Plant(scene, tmp_path, tolerance)
+    joints = motor_angles(scene.mechanism, scene.trajectory.start)
+    rates = [f"joint{name[5]}.velocity" if name.startswith("joint") else f"der({name})" for name in names]
+    n = numeric.n
 
     def energies() -> np.ndarray:
+        """Kinetic and potential energy [J]."""
         y, v = plant.get(names), plant.get(rates)
-        u = np.concatenate([y[:2], v[:2], np.zeros(2)])
-        return np.asarray(numeric.energy(y[2:], v[2:], u).full()).ravel()
+        u = standstill(joints) if drive == "motion" else np.concatenate([y[:2], v[:2], np.zeros(2)])
+        return np.asarray(numeric.energy(y[-n:], v[-n:], u).full()).ravel()
 
+    if drive == "torque":
+        plant.set(TORQUES, np.zeros(2))
+    plant.slave.exitInitializationMode()
     start, turned, drift = float(energies().sum()), 0.0, 0.0
-    for step in range(1500):
+    for step in range(steps):
         plant.slave.doStep(step * 1e-4, 1e-4)
-        kinetic, potential = energies()
-        turned, drift = max(turned, kinetic), max(drift, abs(kinetic + potential - start))
-    assert turned > 1.0
+        if step % 50 == 0 or drive == "torque":
+            kinetic, potential = energies()
+            turned, drift = max(turned, kinetic), max(drift, abs(kinetic + potential - start))
+    plant.close()
+    if drive == "motion":
+        turned = start - float(
+            numeric.energy(static_equilibrium(scene, joints).elastic, np.zeros(n), standstill(joints))[1]
+        )
+        assert turned > 0.0
+    else:
+        assert turned > 1.0
     assert drift <= 1e-9 * turned
 
 
@@ -162,3 +174,28 @@ def test_a_torque_step_gives_the_response_that_scipy_gives(tmp_path: Path) -> No
     difference = np.abs(end - solution.y[:, -1])
     assert difference[:n].max() <= 1e-10 * response[:n].max()
     assert difference[n:].max() <= 1e-10 * response[n:].max()
+
+
+@pytest.mark.parametrize("drive", ["motion", "torque"])
+def test_the_fmu_finds_the_equilibrium_that_the_model_finds(drive: str, tmp_path: Path) -> None:
+    """At rest nothing moves, and the end effector hangs where the Python model says, also at another start pose."""
+    scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": drive})
+    path = build_fmu(lambda: build_model(scene), output=tmp_path / "plant.fmu").path
+    for start in (scene.trajectory.start, (0.05, 0.3)):
+        values = {"start.x": start[0], "start.y": start[1]}
+        result = fmpy.simulate_fmu(str(path), stop_time=0.01, output_interval=1e-3, start_values=values)
+        expected = static_equilibrium(scene, motor_angles(scene.mechanism, start)).position
+        for axis in (0, 1):
+            np.testing.assert_allclose(result[f"end_effector.position.{'xy'[axis]}"], expected[axis], atol=1e-12)
+
+
+def test_an_acceleration_at_the_start_loads_the_motion_not_its_equilibrium(tmp_path: Path) -> None:
+    """Motion profiles that jump at t = 0 start from rest: the deflection there is that of gravity alone."""
+    scene = load_scene("barnard2012-6kg")
+    path = build_fmu(lambda: build_model(scene), output=tmp_path / "plant.fmu").path
+    result = fmpy.simulate_fmu(
+        str(path), stop_time=1e-4, output_interval=1e-4, start_values={"joint1.reference.acceleration": 100.0}
+    )
+    at_rest = static_equilibrium(scene, motor_angles(scene.mechanism, scene.trajectory.start))
+    assert result["link11.bending[1]"][0] == pytest.approx(at_rest.elastic[0], rel=1e-9)
+    assert abs(result["der(link11.bending[1],2)"][0]) > 1.0
