@@ -94,8 +94,9 @@ def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
     for i, part in enumerate(parents):
         place = _place(section, part, parents[:i], key, label)
         inside = section.get(place, {}) if isinstance(section, dict) else section[place]
-        # an array that can be changed
-        section[place] = inside = list(inside) if isinstance(inside, tuple) else inside
+        # plain containers are copied: they may be the caller's, and arrays may be tuples
+        copy = {dict: dict, list: list, tuple: list}.get(type(inside))
+        section[place] = inside = copy(inside) if copy else inside
         section = inside
     section[_place(section, last, parents, key, label)] = value
 

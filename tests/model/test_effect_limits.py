@@ -228,6 +228,17 @@ def test_proportional_damping_gives_rayleighs_ratios(damping: dict[str, object],
     omega = 2 * np.pi * modes.frequencies
     expected = float(damping.get("rate", 0.0)) / (2 * omega) + float(damping.get("time", 0.0)) * omega / 2  # type: ignore[arg-type]
     np.testing.assert_allclose(modes.ratios, expected, rtol=1e-6)
+    np.testing.assert_allclose(omega, frequencies(scene), rtol=1e-8)
+
+
+def test_overdamped_motions_are_left_out() -> None:
+    """With much damping the high modes creep instead of vibrating, and without elastic links nothing vibrates at all."""
+    scene = load_scene("barnard2012-6kg").replace({"effects.damping": {"kind": "stiffness", "time": 1e-3}})
+    modes, none = (damped_modes(each, motor_angles(each.mechanism, POSE)) for each in (scene, alone({})))
+    assert 0 < len(modes.frequencies) < numeric_model(scene).n
+    assert np.all(modes.ratios < 1.0)
+    assert np.all(np.diff(modes.frequencies) > 0.0)
+    assert none.frequencies.size == 0
 
 
 def test_modal_damping_of_the_paper_s_shapes() -> None:

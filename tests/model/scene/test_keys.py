@@ -51,6 +51,13 @@ def test_every_value_has_a_key(key: str, value: Any, unit: str) -> None:
     assert Scene.model_validate(changed) == SCENE
 
 
+def test_given_tables_stay_as_they_are() -> None:
+    """A dotted key may change a table that is given with it, but not the caller's."""
+    changes: dict[str, Any] = {"payload": {"mass": 2.0}, "payload.mass": 1.0}
+    assert SCENE.replace(changes).payload.mass == 1.0
+    assert changes["payload"] == {"mass": 2.0}
+
+
 def test_short_names_of_gains_within_a_slave() -> None:
     """Also in the tables of a cascade's loops; arguments of slaves of one's own have their own names."""
     cascade = {
