@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import comb, factorial
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,19 +16,11 @@ from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import JointTrajectory
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 
-DURATION = 0.16
-
 
 @pytest.fixture(scope="module")
-def motion() -> PiecewisePolynomial:
-    """A straight line with a polynomial of degree 13 in time: six derivatives are zero at both ends."""
-    n, way = 6, np.array([0.2, 0.02])
-    rise = np.zeros(2 * n + 2)
-    for k in range(n + 1):
-        rise[n + 1 + k] = (-1) ** k * comb(n, k) * factorial(2 * n + 1) / (factorial(n) ** 2 * (n + 1 + k))
-    coefficients = (rise / DURATION ** np.arange(2 * n + 2))[:, np.newaxis, np.newaxis] * way
-    coefficients[0] += np.array([-0.1, 0.32])
-    return PiecewisePolynomial(np.array([0.0, DURATION]), coefficients)
+def motion(line: Callable[[int, float], PiecewisePolynomial]) -> PiecewisePolynomial:
+    """Six derivatives are zero at both ends."""
+    return line(6, 0.16)
 
 
 def designed(robot: Scene, motion: PiecewisePolynomial, knot_spacing: float) -> FlexibleReferences:
@@ -47,29 +39,24 @@ def followed(robot: Scene, motion: PiecewisePolynomial, design: FlexibleReferenc
     return float(error.max()), found.end[0], float(torque.max())
 
 
-def test_the_flexible_end_effector_follows_the_motion(robot: Scene, motion: PiecewisePolynomial) -> None:
-    """Rigid references leave hundreds of micrometres; with these the error falls with the fourth power of the knots' distance."""
-    errors = [followed(robot, motion, designed(robot, motion, spacing))[0] for spacing in (0.004, 0.002)]
-    assert errors[1] < 1e-9
-    assert 3.5 < np.log2(errors[0] / errors[1]) < 5.0
-
-
-def test_the_robot_is_at_rest_after_the_motion(robot: Scene, motion: PiecewisePolynomial) -> None:
-    """What is left of the vibration is what the splines miss of the motion."""
-    design = designed(robot, motion, 0.002)
-    model, end = design.model, followed(robot, motion, design)[1]
-    rest = model.rest(design.motors.coefficients[-1])
-    np.testing.assert_allclose(rest.position[0], motion.rest[1], rtol=0, atol=1e-12)
-    assert np.abs(end[0] - rest.elastic[0]).max() < 1e-7
+def test_the_flexible_robot_follows_the_motion(robot: Scene, motion: PiecewisePolynomial) -> None:
+    """Rigid references leave hundreds of micrometres; with these the error falls with the fourth power of the knots' distance, and so
+    does what is left of the vibration. Torques for a feedforward, tens of newton metres, are met to a millinewton metre."""
+    designs = [designed(robot, motion, spacing) for spacing in (0.004, 0.002)]
+    (coarse, *_), (fine, end, torque) = (followed(robot, motion, each) for each in designs)
+    assert fine < 1e-9
+    assert 3.5 < np.log2(coarse / fine) < 5.0
+    assert torque < 1e-3
+    # at rest before and after, with the end effector where it should be, by motor angles beside the rigid ones
+    design, first = designs[1], designs[1].motors.coefficients[0]
+    before, after = (design.model.rest(design.motors.coefficients[k]) for k in (0, -1))
+    np.testing.assert_allclose(before.position[0], motion.rest[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(after.position[0], motion.rest[1], rtol=0, atol=1e-12)
+    assert np.abs(end[0] - after.elastic[0]).max() < 1e-7
     assert np.abs(end[1]).max() < 1e-4
-
-
-def test_the_torque_is_that_of_the_flexible_robot(robot: Scene, motion: PiecewisePolynomial) -> None:
-    """It serves as feedforward: tens of newton metres, met to a millinewton metre."""
-    design = designed(robot, motion, 0.002)
-    assert followed(robot, motion, design)[2] < 1e-3
-    at_rest = design.model.rest(design.motors.coefficients[0]).torque[0]
-    np.testing.assert_allclose(design.torque(np.array([-1.0, 0.0])), [at_rest, at_rest], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(design.torque(np.array([-1.0, 0.0])), [before.torque[0]] * 2, rtol=0, atol=1e-9)
+    rigid = JointTrajectory(motion, RigidKinematics(robot.mechanism)).evaluate(0.0, 0)[0, 0]
+    assert 2e-5 < np.abs(first - rigid).max() < 1e-3
 
 
 def test_a_rigid_robot_gets_the_rigid_references(robot: Scene, motion: PiecewisePolynomial) -> None:
@@ -81,15 +68,6 @@ def test_a_rigid_robot_gets_the_rigid_references(robot: Scene, motion: Piecewise
     rigid = JointTrajectory(motion, RigidKinematics(robot.mechanism))
     expected = rigid.evaluate(knots * design.motors.duration - LEAD, 0)[0]
     np.testing.assert_allclose(design.motors.evaluate(knots, 0)[0], expected, rtol=0, atol=1e-11)
-
-
-def test_the_sag_is_taken_back(robot: Scene, motion: PiecewisePolynomial) -> None:
-    """Before it moves, the flexible end effector is at the start, with motor angles beside the rigid ones."""
-    design = designed(robot, motion, 0.004)
-    angles = design.motors.coefficients[0]
-    rigid = JointTrajectory(motion, RigidKinematics(robot.mechanism)).evaluate(0.0, 0)[0, 0]
-    np.testing.assert_allclose(design.model.rest(angles).position[0], motion.rest[0], rtol=0, atol=1e-12)
-    assert 2e-5 < np.abs(angles - rigid).max() < 1e-3
 
 
 def test_knots_that_are_too_few(robot: Scene, motion: PiecewisePolynomial) -> None:
