@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from python_slave import PythonSlave
 
-from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.master.compiled_loop import load
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.shared_library import shared_library
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment import scene_build
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -75,73 +71,6 @@ def test_the_same_numbers(scene: Scene) -> None:
     assert compiled.outcome is Outcome.COMPLETED
     assert compiled.recording.time.size > 400
     assert_identical(compiled, interpreted)
-
-
-class Tripping(PythonSlave):
-    """A slave in Python that puts out a sine and fails at 50 ms, one way or another."""
-
-    variables: tuple[SlaveVariable, ...] = (SlaveVariable("x", "output"), SlaveVariable("u", "input", start=0.0))
-
-    def __init__(self, fail: Callable[[], float]) -> None:
-        super().__init__("tripping")
-        self.feedthrough: dict[str, tuple[str, ...]] = {"x": ()}
-        self._fail = fail
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = np.sin(self.time) if self.time < 0.05 else self._fail()
-
-
-def stumble() -> float:
-    raise SlaveError("tripping", "stumbled over nothing")
-
-
-@pytest.mark.parametrize(
-    ("fail", "outcome"),
-    [(lambda: np.nan, Outcome.NOT_FINITE), (stumble, Outcome.STEP_FAILED), (lambda: 1 / 0, Outcome.STEP_FAILED)],
-    ids=["nan", "slave error", "exception"],
-)
-def test_failures_end_the_run_the_same_way(fail: Callable[[], float], outcome: Outcome) -> None:
-    """Outcome, sentence and recording up to there."""
-    runs = [simulate(connect([Tripping(fail)], []), 0.1, 1e-3, compiled=compiled) for compiled in (True, False)]
-    assert runs[0].outcome is outcome
-    assert runs[0].recording.time[-1] == pytest.approx(0.049)
-    assert_identical(runs[0], runs[1])
-
-
-class Row(Tripping):
-    """A slave in Python with several outputs, all of them 1e308 but for one that fails."""
-
-    def __init__(self, place: int, value: float) -> None:
-        super().__init__(lambda: value)
-        self.variables = tuple(SlaveVariable(f"x{i}", "output") for i in range(7))
-        self.feedthrough = {each.name: () for each in self.variables}
-        self._place = place
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        values[:] = 1e308
-        super().get(indices[: self._place + 1], values[self._place : self._place + 1])
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", range(7))
-def test_no_number_goes_unseen(place: int, value: float) -> None:
-    """Whichever output it is that isn't finite, it ends the run; large numbers don't."""
-    run = simulate(connect([Row(place, value)], []), 0.1, 1e-3, compiled=True)
-    assert run.outcome is Outcome.NOT_FINITE
-    assert f"x{place} became {value}" in run.message
-    assert run.recording.time[-1] == pytest.approx(0.049)
-
-
-def test_interruption_keeps_what_was_recorded() -> None:
-    """Ctrl-C between two points ends the run like in Python."""
-
-    def interrupt(fraction: float) -> None:
-        if fraction >= 0.5:
-            raise KeyboardInterrupt
-
-    run = simulate(connect([Tripping(lambda: 0.0)], []), 0.1, 1e-3, progress=interrupt)
-    assert run.outcome is Outcome.INTERRUPTED
-    assert run.recording.time[-1] == pytest.approx(0.05)
 
 
 def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

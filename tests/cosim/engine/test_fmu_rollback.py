@@ -10,7 +10,7 @@ import pytest
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.couplings import Implicit, Jacobi
-from flexfmu.cosim.engine.master.simulator import Outcome, simulate
+from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
@@ -89,17 +89,6 @@ def test_second_derivatives_follow_saved_first_ones(plant: FmuSlave) -> None:
     plant.terminate()
 
 
-def test_step_control_on_a_robot() -> None:
-    """With references that are sent with one derivative, chosen steps keep the end effector where short steps put it."""
-    control = StepDoubling(tolerance=1e-3, largest=0.02, signals=POSITION)
-    result = simulate(driven(1), 0.1, 2e-3, tolerance=1e-8, step_control=control)
-    assert result.outcome is Outcome.COMPLETED, result.message
-    exact = simulate(driven(9), 0.1, 2e-4, tolerance=1e-8).recording
-    for name in POSITION:
-        assert result.recording[name].values[-1] == pytest.approx(exact[name].values[-1], abs=3e-4)
-    assert result.steps < 0.5 * 0.1 / 2e-4
-
-
 def test_the_algorithm_does_not_matter_without_a_loop() -> None:
     """A trajectory that is known in advance drives the robot alike, whatever the algorithm; nothing is delayed."""
     reference = simulate(driven(9), 0.05, 1e-3)
@@ -121,12 +110,3 @@ def test_an_fmu_that_cannot_go_back_is_refused(foreign_fmu: Path) -> None:
     # x' = u - x with u held: both stay where they are, as x = u = 1
     np.testing.assert_allclose(result.recording["first.x"].values, 1.0)
     assert [each.seconds for each in result.delays] == pytest.approx([0.1, 0.1])
-
-
-def test_counters_are_discrete(foreign_fmu: Path) -> None:
-    """Integer outputs are known as such, so that step control doesn't take them for an error."""
-    slave = FmuSlave(foreign_fmu)
-    assert {each.name: each.discrete for each in slave.variables if each.causality == "output"} == {
-        "x": False,
-        "steps": True,
-    }

@@ -35,6 +35,10 @@ def test_a_foreign_fmu_runs(foreign_fmu: Path) -> None:
     assert result.outcome is Outcome.COMPLETED
     np.testing.assert_allclose(result.recording["decay.x"].values, np.exp(-2.0 * result.recording.time), rtol=1e-14)
     np.testing.assert_array_equal(result.recording["decay.steps"].values, np.arange(11.0))
+    assert {each.name: each.discrete for each in slave.variables if each.causality == "output"} == {
+        "x": False,
+        "steps": True,
+    }
     assert result.recording["decay.x"].unit == "m"
     assert result.recording["decay.x"].first is None
     assert slave.statistics == {"steps": 10}

@@ -207,16 +207,6 @@ def test_pending_steps_that_are_not_stated(foreign_fmu: Path, compiled: bool | N
     assert "no reason" not in result.message
 
 
-def test_types_of_foreign_signals(foreign_fmu: Path) -> None:
-    """A Real feeds neither Booleans nor enumerations, an Integer feeds Reals."""
-    slaves = [FmuSlave(foreign_fmu, "first"), FmuSlave(foreign_fmu, "second")]
-    with pytest.raises(WiringError, match=r"first\.x is Real, second\.inverted Boolean, which takes Boolean;"):
-        connect(slaves, [("first.x", "second.inverted")])
-    result = simulate(connect(slaves, [("first.steps", "second.u")]), 1.0, 0.5)
-    assert result.recording["first.steps"].values.tolist() == [0.0, 1.0, 2.0]
-    assert result.recording["second.x"].values[1] == pytest.approx(np.exp(-0.5), rel=1e-14)
-
-
 def test_booleans_in_all_spellings(foreign_fmu: Path) -> None:
     """0, 1, true and false, as numbers, as Python has them and as FMI spells them."""
     for value in (1, 1.0, True, "true"):

@@ -56,13 +56,6 @@ def test_near_coincident_marks_are_one_point() -> None:
     assert grid.marked.tolist() == [n in (0, 3) for n in range(11)]
 
 
-def test_sample_instants_are_points() -> None:
-    """Sample instants that are ticks but for rounding are recognised as such."""
-    grid = time_grid(0.0, 1.0, 0.1, clocks=[Clock("controller", 0.3)])
-    assert np.flatnonzero(grid.due[0]).tolist() == [0, 3, 6, 9]
-    assert grid.times.tolist() == [*(0.1 * np.arange(10)), 1.0]
-
-
 def test_a_sample_time_far_below_the_step_is_refused_with_values_that_do() -> None:
     """What is recommended isn't what was given: both recommendations make a grid."""
     with pytest.raises(InputError, match=r"take at least 2e-07 s, or a communication step of at most 0\.0001 s"):

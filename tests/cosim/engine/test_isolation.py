@@ -21,7 +21,6 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master import simulator as module
 from flexfmu.cosim.engine.master.outcome import message_of
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, isolation, simulate
-from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
@@ -203,21 +202,6 @@ def test_the_same_numbers_and_reports(foreign_fmu: Path) -> None:
     assert np.array_equal(here.recording["guest.x"].values, there.recording["guest.x"].values)
     assert slave.statistics == {"steps": 100}
     assert seen[-1] == 1.0
-
-
-def test_recordings_that_grow() -> None:
-    """With step control nobody knows how many points there will be; those of a crashed child are all there."""
-    run = simulate(
-        connect([Ramp(lambda: os._exit(1))], []),
-        1.0,
-        0.25,
-        step_control=StepDoubling(1e-6, largest=1e-3),
-        isolation=PATIENT,
-    )
-    assert run.outcome is Outcome.STEP_FAILED
-    assert run.recording.time.size > 500
-    assert np.array_equal(run.recording["ramp.x"].values, run.recording.time)
-    assert run.recording.time[-1] == pytest.approx(0.5, abs=2e-3)
 
 
 def test_a_library_that_crashes_when_it_is_loaded(

@@ -88,15 +88,6 @@ def test_error_within_a_step_falls_with_the_order(order: int) -> None:
     assert slope == pytest.approx(order + 1, abs=0.5)
 
 
-def test_names_and_units() -> None:
-    """The references are named like the inputs of the motion-driven plant, in its order."""
-    variables = TrajectorySlave(Swing()).variables
-    assert [v.name for v in variables[::2]] == [
-        f"joint1.reference.{k}" for k in ("position", "velocity", "acceleration")
-    ]
-    assert [v.unit for v in variables[::2]] == ["rad", "rad/s", "rad/s2"]
-
-
 def test_both_sides_of_a_jump() -> None:
     """Before a breakpoint the references are the left limits, after it the right ones; before the start at rest."""
     slave = started(TrajectorySlave(Ramp((0.0, 0.5, 1.0))), np.array([0.0, 0.5, 1.0]))

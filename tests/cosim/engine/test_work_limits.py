@@ -16,7 +16,6 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
-from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.file import load_scene
 
@@ -75,22 +74,6 @@ def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.
     monkeypatch.setattr(simulator, "MANY_POINTS", 3000)
     with pytest.warns(CostWarning):
         simulate(system, 2.0, 2.0 / 5000)
-
-
-def test_references_are_calculated_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each block begins with the last point of the one before, and looks one point ahead."""
-    sizes: list[int] = []
-    calculate = TrajectorySlave.prepare
-
-    def counted(slave: TrajectorySlave, times: np.ndarray) -> None:
-        sizes.append(times.size)
-        calculate(slave, times)
-
-    monkeypatch.setattr(TrajectorySlave, "prepare", counted)
-    run = run_scene(load_scene("barnard2012-0.1kg").replace({"cosimulation.step": 5e-5}))
-    assert run.outcome is Outcome.COMPLETED
-    assert sum(sizes) - 2 * (len(sizes) - 1) == 11_003
-    assert max(sizes) < 5000
 
 
 def test_the_command_line_announces_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
