@@ -73,24 +73,6 @@ def test_many_cases_side_by_side_are_the_changed_scenes() -> None:
                 assert found[number][name] == pytest.approx(expected[name], rel=1e-3, abs=1e-7)
 
 
-@pytest.mark.slow
-def test_keys_of_controllers_by_index_kind_and_name() -> None:
-    """The loop changes, the FMU is shared."""
-    found = [
-        flexfmu.sweep(LOOP, {key: [10.0, 20.0]}, metrics=["peak_position_error"], processes=1)
-        for key in ("controller[0].derivative", "controller.pd.derivative", "pd.kd")
-    ]
-    values = [[row["peak_position_error"] for row in each] for each in found]
-    assert values[0] == values[1] == values[2]
-    assert found[2][0]["pd.kd"] == 10.0
-    assert found[2].units["pd.kd"] == "N.m.s/rad"
-    assert values[0][0] != values[0][1]
-    assert (
-        values[0][1] == alone({"controller[0].derivative": 20.0}, ["peak_position_error"], LOOP)["peak_position_error"]
-    )
-    assert found[0].units["controller[0].derivative"] == "N.m.s/rad"
-
-
 def test_samples_are_whole_where_the_scene_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers of modes are, masses aren't, even if the ends of the interval are written as whole numbers."""
 
