@@ -76,7 +76,10 @@ def test_every_kind_of_source_is_the_same_run(run: Run, folder: Path, tmp_path: 
 
 def test_a_measurement_is_aligned_and_compared(run: Run, log: Path) -> None:
     """The delay within its stated error, and the offset and noise that were added."""
-    other = replace(run, recording=run.recording.with_columns({"joint1.torque": scaled(run, 0.9)}))
+    # another run with nine tenths of the torque
+    torque = run.recording["joint1.torque"]
+    parts = (0.9 * each for each in (torque.values, torque.first, torque.second) if each is not None)
+    other = replace(run, recording=run.recording.with_columns({"joint1.torque": Column("N.m", *parts)}))
     found = flexfmu.compare(run, other, measured=log, mapping={"tau": "joint1.torque*1e-3"}).measured
     assert found is not None
     delay = found.delay
@@ -123,25 +126,33 @@ def test_the_command_prints_tables_json_and_a_page(folder: Path, log: Path, tmp_
     assert len(page.encode()) < 1.5e6
 
 
-def scaled(run: Run, factor: float) -> Column:
-    """Torque 1 of a run times a factor."""
-    column = run.recording["joint1.torque"]
-    assert column.first is not None
-    assert column.second is not None
-    return Column("N.m", factor * column.values, factor * column.first, factor * column.second)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["."], "has no results.csv"),
+        (["soft=nothing"], "no scene file 'nothing'"),
+        (["--map", "tau=joint1.torque"], "goes with a measurement"),
+        (["--measured", "nothing.csv"], "there is no file nothing.csv"),
+        (["--map", "tau"], "--map takes MEASURED=SIGNAL"),
+        (["a b=barnard2012-6kg"], "`name`"),
+        (["barnard2012-6kg", "--variant", "stiff"], "--variant takes NAME:KEY=VALUE"),
+        (["barnard2012-6kg", "--variant", "a:payload.mas=1"], "did you mean `mass`"),
+        (["barnard2012-6kg", "--variant", "a:payload.mass=1,"], "empty or unfinished value"),
+        (["barnard2012-6kg", "--payload-band", "wide"], "two masses in kg"),
+        (["barnard2012-6kg", "--payload-band", "1.5"], "above 0 and below 1"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    arguments: list[str], message: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit status 2, and nothing is simulated."""
+    monkeypatch.chdir(tmp_path)
+    result = command(*([folder, *arguments] if arguments[0].startswith("--m") else arguments))
+    assert (result.exit_code, message in result.stderr, result.stderr.count("\n")) == (2, True, 1), result.stderr
 
 
-def test_wrong_input(run: Run, make_run: MakeRun, folder: Path, tmp_path: Path) -> None:
-    """One line each, exit status 2; nothing is compared with a failed run."""
-    for arguments, message in (
-        ((tmp_path,), "has no results.csv"),
-        (("nothing",), "no scene file 'nothing'"),
-        ((folder, "--map", "tau=joint1.torque"), "goes with a measurement"),
-        ((folder, "--measured", "nothing.csv"), "there is no file nothing.csv"),
-        ((folder, "--map", "tau"), "--map takes MEASURED=SIGNAL"),
-    ):
-        result = command(*arguments)
-        assert (result.exit_code, message in result.stderr, result.stderr.count("\n")) == (2, True, 1), result.stderr
+def test_what_cannot_be_compared(make_run: MakeRun) -> None:
+    """No run, and one that failed."""
     with pytest.raises(InputError, match="nothing to compare"):
         flexfmu.compare()
     with pytest.raises(ResultsError, match="can't be compared, since its run failed: step failed"):

@@ -22,42 +22,39 @@ def log(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_equal_names_are_taken(tmp_path: Path) -> None:
-    """Columns named like signals, whatever else is in the file; an empty cell is a missing value."""
-    found = read_log(log(tmp_path, "mode,time,joint1.torque,link11.bending[1]\nauto,0,1,2\nauto,0.1,,3\n"), {}, SIGNALS)
-    np.testing.assert_array_equal(found.time, [0.0, 0.1])
-    np.testing.assert_array_equal(found["joint1.torque"].values, [1.0, math.nan])
-    assert found["joint1.torque"].unit == "N.m"
-    assert list(found.columns) == ["joint1.torque", "link11.bending[1]"]
+READ: list[tuple[str, list[str], dict[str, list[float]]]] = [
+    # equal names, whatever else is in the file; an empty cell is a missing value
+    (
+        "mode,time,joint1.torque,link11.bending[1]\nauto,0,1,2\nauto,0.1,,3\n",
+        [],
+        {"time": [0.0, 0.1], "joint1.torque": [1.0, math.nan], "link11.bending[1]": [2.0, 3.0]},
+    ),
+    # as spreadsheets of half of Europe write it: decimal commas, units in brackets, a byte-order mark and a comment
+    (
+        "\ufeff# logged by the drive\nT [ms];joint1.torque [mN.m];joint1.position (deg)\n1,5;2000,5;180\n2,5;1e3;90\n",
+        [],
+        {"time": [1.5e-3, 2.5e-3], "joint1.torque": [2.0005, 1.0], "joint1.position": [math.pi, math.pi / 2.0]},
+    ),
+    # units in the second line
+    ("time\tjoint1.torque\ns\tkN.m\n0\t1\n1\t2\n", [], {"time": [0.0, 1.0], "joint1.torque": [1e3, 2e3]}),
+    # names, factors, units and offsets of the user; a factor replaces the unit of the header
+    (
+        "Zeit,M_1 [%],phi\n0,1,0\n1000,2,90\n",
+        ["Zeit=time*ms", "M_1=joint1.torque*0.5+3", "phi=joint1.position*deg"],
+        {"time": [0.0, 1.0], "joint1.torque": [3.5, 4.0], "joint1.position": [0.0, math.pi / 2.0]},
+    ),
+]
 
 
-def test_semicolons_decimal_commas_and_units(tmp_path: Path) -> None:
-    """As spreadsheets of half of Europe write it, with units in brackets, a byte-order mark and a comment."""
-    text = (
-        "\ufeff# logged by the drive\nT [ms];joint1.torque [mN.m];joint1.position (deg)\n1,5;2000,5;180\n2,5;1e3;90\n"
-    )
-    found = read_log(log(tmp_path, text), {}, SIGNALS)
-    np.testing.assert_allclose(found.time, [1.5e-3, 2.5e-3])
-    np.testing.assert_allclose(found["joint1.torque"].values, [2.0005, 1.0])
-    np.testing.assert_allclose(found["joint1.position"].values, [math.pi, math.pi / 2.0])
-
-
-def test_a_line_of_units(tmp_path: Path) -> None:
-    """Units may stand in the second line."""
-    found = read_log(log(tmp_path, "time\tjoint1.torque\ns\tkN.m\n0\t1\n1\t2\n"), {}, SIGNALS)
-    np.testing.assert_allclose(found["joint1.torque"].values, [1e3, 2e3])
-
-
-def test_mapping(tmp_path: Path) -> None:
-    """Names, factors, units and offsets of the user; a factor replaces the unit of the header."""
-    path = log(tmp_path, "Zeit,M_1 [%],phi\n0,1,0\n1000,2,90\n")
-    mapping = dict(map(parse_mapping, ["Zeit=time*ms", "M_1=joint1.torque*0.5+3", "phi=joint1.position*deg"]))
-    found = read_log(path, mapping, SIGNALS)
-    np.testing.assert_allclose(found.time, [0.0, 1.0])
-    np.testing.assert_allclose(found["joint1.torque"].values, [3.5, 4.0])
-    np.testing.assert_allclose(found["joint1.position"].values, [0.0, math.pi / 2.0])
-    assert as_mapped(" joint1.torque * -1e+3 + -2 ") == Mapped("joint1.torque", -1e3, -2.0)
-    assert as_mapped("joint1.torque+2") == Mapped("joint1.torque", None, 2.0)
+@pytest.mark.parametrize(("text", "mapping", "expected"), READ)
+def test_logs(tmp_path: Path, text: str, mapping: list[str], expected: dict[str, list[float]]) -> None:
+    """Separators, units and names, in SI in the end."""
+    found = read_log(log(tmp_path, text), dict(map(parse_mapping, mapping)), SIGNALS)
+    np.testing.assert_allclose(found.time, expected.pop("time"))
+    assert list(found.columns) == list(expected)
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name].values, values)
+        assert found[name].unit == SIGNALS[name]
 
 
 @pytest.mark.parametrize(
@@ -70,22 +67,22 @@ def test_mapping(tmp_path: Path) -> None:
         ("time,x,y\n0,1,2\n", {"x": "joint1.torque", "y": "joint1.torque"}, "two columns of .* are mapped to"),
         ("time,joint1.torque [V]\n0,1\n", {}, "unknown unit 'V'; give the factor .*joint1.torque=joint1.torque"),
         ("time,joint1.torque\n1,1\n0,2\n", {}, "must not decrease, but it does in row 2"),
+        ("time,joint1.torque\n", {}, "has no rows"),
+        ("time,joint1.torque\n0,1\n1\n", {}, "row 2: 1 cells for the 2 columns"),
+        ("", {}, r"can't read .*nothing\.csv: No such file"),
     ],
 )
 def test_wrong_logs(tmp_path: Path, text: str, mapping: dict[str, str], message: str) -> None:
     """One line with what, where and what to type."""
-    with pytest.raises(InputError, match=message):
-        read_log(log(tmp_path, text), {name: as_mapped(each) for name, each in mapping.items()}, SIGNALS)
+    path = log(tmp_path, text) if text else tmp_path / "nothing.csv"
+    with pytest.raises((InputError, ResultsError), match=message):
+        read_log(path, {name: as_mapped(each) for name, each in mapping.items()}, SIGNALS)
 
 
-def test_unreadable_logs(tmp_path: Path) -> None:
-    """A missing file, a file without rows, and a row with too few cells."""
-    with pytest.raises(ResultsError, match=r"can't read .*nothing\.csv: No such file"):
-        read_log(tmp_path / "nothing.csv", {}, SIGNALS)
-    with pytest.raises(ResultsError, match="has no rows"):
-        read_log(log(tmp_path, "time,joint1.torque\n"), {}, SIGNALS)
-    with pytest.raises(ResultsError, match="row 2: 1 cells for the 2 columns"):
-        read_log(log(tmp_path, "time,joint1.torque\n0,1\n1\n"), {}, SIGNALS)
+def test_mappings() -> None:
+    """Spaces, powers of ten and signs are as in Python."""
+    assert as_mapped(" joint1.torque * -1e+3 + -2 ") == Mapped("joint1.torque", -1e3, -2.0)
+    assert as_mapped("joint1.torque+2") == Mapped("joint1.torque", None, 2.0)
 
 
 @pytest.mark.parametrize(

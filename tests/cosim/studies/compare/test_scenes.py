@@ -109,24 +109,6 @@ def test_the_command_names_and_varies_scenes(tmp_path: Path) -> None:
     assert data[0]["metrics"]["peak_torque_1"] == pytest.approx(metrics_of(flexfmu.run(SCENE))["peak_torque_1"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("barnard2012-6kg", "--variant", "stiff"), "--variant takes NAME:KEY=VALUE"),
-        (("barnard2012-6kg", "--variant", "a:payload.mas=1"), "did you mean `mass`"),
-        (("barnard2012-6kg", "--variant", "a:payload.mass=1,"), "empty or unfinished value"),
-        (("barnard2012-6kg", "--payload-band", "wide"), "two masses in kg"),
-        (("barnard2012-6kg", "--payload-band", "1.5"), "above 0 and below 1"),
-        (("a b=barnard2012-6kg",), "`name`"),
-        (("soft=nothing",), "no scene file 'nothing'"),
-    ],
-)
-def test_wrong_options_are_one_line(arguments: tuple[str, ...], message: str) -> None:
-    """Exit status 2, and nothing is simulated."""
-    result = command(*arguments)
-    assert (result.exit_code, message in result.stderr, result.stderr.count("\n")) == (2, True, 1), result.stderr
-
-
 def test_bands_of_payloads() -> None:
     """Fractions are those of the robot's payload, with its error; masses are as given."""
     heavier = SCENE.replace({"imperfection": [{"kind": "payload-error", "relative": 0.5}]})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +19,6 @@ from flexfmu.cosim.studies.workprec.equations import BoundFunction
 from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
 from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
-    FAMILIES,
     WorkPrecisionStudy,
     advantages,
     cheapest,
@@ -99,6 +97,7 @@ def test_shaped_scenes_are_compared_with_themselves() -> None:
     shaped = SCENE.replace({"shaper": [mode | {"apply": "path"}]})
     assert subject_of(shaped).stop > subject_of(SCENE).stop + 5e-3
     assert is_differential_equation(shaped)
+    assert not is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
     assert not is_differential_equation(SCENE.replace({"shaper": [mode | {"apply": "sampled", "sample_time": 1e-3}]}))
 
 
@@ -187,6 +186,7 @@ def test_sentence_and_advantages(study: WorkPrecisionStudy) -> None:
         "5 ms: 1.0 ms."
     )
     assert cheapest(TRIALS, 1e-9) is None
+    assert sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
     assert advantages(study).keys() == {"SciPy Radau", "Exudyn"}
     radau, exudyn = advantages(study).values()
     assert radau == (1e-5, pytest.approx(0.4 / 8e-6**0.5))
@@ -215,11 +215,6 @@ def test_curves_and_sweeps() -> None:
     assert list(sweep(slow, lambda trial: trial, WorkCurve(()))) == slow
 
 
-def test_nothing_accurate_enough(study: WorkPrecisionStudy) -> None:
-    """The sentence says so."""
-    assert sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
-
-
 @pytest.mark.slow
 def test_results_hold_everything(study: WorkPrecisionStudy, tmp_path: Path) -> None:
     """Table, data, pictures and page name every line, failures included; the page fetches nothing."""
@@ -235,39 +230,22 @@ def test_results_hold_everything(study: WorkPrecisionStudy, tmp_path: Path) -> N
     assert json.loads(json.dumps(data(study)))["trials"][2]["error"] is None
 
 
-def test_what_can_be_asked() -> None:
-    """Other people's solvers need one smooth equation: no controllers, no torques as inputs."""
-    assert is_differential_equation(SCENE)
-    assert not is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
-
-
-@pytest.fixture
-def spend(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Lets processor time [s] pass on a clock that stands still otherwise."""
+def test_timing_takes_the_fastest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs are repeated until they have taken a tenth of a second in all, or often enough; a long one is not repeated. Those that
+    are compared take turns, as many each, on a machine that gets faster."""
     passed = [0.0]
     monkeypatch.setattr("flexfmu.cosim.experiment.timing.process_time", lambda: sum(passed))
-    return passed.append
 
+    def taking(times: Iterator[float]) -> Callable[[], None]:
+        return lambda: passed.append(next(times))
 
-def test_timing_takes_the_fastest(spend: Callable[[float], None]) -> None:
-    """Runs are repeated until they have taken a tenth of a second in all, or often enough; a long one is not repeated."""
-    times = iter([0.04, 0.02, 0.03, 0.02, 0.01])
-    assert fastest(lambda: spend(next(times))) == pytest.approx(0.02)
-    assert list(times) == [0.01]
-    short = [1e-3] * (MOST + 2)
-    assert fastest(lambda: spend(short.pop())) == pytest.approx(1e-3)
-    assert len(short) == 1
-    long = [0.5, 0.2]
-    assert fastest(lambda: spend(long.pop())) == pytest.approx(0.2)
-    assert long == [0.5]
-
-
-def test_timing_in_turns_gives_each_its_own_time(spend: Callable[[float], None]) -> None:
-    """Both are compared on a machine that is slow at first and gets faster: each has had as many turns as the other."""
-    quick, slow = iter([0.02, 0.01, 0.01]), iter([0.2, 0.1, 0.1])
-    assert fastest_in_turns([lambda: spend(next(quick)), lambda: spend(next(slow))]) == pytest.approx((0.02, 0.2))
-    quick, slow = iter([0.02, 0.01, 0.01]), iter([0.08, 0.04, 0.07])
-    assert fastest_in_turns([lambda: spend(next(quick)), lambda: spend(next(slow))]) == pytest.approx((0.01, 0.04))
+    for times, expected in (([0.04, 0.02, 0.03, 0.02, 0.01], 0.02), ([1e-3] * (MOST + 2), 1e-3), ([0.2, 0.5], 0.2)):
+        coming = iter(times)
+        assert fastest(taking(coming)) == pytest.approx(expected)
+        assert len([*coming]) == 1
+    for slow, expected_both in (([0.2, 0.1, 0.1], (0.02, 0.2)), ([0.08, 0.04, 0.07], (0.01, 0.04))):
+        both = [taking(iter(each)) for each in ([0.02, 0.01, 0.01], slow)]
+        assert fastest_in_turns(both) == pytest.approx(expected_both)
 
 
 @pytest.mark.slow
@@ -288,10 +266,3 @@ def test_command(tmp_path: Path) -> None:
     assert {trial["family"] for trial in found["trials"]} == {"communication"}
     assert np.isfinite([trial["error"] for trial in found["trials"]]).all()
     assert {path.name for path in out.iterdir()} >= {"workprec.json", "workprec.md", "workprec.html", "workprec.png"}
-
-
-def test_unknown_family_is_refused() -> None:
-    """The error names what there is."""
-    result = CliRunner().invoke(app, ["workprec", "barnard2012-6kg", "--only", "weather"])
-    assert result.exit_code == 2
-    assert all(name in result.stderr for name in FAMILIES)
