@@ -85,59 +85,63 @@ def test_files_are_known_by_their_content(make_ssp: MakeSsp, tmp_path: Path) -> 
     assert "robot.fmu is no SSP" in refused.stderr
 
 
-def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
-    """A parameter that fits nothing is a warning, in words."""
-    path = make_ssp(of_second(inline(parameter_set(rat='Real value="2"'))))
-    result = flexfmu("run", str(path), "--step", "0.1", "--out", str(tmp_path / "out"))
-    assert result.exit_code == 0, result.output
-    assert "warning: parameters that fit no variable were ignored: rat" in result.stdout
-    assert "second.x [m]" in result.stdout
-    assert {each.name for each in (tmp_path / "out").iterdir()} == {"results.csv", "summary.json"}
-
-
-def test_texts_in_the_table(make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path) -> None:
-    """The table shows a String's last text, not its code; results.csv has all of them."""
+def test_run_tells_what_it_ignored_and_texts(
+    make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path
+) -> None:
+    """A parameter that fits nothing is a warning, in words. The table shows a String's last text, not its code; results.csv has
+    all of them."""
     said = '<ScalarVariable name="said" valueReference="1" causality="output" variability="discrete"><String/></ScalarVariable>'
     files = {"resources/decay.fmu": make_decay(("</ModelVariables>", f"{said}</ModelVariables>"))}
-    ran = flexfmu("run", str(make_ssp(SSD, files)), "--step", "0.1", "--out", str(tmp_path / "out"))
+    path = make_ssp(of_second(inline(parameter_set(rat='Real value="2"'))), files)
+    ran = flexfmu("run", str(path), "--step", "0.1", "--out", str(tmp_path / "out"))
     assert ran.exit_code == 0, ran.output
+    assert "warning: parameters that fit no variable were ignored: rat" in ran.stdout
+    assert "second.x [m]" in ran.stdout
     line = next(each for each in ran.stdout.splitlines() if "first.said" in each)
     assert line.split(maxsplit=1)[1].strip() == '"decay, 10"'
-    recording = Recording.read_csv(tmp_path / "out" / "results.csv")
-    assert recording["first.said"].text_at(0) == "decay, 0"
+    assert {each.name for each in (tmp_path / "out").iterdir()} == {"results.csv", "summary.json"}
+    assert Recording.read_csv(tmp_path / "out" / "results.csv")["first.said"].text_at(0) == "decay, 0"
 
 
-def test_files_without_a_stop_time(make_ssp: MakeSsp, tmp_path: Path) -> None:
-    """The refusal names the option, and with it the file runs."""
-    path = str(make_ssp(SSD.replace(' stopTime="1"', "")))
-    arguments = ("run", path, "--step", "0.1", "--out", str(tmp_path / "out"), "--json")
-    refused = flexfmu(*arguments)
-    assert (refused.exit_code, len(refused.stderr.splitlines())) == (2, 1)
-    assert (
-        "decays.ssp names no stop time, nor does any FMU in it; say it: flexfmu run --stop-time SECONDS"
-        in refused.stderr
-    )
-    ran = flexfmu(*arguments, "--stop-time", "0.4")
-    assert ran.exit_code == 0, ran.output
-    assert json.loads(ran.stdout)["end_time"] == 0.4
+def in_trouble(kind: str) -> str:
+    """The system whose second FMU fails at 0.5 s."""
+    return of_second(inline(parameter_set(trouble=f'Enumeration value="{kind}"')))
+
+
+NO_STOP = SSD.replace(' stopTime="1"', "")
 
 
 @pytest.mark.parametrize(
     ("ssd", "status", "problem"),
     [
         (SSD.replace('version="1.0" name', 'version="3.0" name'), 2, "is of SSP 3.0"),
-        (of_second(inline(parameter_set(trouble='Enumeration value="fails"'))), 1, "second is tired"),
+        (NO_STOP, 2, "decays.ssp names no stop time, nor does any FMU in it; say it: flexfmu run --stop-time SECONDS"),
         (SSD.replace('stopTime="1"', 'stopTime="-1"'), 2, "-1"),
+        (in_trouble("fails"), 1, "tired"),
+        pytest.param(
+            in_trouble("exits"),
+            1,
+            "failed at 0.5 s: it ended its process with exit status 0",
+            marks=pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux"),
+        ),
     ],
-    ids=["refused", "fails on the way", "no time"],
+    ids=["refused", "no stop time", "no time", "fails on the way", "exits"],
 )
 def test_failures_are_one_line(ssd: str, status: int, problem: str, make_ssp: MakeSsp, tmp_path: Path) -> None:
-    """Status 2 for a file that is wrong, 1 for a run that fails, with what was recorded until then."""
-    result = flexfmu("run", str(make_ssp(ssd)), "--step", "0.1", "--out", str(tmp_path / "out"))
+    """Status 2 for a file that is wrong, 1 for a run that fails, be it that an FMU calls exit, with what was recorded until
+    then; the option that the line names helps."""
+    arguments = ("run", str(make_ssp(ssd)), "--step", "0.1", "--out", str(tmp_path / "out"))
+    result = flexfmu(*arguments)
     assert result.exit_code == status, result.output
-    assert problem.split()[-1] in result.stderr
+    assert problem in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert (tmp_path / "out" / "results.csv").exists() == (status == 1)
+    if status == 1:
+        assert json.loads((tmp_path / "out" / "summary.json").read_text())["end_time"] == pytest.approx(0.5)
+        assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.5)
+    if ssd == NO_STOP:
+        ran = flexfmu(*arguments, "--json", "--stop-time", "0.4")
+        assert json.loads(ran.stdout)["end_time"] == 0.4
 
 
 def hanging(process: int, children: bool, begin: dict[str, float]) -> bool:
@@ -164,7 +168,7 @@ def test_sigterm_leaves_nothing_behind(isolated: bool, make_ssp: MakeSsp, tmp_pa
     program that an FMU holds within itself ends too, though it can't tidy up."""
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    path = make_ssp(of_second(inline(parameter_set(trouble='Enumeration value="hangs"'))))
+    path = make_ssp(in_trouble("hangs"))
     options = ["--step", "0.1", "--out", str(tmp_path / "out"), "--isolate" if isolated else "--no-isolate"]
     command = [sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main()", "run", str(path), *options]
     running = subprocess.Popen(command, env={**os.environ, "TMPDIR": str(temporary)}, stderr=subprocess.PIPE, text=True)
@@ -178,14 +182,3 @@ def test_sigterm_leaves_nothing_behind(isolated: bool, make_ssp: MakeSsp, tmp_pa
     if isolated:
         assert not list(temporary.glob("flexfmu-*"))
         assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.5)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
-def test_an_fmu_that_exits_leaves_results(make_ssp: MakeSsp, tmp_path: Path) -> None:
-    """Another tool's FMU that calls exit ends its run alone: named, at its time, with status 1 and all that was recorded."""
-    path = make_ssp(of_second(inline(parameter_set(trouble='Enumeration value="exits"'))))
-    ran = flexfmu("run", str(path), "--step", "0.1", "--out", str(tmp_path / "out"))
-    assert ran.exit_code == 1, ran.output
-    assert "failed at 0.5 s: it ended its process with exit status 0" in ran.stderr
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["end_time"] == pytest.approx(0.5)
-    assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.5)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import fmpy.ssp.simulation
@@ -14,15 +14,17 @@ from ssp_support.loops import STEPS as LOOP_STEPS
 
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 
+SspOf = Callable[[str], Path]
+
 STEPS = (4e-4, 2e-4)
 INSTANT = 0.2
 """In the middle of the motion [s]."""
 
 
 @pytest.fixture(scope="session")
-def reference(motion_ssp: Path) -> float:
+def reference(ssp_of: SspOf) -> float:
     """Position at the instant, by our master with derivatives of all orders."""
-    recording = load_ssp(motion_ssp, stop=INSTANT).simulate().recording
+    recording = load_ssp(ssp_of("motion"), stop=INSTANT).simulate().recording
     return float(recording[f"plant.{SIGNAL}"].values[-1])
 
 
@@ -31,38 +33,32 @@ def at_the_instant(tool: str, path: Path, step: float) -> float:
     return float(simulate(tool, path, step, [INSTANT])[0])
 
 
-def check_order(errors: Sequence[float]) -> None:
-    """Halving the step halves the error, which is that of references that are one or two steps old."""
+OTHERS = ["libcosimpy", "ecospy", "OMSimulator"]
+
+
+@pytest.mark.parametrize("tool", ["fmpy", *(pytest.param(each, marks=pytest.mark.slow) for each in OTHERS)])
+def test_other_importers(tool: str, ssp_of: SspOf, reference: float) -> None:
+    """fmpy (started from the FMUs' outputs), libcosim, ecos and OMSimulator read the file as it is; halving the step halves the
+    error, which is that of references that are one or two steps old."""
+    errors = [abs(at_the_instant(tool, ssp_of("motion"), step) - reference) for step in STEPS]
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
     assert errors[1] < 1e-3
 
 
-def test_fmpy(motion_ssp: Path, reference: float) -> None:
-    """fmpy's own SSP simulation, started from the FMUs' outputs."""
-    check_order([abs(at_the_instant("fmpy", motion_ssp, step) - reference) for step in STEPS])
-
-
-def test_fmpy_as_it_is(motion_ssp: Path) -> None:
+def test_fmpy_as_it_is(ssp_of: SspOf) -> None:
     """The first step with zeros at all inputs kicks the robot; it still arrives."""
-    result = fmpy.ssp.simulation.simulate_ssp(motion_ssp, stop_time=0.43, step_size=STEPS[0])
+    result = fmpy.ssp.simulation.simulate_ssp(ssp_of("motion"), stop_time=0.43, step_size=STEPS[0])
     assert np.isfinite(result[f"plant.{SIGNAL}"]).all()
     assert result[f"plant.{SIGNAL}"][-1] == pytest.approx(0.175, abs=1e-3)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tool", ["libcosimpy", "ecospy", "OMSimulator"])
-def test_other_importers(tool: str, motion_ssp: Path, reference: float) -> None:
-    """libcosim, ecos and OMSimulator read the file as it is."""
-    check_order([abs(at_the_instant(tool, motion_ssp, step) - reference) for step in STEPS])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tool", ["libcosimpy", "ecospy", "OMSimulator"])
+@pytest.mark.parametrize("tool", OTHERS)
 @pytest.mark.parametrize("name", ["staggered", "drive"])
-def test_controllers_in_other_importers(tool: str, name: str, request: pytest.FixtureRequest) -> None:
+def test_controllers_in_other_importers(tool: str, name: str, ssp_of: SspOf) -> None:
     """Controllers, shaper, encoder and amplifier, and all loops of a drive: each samples a communication step after those that feed it, so that
     what passes signals on a step late is in time."""
-    path = request.getfixturevalue(f"{name}_ssp")
+    path = ssp_of(name)
     recording = load_ssp(path, stop=INSTANT).simulate().recording
     expected = float(recording[f"plant.{SIGNAL}"].values[-1])
     for step in (5e-5, 2.5e-5):
@@ -99,14 +95,14 @@ def test_torque_driven_loops(name: str, tools: list[str], tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", ["libcosimpy", "OMSimulator"])
-def test_others_take_the_step_from_the_file(tool: str, motion_ssp: Path) -> None:
+def test_others_take_the_step_from_the_file(tool: str, ssp_of: SspOf) -> None:
     """The annotations with the communication step are those that libcosim and OMSimulator read."""
-    own = at_the_instant(tool, motion_ssp, load_ssp(motion_ssp).step)
-    assert at_the_instant(tool, motion_ssp, 0.0) == own
+    own = at_the_instant(tool, ssp_of("motion"), load_ssp(ssp_of("motion")).step)
+    assert at_the_instant(tool, ssp_of("motion"), 0.0) == own
 
 
 @pytest.mark.slow
-def test_omsimulator_agrees_with_ecos(motion_ssp: Path) -> None:
+def test_omsimulator_agrees_with_ecos(ssp_of: SspOf) -> None:
     """Two masters that read outputs after they have set inputs, with the tolerance that the file says: the same numbers."""
-    ends = [at_the_instant(tool, motion_ssp, STEPS[0]) for tool in ("OMSimulator", "ecospy")]
+    ends = [at_the_instant(tool, ssp_of("motion"), STEPS[0]) for tool in ("OMSimulator", "ecospy")]
     assert ends[0] == pytest.approx(ends[1], abs=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,9 @@ from flexfmu.model.scene.schema import Scene
 
 pytestmark = pytest.mark.slow
 
+SceneOf = Callable[[str], Scene]
+SspOf = Callable[[str], Path]
+
 TIGHT = 1e-11
 """Of the magnitude of a signal: what passes between the slaves and the end effector's motion differ by what the trajectory's
 FMU differs from the trajectory, 1e-12 or so."""
@@ -35,12 +39,12 @@ SENSITIVITY = 5.0
 whatever goes in, by up to 1e6 in their fourth derivatives."""
 
 
-@pytest.mark.parametrize("name", ["motion", "controlled", "summed", "furnished"])
-def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize("name", ["motion", "controlled", "drive", "furnished"])
+def test_the_file_runs_as_its_scene_does(name: str, scene_of: SceneOf, ssp_of: SspOf) -> None:
     """Same instants, same signals: derivatives are streamed, blocks are sampled at their own instants, all slaves are there, and the
     payload error too."""
-    scene, path = (request.getfixturevalue(f"{name}_{kind}") for kind in ("scene", "ssp"))
-    loaded, expected = load_ssp(path), run_scene(scene)
+    scene = scene_of(name)
+    loaded, expected = load_ssp(ssp_of(name)), run_scene(scene)
     touched = run_scene(scene.replace({"payload.mass": scene.payload.mass * (1.0 + TOUCH)})).recording
     assert loaded.ignored == ()
     assert [each.name for each in loaded.system.slaves] == [each.name for each in expected.slaves]
@@ -60,9 +64,9 @@ def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureReque
             np.testing.assert_allclose(again, values, rtol=0.0, atol=allowed, err_msg=f"{signal}, derivative {order}")
 
 
-def test_signals_are_called_as_in_the_scene(controlled_scene: Scene, controlled_ssp: Path) -> None:
+def test_signals_are_called_as_in_the_scene(scene_of: SceneOf, ssp_of: SspOf) -> None:
     """One name in the scene's recording, in that of its SSP file and in the FMUs; the names in the file are found, too."""
-    loaded, expected = load_ssp(controlled_ssp, stop=0.01), run_scene(controlled_scene).recording
+    loaded, expected = load_ssp(ssp_of("controlled"), stop=0.01), run_scene(scene_of("controlled")).recording
     recording = loaded.simulate().recording
     assert set(recording.columns) == {
         name for name in expected.columns if not name.startswith("end_effector.reference")
@@ -87,9 +91,9 @@ def derivatives(column: Column) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["motion", "controlled"])
-def test_fmpy_finds_nothing_to_complain_about(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_fmpy_finds_nothing_to_complain_about(name: str, ssp_of: SspOf, tmp_path: Path) -> None:
     """SSD and SSV are valid against the standard's schemas, the FMUs within are valid too."""
-    path = request.getfixturevalue(f"{name}_ssp")
+    path = ssp_of(name)
     structure = read_ssd(path, validate=True)
     values = read_ssv(path, resource=PARAMETERS, validate=True)
     assert len(values.parameters) > 10
@@ -99,48 +103,40 @@ def test_fmpy_finds_nothing_to_complain_about(name: str, request: pytest.Fixture
         assert read_model_description(str(tmp_path / component.source), validate=True).coSimulation is not None
 
 
-def test_parameters_are_the_robots(controlled_ssp: Path) -> None:
+def test_parameters_are_the_robots(ssp_of: SspOf) -> None:
     """The payload error reaches the robot, in the parameter set and in the FMU itself, and nothing else."""
-    values = {each.name: each for each in read_ssv(controlled_ssp, resource=PARAMETERS).parameters}
+    values = {each.name: each for each in read_ssv(ssp_of("controlled"), resource=PARAMETERS).parameters}
     payload = values["plant.payload.mass"]
     assert (payload.type, float(payload.value), payload.unit) == ("Real", pytest.approx(6.6), "kg")
-    loaded = load_ssp(controlled_ssp)
+    loaded = load_ssp(ssp_of("controlled"))
     start = {each.name: each.start for each in loaded.system.slaves[1].variables}
     assert start["payload.mass"] == pytest.approx(6.6)
 
 
-def test_the_same_scene_gives_the_same_bytes(motion_scene: Scene, motion_ssp: Path, tmp_path: Path) -> None:
+def test_the_same_scene_gives_the_same_bytes(scene_of: SceneOf, ssp_of: SspOf, tmp_path: Path) -> None:
     """Neither times nor folders get in."""
-    again = export_ssp(motion_scene, tmp_path / "deep" / "er" / "again.ssp")
-    assert again.read_bytes() == motion_ssp.read_bytes()
+    again = export_ssp(scene_of("motion"), tmp_path / "deep" / "er" / "again.ssp")
+    assert again.read_bytes() == ssp_of("motion").read_bytes()
     with zipfile.ZipFile(again) as archive:
         assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
-def test_names_are_identifiers(tmp_path: Path) -> None:
-    """A shipped scene's name has a hyphen, which OMSimulator refuses."""
+def test_names_and_times_in_the_file(tmp_path: Path) -> None:
+    """Stop time, step and tolerance are the scene's; a shipped scene's name has a hyphen, which OMSimulator refuses."""
     scene = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
-    structure = load_ssp(export_ssp(scene, tmp_path / "robot.ssp")).structure
-    assert structure.name == "barnard2012_6kg"
-    assert all(each.name.isidentifier() for each in structure.components)
-
-
-def test_times_come_with_the_file(motion_scene: Scene, motion_ssp: Path) -> None:
-    """Stop time and communication step are the scene's; others can be asked for."""
-    loaded = load_ssp(motion_ssp)
-    assert (loaded.start, loaded.stop, loaded.step) == (
-        0.0,
-        motion_scene.trajectory.duration,
-        motion_scene.cosimulation.step,
-    )
-    assert loaded.tolerance == motion_scene.cosimulation.tolerance
-    other = load_ssp(motion_ssp, start=0.1, stop=0.2, step=1e-3)
+    loaded = load_ssp(export_ssp(scene, tmp_path / "robot.ssp"))
+    assert loaded.structure.name == "barnard2012_6kg"
+    assert all(each.name.isidentifier() for each in loaded.structure.components)
+    section = scene.cosimulation
+    assert (loaded.start, loaded.stop, loaded.step) == (0.0, scene.trajectory.duration, section.step)
+    assert loaded.tolerance == section.tolerance
+    other = load_ssp(tmp_path / "robot.ssp", start=0.1, stop=0.2, step=1e-3)
     assert (other.start, other.stop, other.step) == (0.1, 0.2, 1e-3)
 
 
-def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scene, tmp_path: Path) -> None:
+def test_a_torque_driven_robot_without_controller_is_held(scene_of: SceneOf, tmp_path: Path) -> None:
     """The torques that hold the start pose are in the parameter set: inputs that nothing feeds keep them."""
-    scene = controlled_scene.replace({"controller": [], "shaper": [], "imperfection": []})
+    scene = scene_of("controlled").replace({"controller": [], "shaper": [], "imperfection": []})
     simulation = load_ssp(export_ssp(scene, tmp_path / "held.ssp"), stop=0.02).simulate()
     x = simulation.recording["end_effector.position.x"].values
     assert simulation.outcome is Outcome.COMPLETED
@@ -151,12 +147,11 @@ def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scen
     assert simulation.recording["joint1.torque"].values[-1] == expected["joint1.torque"].values[-1] != 0.0
 
 
-def test_a_continuous_lag_leaves_as_a_sampled_one(tmp_path: Path) -> None:
+def test_a_continuous_lag_leaves_as_a_sampled_one(scene_of: SceneOf, tmp_path: Path) -> None:
     """The end effector is off by what half a sample of a tenth of the time constant makes, as the page says."""
-    lag, pd = {"kind": "lag", "time_constant": 2e-4}, {"kind": "pd", "proportional": 5e3, "derivative": 50.0}
-    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
-    loop = {"controller": [pd | {"sample_time": 1e-3}], "imperfection": [lag]}
-    scene = load_scene("barnard2012-6kg").replace({**changes, **loop, "name": "lagging"})
+    lag = {"kind": "lag", "time_constant": 2e-4}
+    controller = scene_of("controlled").controller[:1]
+    scene = scene_of("controlled").replace({"controller": controller, "shaper": [], "imperfection": [lag]})
     found, expected = load_ssp(export_ssp(scene, tmp_path / "lag.ssp")).simulate().recording, run_scene(scene).recording
     x = np.interp(expected.time, found.time, found["end_effector.position.x"].values)
     assert abs(x - expected["end_effector.position.x"].values).max() == pytest.approx(2.6e-6, rel=0.1)

@@ -80,6 +80,13 @@ def of_system(bindings: str, ssd: str = SSD) -> str:
     return ssd.replace("<ssd:Elements>", f"{bindings}<ssd:Elements>", 1)
 
 
+def connected(inner: str = "", attributes: str = "", ssd: str = SSD, **ends: str) -> str:
+    """The system with another connection; ``ends`` are changed attributes, left out where empty."""
+    found = {"startElement": "first", "startConnector": "x", "endElement": "second", "endConnector": "u"} | ends
+    named = " ".join(f'{name}="{value}"' for name, value in found.items() if value)
+    return ssd.replace(CONNECTION, f"<ssd:Connection {named} {attributes}>{inner}</ssd:Connection>")
+
+
 def package(path: Path, files: Mapping[str, bytes | str]) -> Path:
     """Zip files."""
     with zipfile.ZipFile(path, "w") as archive:
