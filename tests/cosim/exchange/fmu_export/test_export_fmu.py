@@ -13,7 +13,7 @@ import casadi
 import fmpy
 import numpy as np
 import pytest
-from export_support.blocks import SAMPLE_TIME, block, delay, expected, fir, gain, pd_controller, quantiser, saturation
+from export_support.blocks import SAMPLE_TIME, block, delay, expected, fir, gain, pd_controller, quantiser
 from export_support.instance import run
 from export_support.trajectories import Swing, lame
 from fmpy.validation import validate_fmu as validate_by_fmpy
@@ -26,18 +26,22 @@ from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
 from flexfmu.fmu_build.validation.validate import validate_fmu
-from flexfmu.model.symbolic import SymbolicBlock, Variable
+from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.profiles import bang_bang
 
 Export = Callable[..., Any]
 
-BLOCKS = [pd_controller, fir, delay, quantiser, saturation]
+SWING = Motion(Swing(), ["axis"], "m")  # type: ignore[arg-type]
+MADE: list[Any] = [
+    *(pytest.param(make, id=make.__name__) for make in (pd_controller, fir, delay, quantiser)),
+    pytest.param(lambda: Motion(lame(bang_bang())), id="trajectory", marks=pytest.mark.slow),
+]
 
 
-@pytest.mark.parametrize("make", BLOCKS, ids=lambda make: make.__name__)
-def test_block_is_valid(make: Callable[[], SymbolicBlock], tmp_path: Path) -> None:
+@pytest.mark.parametrize("make", MADE)
+def test_export_is_valid(make: Callable[[], Any], tmp_path: Path) -> None:
     """Other tools check more than ours: description by fmpy, symbols, and a short life in a process of its own."""
-    built = build_fmu(make(), tmp_path / "block.fmu", stop_time=0.05)
+    built = build_fmu(make(), tmp_path / "exported.fmu", stop_time=0.05)
     assert validate_by_fmpy(str(built.path)) == []
     assert validate_fmu(built.path) == []
 
@@ -53,33 +57,11 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
     assert "with a derivative of in1 out1 is 0.00775 off" in finding.message
 
 
-@pytest.mark.slow
-def test_trajectory_is_valid(tmp_path: Path) -> None:
-    """The same for trajectories."""
-    built = build_fmu(Motion(lame(bang_bang())), tmp_path / "trajectory.fmu")
-    assert validate_by_fmpy(str(built.path)) == []
-    assert validate_fmu(built.path) == []
-
-
-def test_fmpy_simulates_a_block(tmp_path: Path) -> None:
-    """Somebody else's master gets the samples as well: inputs are set, then the step is made, then the outputs are read,
-    so that it records at each instant the sample with the input of the step before it."""
-    built = build_fmu(quantiser(), tmp_path / "block.fmu")
-    times = SAMPLE_TIME * np.arange(51)
-    signal = np.array(list(zip(times, np.sin(60.0 * times), strict=True)), dtype=[("time", "f8"), ("in1", "f8")])
-    result = fmpy.simulate_fmu(
-        str(built.path), stop_time=0.05, step_size=SAMPLE_TIME, output_interval=SAMPLE_TIME, input=signal
-    )
-    held = np.floor(64.0 * np.sin(60.0 * times)) / 64.0
-    np.testing.assert_array_equal(result["out1"][1:], held[:-1])
-
-
 def test_fmpy_simulates_a_trajectory(tmp_path: Path) -> None:
     """Left limits at the communication points."""
-    swing = Swing()
-    built = build_fmu(Motion(swing, ["axis"], "m"), tmp_path / "swing.fmu")  # type: ignore[arg-type]
-    result = fmpy.simulate_fmu(str(built.path), step_size=0.01, output_interval=0.01)
-    exact = swing.evaluate(result["time"], 2, "left")[:, :, 0]
+    path = str(build_fmu(SWING, tmp_path / "swing.fmu").path)
+    result = fmpy.simulate_fmu(path, step_size=0.01, output_interval=0.01)
+    exact = Swing().evaluate(result["time"], 2, "left")[:, :, 0]
     for row, kind in zip(exact, ("position", "velocity", "acceleration"), strict=True):
         np.testing.assert_allclose(result[f"axis.reference.{kind}"], row, rtol=0.0, atol=1e-12 * abs(exact).max())
 
@@ -94,18 +76,13 @@ def test_description_says_what_it_is(tmp_path: Path) -> None:
     assert (description.defaultExperiment.stepSize, description.defaultExperiment.tolerance) == ("0.25", None)
     text = zipfile.ZipFile(path).read("modelDescription.xml").decode()
     assert '<Sampling sampleTime="0.25" offset="0.125"/>' in text
-    path = build_fmu(Motion(Swing(), ["axis"], "m"), tmp_path / "swing.fmu").path  # type: ignore[arg-type]
+    path = build_fmu(SWING, tmp_path / "swing.fmu").path
     text = zipfile.ZipFile(path).read("modelDescription.xml").decode()
     assert '<Breakpoints times="0.0 0.4 1.0"/>' in text
     description = fmpy.read_model_description(str(path))
     limit = next(each for each in description.modelVariables if each.name == "limit")
     assert (limit.type, limit.min, limit.max, limit.start) == ("Integer", "1", "2", "1")
-
-
-def test_trajectory_declares_no_derivatives(tmp_path: Path) -> None:
-    """Importers stumble over declared derivatives without states: Maestro where both outputs are connected, libcosim always."""
-    path = build_fmu(Motion(Swing(), ["axis"], "m"), tmp_path / "swing.fmu").path  # type: ignore[arg-type]
-    description = fmpy.read_model_description(str(path))
+    # importers stumble over derivatives without states: Maestro where both outputs are connected, libcosim always
     assert [each.name for each in description.modelVariables if each.derivative is not None] == []
     assert list(description.derivatives) == []
 
@@ -119,6 +96,15 @@ def test_feedthrough_is_declared(declared: dict[str, tuple[str, ...]], dependenc
     path = build_fmu(replace(controller, feedthrough=declared), tmp_path / "block.fmu").path
     unknown = fmpy.read_model_description(str(path)).outputs[0]
     assert [each.name for each in unknown.dependencies] == dependencies
+
+
+def test_each_kind_has_its_own_runtime() -> None:
+    """An FMU carries the sources that it is built from, and no integrator where nothing is integrated."""
+    made, trajectory = (set(generate_sources(each, DefaultExperiment()).runtime) for each in (pd_controller(), SWING))
+    assert {"block.c", "inputs.c"} <= made
+    assert "trajectory.c" in trajectory
+    assert not {name for name in made | trajectory if name.startswith(("integrator", "plant", "stages", "linear"))}
+    assert not {name for name in trajectory if name.startswith(("block", "inputs"))}
 
 
 @pytest.mark.slow
@@ -159,23 +145,16 @@ def test_contradictions_are_refused(change: dict[str, Any], sentence: str) -> No
 def learning_table(states: int) -> SymbolicBlock:
     """A table of one value per sample of a cycle: read at the present sample, written with the error, as iterative learning
     does; its last state is the sample's number."""
-    x, u, p = casadi.MX.sym("x", states + 1), casadi.MX.sym("u", 1), casadi.MX.sym("p", 0)
-    table, number = x[:states], x[states]
-    index = casadi.fmod(number, states)
-    value = table[index]
-    learned = casadi.if_else(casadi.DM(range(states)) == index, table + 0.5 * u, table)
-    updated = casadi.vertcat(learned, number + 1)
-    return SymbolicBlock(
-        name="learning",
-        description="A learning table",
-        sample_time=SAMPLE_TIME,
-        inputs=(Variable("in1", "1", "Error", "input", start=0.0),),
-        outputs=(Variable("out1", "1", "Learned", "output"),),
-        output=casadi.Function("output", [x, u, p], [value]),
-        update=casadi.Function("update", [x, u, p], [updated]),
-        states=(0.0,) * (states + 1),
-        feedthrough={"out1": ()},
-    )
+
+    def updated(x: Any, u: Any, p: Any) -> list[Any]:
+        index = casadi.fmod(x[states], states)
+        learned = casadi.if_else(casadi.DM(range(states)) == index, x[:states] + 0.5 * u, x[:states])
+        return [learned, x[states] + 1]
+
+    def read(x: Any, u: Any, p: Any) -> list[Any]:
+        return [x[:states][casadi.fmod(x[states], states)]]
+
+    return block("learning", (0.0,) * (states + 1), 1, read, updated, kind=casadi.MX)
 
 
 def iterations(code: str) -> int:

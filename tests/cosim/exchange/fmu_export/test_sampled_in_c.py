@@ -9,7 +9,7 @@ from typing import Any
 import casadi
 import numpy as np
 import pytest
-from export_support.blocks import SAMPLE_TIME, pd_controller
+from export_support.blocks import SAMPLE_TIME, block, pd_controller
 from export_support.kinds import KINDS, signals_of, source
 from python_slave import PythonSlave
 
@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.model.symbolic import SymbolicBlock, Variable
+from flexfmu.model.symbolic import SymbolicBlock
 
 COUNT = 200
 """Samples of a run: all stages of the source, and more than the memory of what delays."""
@@ -83,13 +83,13 @@ def assert_same_bits(found: Simulation, exact: Simulation) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_every_kind_at_several_rates(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A block, and the same one slower and later, beside a slave in Python: Python takes the first samples alone."""
-    block = KINDS[name]()
-    slower = replace(block, name="slower", sample_time=2.0 * SAMPLE_TIME, offset=0.5 * SAMPLE_TIME)
-    slaves = [BlockSlave(block), BlockSlave(slower)]
+    made = KINDS[name]()
+    slower = replace(made, name="slower", sample_time=2.0 * SAMPLE_TIME, offset=0.5 * SAMPLE_TIME)
+    slaves = [BlockSlave(made), BlockSlave(slower)]
     found, exact = runs(fed(slaves))
     assert found.outcome is Outcome.COMPLETED
     assert_same_bits(found, exact)
-    outputs = np.array([found.recording[f"{block.name}.{each.name}"].values for each in block.outputs])
+    outputs = np.array([found.recording[f"{made.name}.{each.name}"].values for each in made.outputs])
     assert np.ptp(outputs) > 0.0
     # a third run counts
     counted = Counted(monkeypatch, BlockSlave)
@@ -111,17 +111,17 @@ def test_parts_of_the_outputs(kept: str) -> None:
 class WithBlock(SampledFmu):
     """A sampled FMU that knows its block, for `fed`."""
 
-    def __init__(self, block: SymbolicBlock, *arguments: Any) -> None:
-        self.block = block
-        super().__init__(build_fmu(block).path, block.name, *arguments)
+    def __init__(self, exported: SymbolicBlock, *arguments: Any) -> None:
+        self.block = exported
+        super().__init__(build_fmu(exported).path, exported.name, *arguments)
 
 
 class Task(FmuTask):
     """An exported block that is sampled in its step."""
 
-    def __init__(self, block: SymbolicBlock, offset: float) -> None:
-        self.block = block
-        slave = FmuSlave(build_fmu(block).path, block.name, input_order=0, output_order=0)
+    def __init__(self, exported: SymbolicBlock, offset: float) -> None:
+        self.block = exported
+        slave = FmuSlave(build_fmu(exported).path, exported.name, input_order=0, output_order=0)
         super().__init__(slave, 2.0 * SAMPLE_TIME, offset)
 
 
@@ -157,18 +157,9 @@ def test_an_fmu_that_fails_at_a_sample() -> None:
     assert_same_bits(found, exact)
 
 
-def raising(equation: Callable[[Any], Any], symbol: Any = casadi.SX) -> SymbolicBlock:
+def raising(equation: Callable[[Any], Any], kind: Any = casadi.SX) -> SymbolicBlock:
     """A block of one input and one output."""
-    u, no = symbol.sym("u"), symbol.sym("no", 0)
-    return SymbolicBlock(
-        name="block",
-        description="Own",
-        sample_time=SAMPLE_TIME,
-        inputs=(Variable("u", "1", "Input", "input", 0.0),),
-        outputs=(Variable("y", "1", "Output", "output"),),
-        output=casadi.Function("output", [no, u, no], [equation(u)]),
-        update=casadi.Function("update", [no, u, no], [no]),
-    )
+    return block("block", [], 1, lambda x, u, p: [equation(u)], lambda x, u, p: [], kind=kind)
 
 
 class Doubled(casadi.Callback):  # type: ignore[misc]
@@ -188,7 +179,7 @@ def test_equations_that_take_python() -> None:
     found, exact = runs(fed([BlockSlave(raising(doubled, casadi.MX))]))
     assert found.outcome is Outcome.COMPLETED
     assert_same_bits(found, exact)
-    assert found.recording["block.y"].values[-1] == 2.0 * found.recording["source.signal0"].values[-1]
+    assert found.recording["block.out1"].values[-1] == 2.0 * found.recording["source.signal0"].values[-1]
     found, exact = runs(fed([BlockSlave(raising(lambda u: u.attachAssert(u < 0.5, "too large"), casadi.MX))]))
     assert found.outcome is Outcome.STEP_FAILED
     assert "too large" in found.message
@@ -201,11 +192,19 @@ def ring(exported: tuple[int, ...]) -> Any:
     slaves: list[Slave] = [Clock()]
     for i in range(5):
         a, b, c = 0.4 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
-        d = np.diag([0.0, float(rng.normal())])
-        block = linear(f"s{i}", a, b, c, d, int(rng.integers(1, 4)), int(rng.integers(0, 2)))
-        slaves.append(WithBlock(block) if i in exported else BlockSlave(block))
-    signals = [(f"s{i}.y0", f"s{(i + 1) % 5}.u1") for i in range(5)]
-    return connect(slaves, [*signals, *(("clock.sine", f"s{i}.u0") for i in range(5))])
+        d = float(rng.normal())
+        system = block(
+            f"s{i}",
+            [0.1, 0.2, 0.3],
+            2,
+            lambda x, u, p, c=c, d=d: [c @ x + casadi.vertcat(0.0, d * u[1])],
+            lambda x, u, p, a=a, b=b: [a @ x + b @ u],
+            sample_time=int(rng.integers(1, 4)) * SAMPLE_TIME,
+            offset=0.5 * int(rng.integers(0, 2)) * SAMPLE_TIME,
+        )
+        slaves.append(WithBlock(system) if i in exported else BlockSlave(system))
+    signals = [(f"s{i}.out1", f"s{(i + 1) % 5}.in2") for i in range(5)]
+    return connect(slaves, [*signals, *(("clock.sine", f"s{i}.in1") for i in range(5))])
 
 
 def test_a_ring_of_random_systems() -> None:
@@ -217,21 +216,4 @@ def test_a_ring_of_random_systems() -> None:
     assert_same_bits(found, exact)
     for name, column in blocks.recording.columns.items():
         np.testing.assert_allclose(found.recording[name].values, column.values, rtol=0.0, atol=1e-11)
-    assert np.ptp(blocks.recording["s4.y1"].values) > 1.0
-
-
-def linear(name: str, a: Any, b: Any, c: Any, d: Any, rate: int, late: int) -> SymbolicBlock:
-    """x_k+1 = A x + B u, y = C x + D u, every ``rate`` samples and half a sample late, or on time."""
-    x, u, no = casadi.SX.sym("x", 3), casadi.SX.sym("u", 2), casadi.SX.sym("no", 0)
-    return SymbolicBlock(
-        name=name,
-        description="Linear",
-        sample_time=rate * SAMPLE_TIME,
-        offset=0.5 * late * SAMPLE_TIME,
-        inputs=tuple(Variable(f"u{i}", "1", "Input", "input", 0.0) for i in range(2)),
-        outputs=tuple(Variable(f"y{i}", "1", "Output", "output") for i in range(2)),
-        states=(0.1, 0.2, 0.3),
-        output=casadi.Function("output", [x, u, no], [c @ x + d @ u]),
-        update=casadi.Function("update", [x, u, no], [a @ x + b @ u]),
-        feedthrough={"y0": (), "y1": ("u1",)},
-    )
+    assert np.ptp(blocks.recording["s4.out2"].values) > 1.0

@@ -8,15 +8,11 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from blocks import encoder, pid
 from export_support.blocks import SAMPLE_TIME, expected
 from export_support.instance import run, run_with_rollback
-from export_support.kinds import KINDS, SEQUENCE, motion, seen_late
+from export_support.kinds import KINDS, motion, seen_late
 from numpy.lib.recfunctions import unstructured_to_structured
 
-from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.shapers import shaper_block
-from flexfmu.cosim.engine.binding import Phase
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.scene.messages import sections_in, tags_of
@@ -25,19 +21,15 @@ from flexfmu.model.symbolic import SymbolicBlock
 
 pytestmark = pytest.mark.slow
 
-EXACT = {
-    "saturation",
-    "dead-zone",
-    "backlash",
-    "rate-limit",
-    "delay",
-    "quantisation",
-    "encoder",
-    "lag",
-    "jitter",
-    "noise",
-}
-"""Imperfections, which sum little."""
+
+def tags(*keys: str) -> set[str]:
+    """Kinds of a scene's sections."""
+    fields = [Scene.model_fields[key].annotation for key in keys]
+    return {tag for field in fields for section in sections_in(field) for tag in tags_of(section)}
+
+
+EXACT = tags("imperfection")
+"""They sum little."""
 
 COUNT = 200
 """Samples: four stages of the source, five cycles of what learns, and more than the memory of what delays."""
@@ -68,10 +60,8 @@ def assert_rounding(found: Any, exact: Any, name: str = "") -> None:
 
 def test_no_kind_is_left_out() -> None:
     """A new kind of controller, imperfection, filter or disturbance is tried in other importers, too."""
-    fields = [Scene.model_fields[key].annotation for key in ("controller", "imperfection", "filter", "disturbance")]
-    tags = {tag for field in fields for section in sections_in(field) for tag in tags_of(section)}
-    others = {"python", "fmu", "object", "payload-error"}
-    assert tags - others <= {name.partition(":")[0] for name in KINDS}
+    found = tags("controller", "imperfection", "filter", "disturbance") - {"python", "fmu", "object", "payload-error"}
+    assert found <= {name.partition(":")[0] for name in KINDS}
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -85,40 +75,6 @@ def test_exported_block_is_its_functions(name: str, export: Callable[..., Any]) 
     assert_rounding(found, expected(block, inputs), name)
     np.testing.assert_array_equal(run_with_rollback(make("again"), inputs, SAMPLE_TIME), found)
     assert_rounding(in_fmpy(block, inputs), seen_late(block, inputs), name)
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_sampled_without_python(name: str) -> None:
-    """The master's loop in C evaluates every kind, in all phases of a sample."""
-    slave = BlockSlave(KINDS[name]())
-    phases: tuple[Phase, ...] = ("sample", "output", "update")
-    assert None not in [slave.sample_calls(phase) for phase in phases]
-
-
-def test_fast_shaper(export: Callable[..., Any]) -> None:
-    """A long line of samples."""
-    block = shaper_block(SEQUENCE, SAMPLE_TIME / 200.0)
-    inputs = motion(block, 4000)
-    assert_rounding(run(export(block)(), inputs, block.sample_time), expected(block, inputs))
-
-
-def test_derivative_of_a_ramp_in_fmpy() -> None:
-    """100 N.m.s/rad times 2 rad/s are 200 N.m, a step late."""
-    block = pid(0.0, 0.0, 100.0, sample_time=SAMPLE_TIME)
-    inputs = np.zeros((20, len(block.inputs)))
-    inputs[:, 0] = 2.0 * SAMPLE_TIME * np.arange(20)
-    torque = in_fmpy(block, inputs)[:, 0]
-    np.testing.assert_allclose(torque, [0.0, 0.0, *[200.0] * 18], rtol=1e-12)
-
-
-@pytest.mark.parametrize("window", [1, 2, 4])
-def test_rate_of_an_encoder_in_fmpy(window: int) -> None:
-    """2 rad/s, ten counts in a sample, from differences over any window; two steps late with the first difference."""
-    block = encoder(10_000.0 * np.pi, sample_time=SAMPLE_TIME, window=window)
-    inputs = np.zeros((20, 2))
-    inputs[:, 0] = 2.0 * SAMPLE_TIME * (np.arange(20) + 0.01)
-    rate = in_fmpy(block, inputs)[:, 2]
-    np.testing.assert_allclose(rate, [0.0, *np.minimum(np.arange(19) / window, 1.0) * 2.0], rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["pid", "computed-torque", "learning", "shaper"])

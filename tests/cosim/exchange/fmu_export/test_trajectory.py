@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from math import cos, pi
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from export_support.instance import Instance, RefusedError, opened
+from export_support.instance import Instance, RefusedError
 from export_support.trajectories import Swing, lame, robot
 
 from flexfmu.fmu_build.build import build_fmu
@@ -21,6 +19,8 @@ from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
 from flexfmu.trajectories.own import as_trajectory
 from flexfmu.trajectories.profiles import bang_bang, double_s, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence, ShapedTrajectory
+
+SWING = Swing()
 
 PROMISE = 1e-12
 """Difference to the Python trajectory, relative to the largest value of the same kind."""
@@ -51,14 +51,10 @@ ROBOT = {
 
 
 @pytest.fixture
-def export(tmp_path: Path) -> Iterator[Callable[..., Any]]:
-    """Function that exports a trajectory and gives a function that makes instances of it."""
-    with ExitStack() as stack:
-
-        def make(trajectory: Any, **names: Any) -> Any:
-            return stack.enter_context(opened(build_fmu(Motion(trajectory, **names)).path, tmp_path))
-
-        yield make
+def swing(export: Callable[..., Any]) -> Callable[..., Instance]:
+    """Makes instances of a swing's FMU."""
+    make: Callable[..., Instance] = export(Motion(SWING, ["axis"], "m"))  # type: ignore[arg-type]
+    return make
 
 
 def choose(instance: Instance, limit: int) -> None:
@@ -80,59 +76,49 @@ def follow(instance: Instance, times: Any, start: float = 0.0) -> dict[int, Any]
 
 @pytest.mark.parametrize("name", ROBOT)
 def test_table_reproduces_the_trajectory(export: Callable[..., Any], name: str) -> None:
-    """A plant that is fed by the FMU must move as one that is fed by the Python trajectory."""
+    """A plant that is fed by the FMU must move as one that is fed by the Python trajectory. At a breakpoint there are knots, and
+    the polynomials begin and end in them: no rounding, no neighbouring piece."""
     trajectory = ROBOT[name]()
-    times = np.union1d(
-        np.random.default_rng(2).uniform(0.0, 1.1 * trajectory.duration, 1000), trajectory.breakpoints[1:]
-    )
-    found = follow(export(trajectory)(), times)
+    points = trajectory.breakpoints[1:]
+    times = np.union1d(np.random.default_rng(2).uniform(0.0, 1.1 * trajectory.duration, 1000), points)
+    found = follow(export(Motion(trajectory))(), times)
     for limit, side in ((LEFT, "left"), (RIGHT, "right")):
         exact = trajectory.evaluate(times, 2, side).swapaxes(0, 1)
         largest = abs(exact).max(axis=(0, 2))[:, None]
         assert (abs(found[limit] - exact) / largest).max() < PROMISE
+        at = np.isin(times, points)
+        np.testing.assert_array_equal(found[limit][at], exact[at])
+        if "bang-bang" in name:
+            assert (found[LEFT] != found[RIGHT])[at, 2].any(), "the acceleration jumps"
 
 
-@pytest.mark.parametrize("name", ["lame-bang-bang", "shaped"])
-def test_limits_at_breakpoints_are_exact(export: Callable[..., Any], name: str) -> None:
-    """At a breakpoint there are knots, and the polynomials begin and end in them: no rounding, no neighbouring piece."""
-    trajectory = ROBOT[name]()
-    points = np.array(trajectory.breakpoints[1:])
-    found = follow(export(trajectory)(), points)
-    for limit, side in ((LEFT, "left"), (RIGHT, "right")):
-        np.testing.assert_array_equal(found[limit], trajectory.evaluate(points, 2, side).swapaxes(0, 1))
-    assert (found[LEFT] != found[RIGHT])[:, 2].any(), "the acceleration jumps"
-
-
-def test_both_limits_at_the_start(export: Callable[..., Any]) -> None:
+def test_both_limits_at_the_start(swing: Callable[..., Instance]) -> None:
     """The motion begins with a jump: standstill is the left limit, and the default."""
-    swing = Swing()
-    instance = export(swing, axes=["axis"], unit="m")().start()
+    instance = swing().start()
     assert instance.get_outputs() == [0.0, 0.0, 0.0]
     choose(instance, RIGHT)
-    assert instance.get_outputs() == swing.evaluate(0.0).ravel().tolist()
+    assert instance.get_outputs() == SWING.evaluate(0.0).ravel().tolist()
     assert instance.get_outputs()[1] == 9.0
-    assert instance.get_derivatives(1) == pytest.approx(swing.evaluate(0.0, 3).ravel()[1:], rel=1e-14)
+    assert instance.get_derivatives(1) == pytest.approx(SWING.evaluate(0.0, 3).ravel()[1:], rel=1e-14)
 
 
-def test_breakpoint_is_met_in_spite_of_rounding(export: Callable[..., Any]) -> None:
+def test_breakpoint_is_met_in_spite_of_rounding(swing: Callable[..., Instance]) -> None:
     """Importers reach 0.4 s by adding up 0.1 s; the left limit must not come from behind the kink."""
-    swing = Swing(kink=0.4)
-    instance = export(swing, axes=["axis"], unit="m")().start()
-    for nearly in (0.1, 0.2, 0.1 + 0.2, 0.4 * (1 + 1e-15)):
+    instance = swing().start()
+    for nearly in (0.1, 0.2, 0.1 + 0.2, SWING.kink * (1 + 1e-15)):
         instance.step(nearly - instance.time, until=nearly)
     for limit, side in ((LEFT, "left"), (RIGHT, "right")):
         choose(instance, limit)
-        assert instance.get_outputs() == swing.evaluate(0.4, 2, side).ravel().tolist()
+        assert instance.get_outputs() == SWING.evaluate(SWING.kink, 2, side).ravel().tolist()
 
 
-def test_derivatives_of_the_outputs(export: Callable[..., Any]) -> None:
+def test_derivatives_of_the_outputs(swing: Callable[..., Instance]) -> None:
     """Orders 1 to 4, so that a master streams polynomials: those of the position are velocity and acceleration
     themselves, the highest is the sixth derivative of the motion."""
-    swing = Swing()
-    instance = export(swing, axes=["axis"], unit="m")().start()
+    instance = swing().start()
     for time in np.linspace(0.013, 0.98, 77):
         instance.step(time - instance.time, until=time)
-        exact = swing.evaluate(time, 6)[:, 0, 0]
+        exact = SWING.evaluate(time, 6)[:, 0, 0]
         _, velocity, acceleration = instance.get_outputs()
         for order in range(1, END_ORDER + 1):
             found = instance.get_derivatives(order)
@@ -143,21 +129,19 @@ def test_derivatives_of_the_outputs(export: Callable[..., Any]) -> None:
                 assert found[0] == acceleration
 
 
-def test_standstill_outside_the_motion(export: Callable[..., Any]) -> None:
+def test_standstill_outside_the_motion(swing: Callable[..., Instance]) -> None:
     """Before the motion it waits at the start, after it at the end, with all derivatives zero."""
-    swing = Swing()
-    instance = export(swing, axes=["axis"], unit="m")()
+    instance = swing()
     times = [-0.4, -1e-3, 0.0, 1e-3, 1.0, 1.001, 50.0]
     found = follow(instance, times, start=-0.5)
     for limit, side in ((LEFT, "left"), (RIGHT, "right")):
-        np.testing.assert_allclose(found[limit][..., 0], swing.evaluate(times, 2, side)[..., 0].T, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(found[limit][..., 0], SWING.evaluate(times, 2, side)[..., 0].T, rtol=0.0, atol=1e-12)
     assert instance.get_derivatives(1) == [0.0, 0.0, 0.0]
 
 
-def test_state_is_saved_and_reset(export: Callable[..., Any]) -> None:
+def test_state_is_saved_and_reset(swing: Callable[..., Instance]) -> None:
     """Time and limit are all there is; they go back and elsewhere like any state."""
-    make = export(Swing(), axes=["axis"], unit="m")
-    one, two = make("one").start(), make("two").start()
+    one, two = swing("one").start(), swing("two").start()
     one.step(0.4)
     choose(one, RIGHT)
     before = one.get_outputs()
@@ -176,9 +160,9 @@ def test_state_is_saved_and_reset(export: Callable[..., Any]) -> None:
     assert one.get_outputs() == [0.0, 0.0, 0.0]
 
 
-def test_bad_calls_are_refused_with_a_sentence(export: Callable[..., Any]) -> None:
+def test_bad_calls_are_refused_with_a_sentence(swing: Callable[..., Instance]) -> None:
     """What was wrong, and what would be right."""
-    instance = export(Swing(), axes=["axis"], unit="m")().start()
+    instance = swing().start()
     for call, sentence in {
         lambda: instance.set("axis.reference.velocity", 1.0): "axis.reference.velocity is an output, it cannot be set",
         lambda: instance.call("getReal", [3]): "value reference 3 of a real variable is unknown; there are 3",
@@ -193,20 +177,17 @@ def test_bad_calls_are_refused_with_a_sentence(export: Callable[..., Any]) -> No
             call()
 
 
-def test_missing_breakpoint_is_noticed() -> None:
-    """Polynomials across a kink would never be good; say where it is."""
+def test_motions_that_make_no_table() -> None:
+    """Polynomials across a kink would never be good; and one name for each component, each another, with a unit that is known."""
     with pytest.raises(ModelError, match=r"no table reproduces the trajectory at 0[.]4"):
         tabulate(Swing(names_kink=False))  # type: ignore[arg-type]
-
-
-def test_axes_must_suit(export: Callable[..., Any]) -> None:
-    """One name for each component, each another, with a unit that is known."""
-    with pytest.raises(ModelError, match="has 1 components, got the axes joint1, joint2"):
-        export(Swing())
-    with pytest.raises(ModelError, match="unit 'furlong"):
-        export(Swing(), axes=["axis"], unit="furlong")
-    with pytest.raises(ModelError, match="more than once"):
-        export(lame(bang_bang()), axes=["a", "a"])
+    for arguments, sentence in {
+        (SWING,): "has 1 components, got the axes joint1, joint2",
+        (SWING, ("axis",), "furlong"): "unit 'furlong",
+        (lame(bang_bang()), ("a", "a")): "more than once",
+    }.items():
+        with pytest.raises(ModelError, match=sentence):
+            build_fmu(Motion(*arguments))
 
 
 def test_tables_stay_small() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi
 import numpy as np
@@ -19,18 +20,18 @@ def block(
     name: str,
     states: Sequence[float],
     inputs: int,
-    outputs: Callable[[casadi.SX, casadi.SX, casadi.SX], list[casadi.SX]],
-    update: Callable[[casadi.SX, casadi.SX, casadi.SX], list[casadi.SX]],
+    outputs: Callable[[Any, Any, Any], list[Any]],
+    update: Callable[[Any, Any, Any], list[Any]],
     *,
     parameters: Sequence[Variable] = (),
     sample_time: float = SAMPLE_TIME,
     offset: float = 0.0,
+    kind: Any = casadi.SX,
 ) -> SymbolicBlock:
     """A block with inputs ``in1``.. and outputs ``out1``.., all dimensionless; feedthrough is what the equations have."""
-    symbols = [
-        casadi.SX.sym(symbol, size) for symbol, size in zip("xup", (len(states), inputs, len(parameters)), strict=True)
-    ]
-    results = [casadi.vertcat(casadi.SX(0, 1), *make(*symbols)) for make in (outputs, update)]
+    sizes = (len(states), inputs, len(parameters))
+    symbols = [kind.sym(symbol, size) for symbol, size in zip("xup", sizes, strict=True)]
+    results = [casadi.vertcat(kind(0, 1), *make(*symbols)) for make in (outputs, update)]
     functions = [
         casadi.Function(key, symbols, [value]) for key, value in zip(("output", "update"), results, strict=True)
     ]
