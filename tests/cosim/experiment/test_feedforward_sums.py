@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.errors import WiringError
-from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.scene_loop import Loop, counted_twice, loop_of
-from flexfmu.cosim.experiment.wiring import wire
+from flexfmu.cosim.experiment.scene_loop import counted_twice, loop_of
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -17,10 +16,19 @@ GRAVITY = {"kind": "gravity-feedforward", "sample_time": 2e-3}
 FRICTION = {"kind": "friction-compensation", "viscous": 2.0, "sample_time": 5e-4, "offset": 1e-4}
 
 
+def connections(run: Run) -> set[str]:
+    """The connections of a run, as "output -> input"."""
+    return {each.connection for each in run.delays}
+
+
 def test_the_controller_adds_both(robot: Scene) -> None:
     """The torque of each sample is that of the PD and both feedforwards as they are at its instants, at their own rates."""
     run = run_scene(robot.replace({"controller": [PD, GRAVITY, FRICTION]}))
     assert run.completed, run.message
+    assert connections(run) >= {
+        "feedforward_sum.joint1.feedforward -> pd.joint1.feedforward",
+        "gravity_feedforward.joint1.feedforward -> feedforward_sum.gravity_feedforward.joint1.feedforward",
+    }
     recording = run.recording
     at = np.searchsorted(recording.time, 1e-3 * np.arange(400) + 1e-9) - 1
     for joint in ("joint1", "joint2"):
@@ -47,38 +55,12 @@ def test_the_sum_has_the_clock_of_who_takes_it(robot: Scene) -> None:
     assert len(loop_of(robot.replace({"controller": [GRAVITY, PD]})).controllers) == 2
 
 
-class Signals:
-    """A robot or a trajectory that has outputs and takes torques, and does nothing."""
-
-    def __init__(self, name: str, outputs: set[str]) -> None:
-        self.name = name
-        torques = [SlaveVariable(f"joint{i}.torque", "input") for i in (1, 2)] if name == "plant" else []
-        self.variables = [*(SlaveVariable(each, "output") for each in sorted(outputs)), *torques]
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def set(self, indices: Indices, values: RealArray) -> None: ...
-    def get(self, indices: Indices, values: RealArray) -> None: ...
-    def step(self, time: float, step: float) -> None: ...
-
-
-def connections(loop: Loop) -> dict[str, str]:
-    """Input → output."""
-    inputs = {each.name for slave in loop.controllers for each in slave.variables if each.causality == "input"}
-    references = {each for each in inputs if ".reference." in each}
-    measured = {each for each in inputs - references if "feedforward" not in each}
-    wiring = wire(Signals("trajectory", references), Signals("plant", measured), loop.controllers, (), loop.connect)
-    return {target: source for source, target in wiring.connections}
-
-
 def test_explicit_connections_come_first(robot: Scene) -> None:
     """Who names one of both gets that one."""
     chosen = {f"joint{i}.feedforward": f"gravity_feedforward.joint{i}.feedforward" for i in (1, 2)}
-    loop = loop_of(robot.replace({"controller": [GRAVITY, {**PD, "connect": chosen}, FRICTION]}))
-    assert len(loop.controllers) == 3
-    assert connections(loop)["pd.joint1.feedforward"] == "gravity_feedforward.joint1.feedforward"
-    summed = connections(loop_of(robot.replace({"controller": [GRAVITY, PD, FRICTION]})))
-    assert summed["pd.joint1.feedforward"] == "feedforward_sum.joint1.feedforward"
-    assert summed["feedforward_sum.gravity_feedforward.joint1.feedforward"] == "gravity_feedforward.joint1.feedforward"
+    scene = robot.replace({"controller": [GRAVITY, {**PD, "connect": chosen}, FRICTION], "trajectory.dwell": 0.0})
+    assert "gravity_feedforward.joint1.feedforward -> pd.joint1.feedforward" in connections(run_scene(scene))
+    assert len(loop_of(scene).controllers) == 3
 
 
 def test_no_common_instants(robot: Scene) -> None:

@@ -74,17 +74,9 @@ def test_summary_and_report_name_the_motion() -> None:
     assert run.completed
     summary = summarise(run, measure_run(run, 0))
     assert summary["motion"] == "own motion Line"
-    assert summary["scene"]["trajectory"].keys() == {
-        "kind",
-        "start",
-        "duration",
-        "dwell",
-        "way_back",
-        "cycles",
-        "pause",
-    }
-    page = render_report(summary, ())
-    assert "Own motion Line in 0.4 s, then a dwell of 0.05 s" in page
+    keys = {"kind", "start", "duration", "dwell", "way_back", "cycles", "pause"}
+    assert summary["scene"]["trajectory"].keys() == keys
+    assert "Own motion Line in 0.4 s, then a dwell of 0.05 s" in render_report(summary, ())
 
 
 def test_cycles_and_shapers_apply() -> None:
@@ -130,12 +122,8 @@ def test_motions_that_the_robot_cannot_make_are_refused() -> None:
         TrajectoryError, match="`coordinates` of an own motion must be 'end-effector' or 'joints', got 'tool'"
     ):
         flexfmu.reference_motion(robot(), trajectory=odd)
-    data = {
-        key: value
-        for key, value in robot().effects.model_dump(exclude_none=True).items()
-        if key in ("gravity", "damping")
-    }
-    choosing = robot().replace({"effects": {**data, "select": "auto", "tolerance": 0.01, "of": ["peak_torque_1"]}})
+    auto = {"select": "auto", "tolerance": 0.01, "of": ["peak_torque_1"]}
+    choosing = robot().replace({"effects": robot().effects.model_dump(include={"gravity", "damping"}) | auto})
     with pytest.raises(InputError, match='has `select = "auto"`, which chooses the effects for the scene\'s own path'):
         flexfmu.run(choosing, trajectory=Line())
 

@@ -93,18 +93,6 @@ def test_chosen_steps_are_the_same_whatever_ran_before(robot: Scene) -> None:
     assert same(PreparedScene(scene).run({"payload.mass": 0.1}).recording, changed)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [{"cosimulation.step": "auto"}, {"cosimulation.record_step": 1e-3}])
-def test_variants_of_the_motion(robot: Scene, changes: dict[str, Any]) -> None:
-    """A prepared scene that follows other motions records as one that is made for each."""
-    scene = robot.replace({"cosimulation.step": 5e-4} | changes)
-    durations = (0.43, 0.35, 0.5)
-    found = run_variants(scene, [{"trajectory.duration": each} for each in durations], lambda run: run.recording)
-    for duration, variant in zip(durations, found, strict=True):
-        assert variant.value is not None, variant.error
-        assert same(variant.value, run_scene(scene.replace({"trajectory.duration": duration})).recording)
-
-
 def test_keys_of_the_scene(robot: Scene) -> None:
     """`record`, `record_step` and `record_order`, for runs and variants alike."""
     keys = {"record": ["joint1.torque"], "record_step": 1e-2, "record_order": 1, "step": 2e-3}

@@ -9,11 +9,11 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.design.shapers.recommendation import write_shaped
-from flexfmu.cosim.design.shapers.study import Alternative, candidates
 from flexfmu.cosim.experiment.planning import MotionPlan, shape_joints, shape_path
 from flexfmu.cosim.experiment.scene_build import scene_key
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import read_scene_text
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.designs import zero_vibration
@@ -161,13 +161,7 @@ def test_wrong_keys(known: MotionPlan, folder: Path, keys: dict[str, object], sa
 
 def test_relative_to_the_scene_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wherever the scene is loaded from, and where a shaper's command writes it with its shaper."""
-    text = (
-        Path(flexfmu.load_scene.__globals__["__file__"])
-        .with_name("scenes")
-        .joinpath("barnard2012-6kg.toml")
-        .read_text()
-    )
-    before, _, rest = text.partition("[trajectory]")
+    before, _, rest = read_scene_text("barnard2012-6kg")[0].partition("[trajectory]")
     table = '[trajectory]\nkind = "table"\nfile = "task.csv"\n\n[cosimulation]'
     (folder / "scene.toml").write_text(before + table + rest.partition("[cosimulation]")[2])
     monkeypatch.chdir(folder.parent)
@@ -176,15 +170,6 @@ def test_relative_to_the_scene_file(folder: Path, monkeypatch: pytest.MonkeyPatc
     write_shaped(str(folder / "scene.toml"), {"kind": "zv"}, folder / "below" / "shaped.toml")
     shaped = flexfmu.load_scene(folder / "below" / "shaped.toml")
     assert (shaped.trajectory.duration, len(shaped.shaper)) == (0.43, 1)
-
-
-def test_shapers_on_the_path_are_left_out(known: MotionPlan, folder: Path) -> None:
-    """With one reason for all of them, since a table has no profile."""
-    motion = flexfmu.reference_motion(tabulated(known, folder / "task.csv"))
-    sequence = zero_vibration(Oscillator(30.0))
-    found, refused = candidates(motion, [Alternative("zv", sequence, {"kind": "zv"}), Alternative("b", sequence, {})])
-    assert [each.application for each in found] == ["-", "joints", "joints"]
-    assert refused == {"all shapers on path": f"{motion.source} has no profile along a path"}
 
 
 def test_the_report_says_which_spline(known: MotionPlan, folder: Path) -> None:
