@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, print_result, progress
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.cli.console import FAILURE, load_changed, load_resolved, prepared_folder, print_result, progress
 
 
 def modes(
@@ -59,7 +58,7 @@ def margins(
 
     robot = load_changed(scene, settings)
     if out is not None:
-        OutputFolder(out).prepare()
+        prepared_folder(out)
     masses = () if payload_band is None else band_masses(robot, parse_band(payload_band))
     with progress() as show:
         result = scene_margins(

@@ -13,7 +13,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from hashlib import sha256
 from io import StringIO
 from pathlib import Path
@@ -189,6 +189,22 @@ def orderly_termination() -> Iterator[None]:
         raise
 
 
+_command = ExitStack()
+"""What a command holds to its end."""
+
+
+def prepared_folder(path: Path) -> OutputFolder:
+    """A folder for a command's results, in which no other command works until it ends.
+
+    Raises:
+        ResultsError: the folder can't be written, or another command works in it.
+    """
+    folder = OutputFolder(path)
+    folder.prepare()
+    _command.enter_context(folder.claimed())
+    return folder
+
+
 _hints: list[str] = []
 """What the scenes of a command suggest, written beside its results: an error stays one line."""
 
@@ -201,7 +217,7 @@ def one_line_errors() -> Iterator[None]:
     """
     _hints.clear()
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _command:
             warnings.showwarning = _showing(warnings.showwarning)
             yield
     except typer.Exit:

@@ -12,6 +12,7 @@ from flexfmu.cosim.cli.console import (
     FAILURE,
     check_scene_file,
     load_resolved,
+    prepared_folder,
     print_result,
     progress,
     show_note,
@@ -19,7 +20,7 @@ from flexfmu.cosim.cli.console import (
 )
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import OutputFolder, to_json
+from flexfmu.cosim.engine.files import to_json
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -224,8 +225,7 @@ def shaper(
             raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")
     # design, simulate, and write
     robot = load_resolved(scene, settings)
-    folder = OutputFolder(out or usual_folder(robot.name, settings))
-    folder.prepare()
+    folder = prepared_folder(out or usual_folder(robot.name, settings))
     with progress() as show:
         study = examine(robot, payload_band, FINE if payload_errors else COARSE, show, drive, limits)
         show("writing the results", None)

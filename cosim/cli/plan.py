@@ -13,6 +13,7 @@ from flexfmu.cosim.cli.console import (
     FAILURE,
     check_scene_file,
     load_changed,
+    prepared_folder,
     print_result,
     progress,
     show_note,
@@ -20,7 +21,6 @@ from flexfmu.cosim.cli.console import (
 )
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import OutputFolder
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -95,7 +95,7 @@ def plan(
     }  # fmt: skip
     robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
     folder = out or usual_folder(robot.name, settings, "-plan")
-    OutputFolder(folder).prepare()
+    prepared_folder(folder)
     with progress() as show:
         result = plan_scene(
             robot,

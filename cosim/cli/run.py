@@ -15,6 +15,7 @@ from flexfmu.cosim.cli.console import (
     FAILURE,
     end_loading,
     load_changed,
+    prepared_folder,
     print_text,
     progress,
     show_note,
@@ -22,7 +23,7 @@ from flexfmu.cosim.cli.console import (
     write_results,
 )
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
+from flexfmu.cosim.engine.files import RESULTS, file_digest, to_json
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.run_options import RunOptions
@@ -129,8 +130,7 @@ def _run_scene(
     for name in formats:
         check_format(name)
     scene = load_changed(source, changes)
-    folder = OutputFolder(out or usual_folder(scene.name, changes))
-    folder.prepare()
+    folder = prepared_folder(out or usual_folder(scene.name, changes))
     with progress() as show:
         if scene.effects.select is not None or scene.learners:
             from flexfmu.cosim.design.effects.choice import resolved
@@ -160,6 +160,7 @@ def _run_scene(
             except (EquilibriumError, ResultsError) as error:
                 settings, problem = None, str(error)
         summary = summarise(run, measurements)
+        summary["results"] = {name: file_digest(folder.path / name) for name in files}
         if changes:
             summary["changes"] = [*changes]
         if scene.controller:
@@ -220,8 +221,7 @@ def _run_ssp(
         check_format(name)
     stop, step, ssd, output_order = told
     loaded = load_ssp(source, stop=stop, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
-    folder = OutputFolder(out or RESULTS / source.stem)
-    folder.prepare()
+    folder = prepared_folder(out or RESULTS / source.stem)
     # simulate, and write what was recorded even if it failed
     with progress() as show:
         simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
@@ -245,6 +245,7 @@ def _run_ssp(
             "ignored_parameters": list(loaded.ignored),
             "remarks": list(loaded.remarks),
             "units": recording.units,
+            "results": {name: file_digest(folder.path / name) for name in files},
         }
         folder.write("summary.json", to_json(summary))
     # standard output

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from flexfmu.cosim.cli.console import (
     FAILURE,
     load_resolved,
+    prepared_folder,
     print_result,
     print_text,
     progress,
@@ -19,7 +20,7 @@ from flexfmu.cosim.cli.console import (
 )
 from flexfmu.cosim.cli.options import OptionalScene
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
+from flexfmu.cosim.engine.files import RESULTS, to_json
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -68,7 +69,7 @@ def compare(
     if measured is not None and not measured.is_file():
         raise InputError(f"there is no file {measured}")
     if out is not None:
-        OutputFolder(out).prepare()
+        prepared_folder(out)
     band = None if payload_band is None else parse_band(payload_band)
     sources = given_sources(runs, variant or (), settings or ())
     with progress() as show:
@@ -113,7 +114,7 @@ def paper(
     """
     from flexfmu.cosim.studies.paper.report import DEFAULT_FOLDER, print_report, run_paper
 
-    folder = out or DEFAULT_FOLDER
+    folder = prepared_folder(out or DEFAULT_FOLDER).path
     with progress() as show:
         report = run_paper(folder, progress=show)
     # standard output
@@ -170,8 +171,7 @@ def _study(
         raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
     # measure, and write each file as soon as it is known
     scene = load_resolved(source, settings)
-    folder = OutputFolder(out or usual_folder(scene.name, settings) / "workprec")
-    folder.prepare()
+    folder = prepared_folder(out or usual_folder(scene.name, settings) / "workprec")
     with progress() as show:
         study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=(exudyn_trials,))
         folder.write("workprec.json", to_json(data(study)))
@@ -196,8 +196,7 @@ def _hard_cases(
         raise InputError(f"the hard cases have robots of their own: leave out --set {settings[0]}")
     # run them all, and write what happened
     cases = hard_cases(names)
-    folder = OutputFolder(out or RESULTS / HARD_CASES)
-    folder.prepare()
+    folder = prepared_folder(out or RESULTS / HARD_CASES)
     with progress() as show:
         results = run_cases(cases, lambda text: show(text, None))
     folder.write(f"{HARD_CASES}.json", to_json(data(results)))

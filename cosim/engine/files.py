@@ -1,17 +1,24 @@
-"""Files and folders of results: the folder is checked before a simulation, each file is written atomically; and the text of JSON."""
+"""Files and folders of results: the folder is checked before a simulation and kept from other processes, and each file is written
+atomically; and the text of JSON."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from flexfmu.cosim.engine.errors import ResultsError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 RESULTS = Path("results")
 """Default folder of results; each scene has a folder of its own name in it."""
@@ -40,6 +47,30 @@ class OutputFolder:
         except OSError as error:
             raise _cannot_write(self.path, error) from error
 
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """A context in which no other process works in the folder, so that the files of two runs don't mix.
+
+        Raises:
+            ResultsError: another process does.
+        """
+        path = self.path / ".lock"
+        try:
+            file = locked(path)
+            # a file that its last owner has removed in the meantime locks nothing
+            while not (path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())):
+                file.close()
+                file = locked(path)
+        except BlockingIOError:
+            message = f"another command works in {self.path}: wait for its end, or choose another folder with --out"
+            raise ResultsError(message) from None
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                path.unlink()
+            file.close()
+
     def write(self, name: str, text: str) -> Path:
         """Write a file in the folder and return its path; see `write_whole`."""
         return write_whole(self.path / name, text)
@@ -59,6 +90,30 @@ class OutputFolder:
 def to_json(data: Mapping[str, Any]) -> str:
     """Return JSON text with a final line break; raise ValueError for NaN and infinity, which JSON doesn't have."""
     return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def locked(path: Path, *, wait: bool = False) -> IO[str]:
+    """A file that no other process gets until it is closed; where files can't be locked others get it as well.
+
+    Raises:
+        BlockingIOError: another process has it, and this one doesn't ``wait``.
+    """
+    file = path.open("a")
+    try:
+        if fcntl is not None:
+            fcntl.lockf(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))  # not inherited by processes
+    except (BlockingIOError, PermissionError) as error:
+        file.close()
+        raise BlockingIOError(*error.args) from None
+    except OSError:
+        pass
+    return file
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file as hexadecimal digits, which tells the results of one run from those of another."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_whole(path: Path, text: str) -> Path:

@@ -5,15 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 
 class Journal:
@@ -69,21 +63,3 @@ class Journal:
                     data = data[file.write(data) :]
         except OSError as error:
             raise ResultsError(f"can't write {self.path}: {error.strerror or error}") from error
-
-
-def locked(path: Path, *, wait: bool = False) -> IO[str]:
-    """A file that no other process gets until it is closed; where files can't be locked others get it as well.
-
-    Raises:
-        BlockingIOError, PermissionError: another process has it, and this one doesn't ``wait``.
-    """
-    file = path.open("a")
-    try:
-        if fcntl is not None:
-            fcntl.lockf(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))  # not inherited by processes
-    except (BlockingIOError, PermissionError):
-        file.close()
-        raise
-    except OSError:
-        pass
-    return file

@@ -102,6 +102,7 @@ def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
             for delay in summary["delays"]
         },
         "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
+        "Results": {name: f"SHA-256 {digest[:16]}…" for name, digest in summary.get("results", {}).items()},
         "Versions": {name: value or "–" for name, value in summary["versions"].items()},
     }
     return {title: rows for title, rows in tables.items() if rows}

@@ -7,6 +7,7 @@ that an interrupted tuning continues from its journal.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
@@ -201,8 +202,14 @@ def tune_scene(
     if payload_band is not None:
         band_masses(scene, payload_band)
     _check_figures(study)
-    journal = None if folder is None else TrialJournal(folder, study, restart=restart)
-    return tune_study(study, method=method, trials=trials, seed=seed, processes=processes, journal=journal, show=show)
+    with contextlib.ExitStack() as stack:
+        journal = None
+        if folder is not None:
+            journal = TrialJournal(folder, study, restart=restart)
+            stack.enter_context(OutputFolder(folder).claimed())
+        return tune_study(
+            study, method=method, trials=trials, seed=seed, processes=processes, journal=journal, show=show
+        )
 
 
 def _intervals(over: Mapping[str, Sequence[float] | str] | Iterable[str]) -> tuple[Interval, ...]:

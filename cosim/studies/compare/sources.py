@@ -13,6 +13,7 @@ from typing import Any
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
+from flexfmu.cosim.engine.files import file_digest
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.metric import Metric
@@ -201,6 +202,11 @@ def _read(file: Path, name: str) -> ComparedRun:
         summary = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     except (OSError, ValueError) as error:
         raise ResultsError(f"can't read {path}: {error}") from error
+    if summary.get("results", {}).get(file.name, digest := file_digest(file)) != digest:
+        raise ResultsError(
+            f"{file} isn't of the run that {path.name} beside it describes: run it again, or remove {path.name} to compare "
+            "signals alone"
+        )
     units: Mapping[str, str] = summary.get("units", {})
     if any(name in units for name in recording.columns):
         columns = {

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import replacing, write_pieces
+from flexfmu.cosim.engine.files import OutputFolder, replacing, write_pieces
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.many.journal import Journal, locked
+from flexfmu.cosim.many.journal import Journal
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.studies.sweep.cases import Cases, text_of
 from flexfmu.cosim.studies.sweep.work import Row
@@ -230,10 +230,7 @@ class Results:
         if folder is None:
             return
         self._journal = Journal(folder / JOURNAL)
-        try:
-            self._lock.enter_context(locked(folder / ".lock"))
-        except (BlockingIOError, PermissionError):
-            raise ResultsError(f"another sweep works in {folder}: wait for its end, or choose another --out") from None
+        self._lock.enter_context(OutputFolder(folder).claimed())
         with contextlib.ExitStack() as after_error:
             after_error.callback(self._lock.close)
             self._begin(folder, json.loads(json.dumps(manifest or {})), restart)

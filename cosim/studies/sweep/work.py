@@ -17,12 +17,12 @@ import numpy as np
 
 from flexfmu.cosim.engine.dense_output import DenseOutput, resampled
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.files import locked
 from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.experiment.recorded_instants import DERIVATIVES
 from flexfmu.cosim.experiment.scene_build import build_scene, depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.many.journal import locked
 from flexfmu.cosim.many.lockstep import PeakMeasure
 from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, duration_bands
 from flexfmu.cosim.metrics.metrics import ChosenMetrics

@@ -12,6 +12,8 @@ from time import monotonic, sleep
 import pytest
 
 from flexfmu.cosim.engine.child_process import in_child
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.files import OutputFolder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at processes as Linux shows them")
 
@@ -94,3 +96,33 @@ def test_signals_end_a_command_in_good_order(number: signal.Signals) -> None:
         problem = process.communicate(timeout=60)[1]
         assert process.returncode == 128 + (signal.SIGTERM if ignored else number)
         assert problem == "flexfmu: interrupted\n"
+
+
+CLAIMING = """
+import sys, time
+from pathlib import Path
+from flexfmu.cosim.engine.files import OutputFolder
+folder = OutputFolder(Path(sys.argv[1]))
+folder.prepare()
+with folder.claimed():
+    print("ready", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
+    """The second one is told; when the first one is gone, however it ended, the folder is free and nothing is left in it."""
+    first = subprocess.Popen([sys.executable, "-c", CLAIMING, str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
+    assert first.stdout is not None
+    assert first.stdout.readline() == "ready\n"
+    folder = OutputFolder(tmp_path / "out")
+    with (
+        pytest.raises(ResultsError, match=r"another command works in .*out: wait for its end, or choose"),
+        folder.claimed(),
+    ):
+        pass
+    first.kill()
+    first.communicate()
+    with folder.claimed():
+        pass
+    assert list(folder.path.iterdir()) == []

@@ -15,6 +15,7 @@ from typer.testing import CliRunner, Result
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.files import file_digest
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
@@ -36,7 +37,8 @@ def folder(run: Run, tmp_path: Path) -> Path:
     """Its folder of results, as `flexfmu run` writes it, called "stored"."""
     path = tmp_path / "stored"
     run.recording.write(path / "results.csv")
-    (path / "summary.json").write_text(json.dumps(summarise(run, measure_run(run))), encoding="utf-8")
+    summary = {**summarise(run, measure_run(run)), "results": {"results.csv": file_digest(path / "results.csv")}}
+    (path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     return path
 
 
@@ -55,6 +57,14 @@ def log(run: Run, tmp_path: Path) -> Path:
 def command(*arguments: object) -> Result:
     """Run `flexfmu compare`."""
     return CliRunner().invoke(app, ["compare", *map(str, arguments)])
+
+
+def test_signals_and_summary_are_of_one_run(folder: Path) -> None:
+    """A summary of another run beside the signals is no verdict about them."""
+    with (folder / "results.csv").open("a") as file:
+        file.write("\n")
+    with pytest.raises(ResultsError, match=r"results\.csv isn't of the run that summary\.json beside it describes"):
+        flexfmu.compare(folder)
 
 
 def test_every_kind_of_source_is_the_same_run(run: Run, folder: Path, tmp_path: Path) -> None:

@@ -301,7 +301,7 @@ def test_one_sweep_at_a_time_in_a_folder(tmp_path: Path) -> None:
             try:
                 results(tmp_path)
             except ResultsError as error:
-                os._exit(7 if "another sweep works" in str(error) else 1)
+                os._exit(7 if "another command works" in str(error) else 1)
             os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
         assert not store.finished.any()
