@@ -11,7 +11,6 @@ import pytest
 
 from flexfmu.cosim.metrics import segments as compiled
 from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
-from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.fmu_build.toolchain import find_compiler, native_platform
 
 SHAPES = [(3, 1), (5, 1), (3, 2), (5, 2), (2, 1)]
@@ -95,14 +94,6 @@ def test_no_segments_have_no_peak() -> None:
     assert nothing.peak() == (0.0, 0.0)
     assert nothing.last_time_above(0.0) is None
     assert Analysis(drawn(3, 1, 0).within(1e3, 2e3)).parts() == (0.0,) * 7
-
-
-def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """An error says what is missing."""
-    monkeypatch.setenv("CC", "there-is-no-such-compiler")
-    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
-    with pytest.raises(MissingCompilerError, match="there-is-no-such-compiler"):
-        compiled.library.__wrapped__()
 
 
 @pytest.fixture(scope="module")

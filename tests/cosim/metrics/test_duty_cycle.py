@@ -39,11 +39,14 @@ class Motion:
     duration = 0.5
 
 
-def duty(
-    signals: dict[str, Signal], cycles: int = 1, steps: int = 500, names: Iterable[str] = DRIVE_METRICS
+def measured(
+    torque: Signal, speed: Signal | None, cycles: int = 1, steps: int = 500, names: Iterable[str] = DRIVE_METRICS
 ) -> dict[str, Metric]:
     """The drive metrics of joint 1, by name without the number, over one second; the motion ends in the middle, a dwell follows."""
     time = np.linspace(0.0, 1.0, steps + 1)
+    # robots driven by torques have speeds of their own, others those of the reference
+    kind = "velocity" if steps < 500 else "reference.velocity"
+    signals = {"torque": torque} | ({} if speed is None else {kind: speed})
     columns = {f"joint1.{name}": Column("", *(each(time, k) for k in range(3))) for name, each in signals.items()}
     task: Trajectory = Motion()  # type: ignore[assignment]
     settings = Settings(task, lambda: np.zeros(2), 0.5, 1e-5, None, cycles)
@@ -51,23 +54,16 @@ def duty(
     return {name[:-2]: each for name, each in measure(Recording(time, columns), settings, wanted).items()}
 
 
-def measured(torque: Signal, speed: Signal, cycles: int = 1) -> dict[str, Metric]:
-    """Those of a motor whose torque and reference are known."""
-    return duty({"torque": torque, "reference.velocity": speed}, cycles)
-
-
-def test_sine_torque() -> None:
-    """RMS of a sine is its amplitude by the root of two, over motion and dwell together."""
-    found = measured(sine(3.0), sine(2.0, 0.3))
-    assert found["rms_torque"] == pytest.approx(3.0 / math.sqrt(2.0), rel=1e-10)
-    assert found["rms_speed"] == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-10)
-    assert found["peak_speed"] == pytest.approx(2.0, rel=1e-10)
-
-
 @pytest.mark.parametrize("phase", [0.0, 0.7, math.pi / 2, math.pi])
 def test_power_of_two_sines(phase: float) -> None:
-    """Torque and speed with a phase between them: active power cos(phase)/2, and a swing of twice the frequency about it."""
+    """Torque and speed with a phase between them: active power cos(phase)/2, and a swing of twice the frequency about it.
+    Without speeds there are torques alone."""
     found = measured(sine(3.0), sine(2.0, phase))
+    for name, amplitude in (("rms_torque", 3.0), ("rms_speed", 2.0)):
+        assert found[name] == pytest.approx(amplitude / math.sqrt(2.0), rel=1e-10)
+    assert found["peak_speed"] == pytest.approx(2.0, rel=1e-10)
+    alone = measured(sine(3.0), None, names=["rms_torque_1", "mean_power_1"])
+    assert (alone["rms_torque"], alone["mean_power"].value) == (found["rms_torque"], None)
     mean, swing = 3.0 * math.cos(phase), 3.0
     # where cos(x) = -cos(phase) the power mean - swing cos(x) changes its sign
     positive = (mean * (math.pi - phase) + swing * math.sin(phase)) / math.pi
@@ -92,18 +88,13 @@ def test_constant_power() -> None:
     assert found["regenerated_energy"] == found["peak_regenerated_power"] == 0.0
 
 
-def coarse(torque: Signal, speed: Signal, steps: int, names: Iterable[str], cycles: int = 1) -> dict[str, Metric]:
-    """Some of them in a few steps."""
-    return duty({"torque": torque, "velocity": speed}, cycles, steps, [f"{name}_1" for name in names])
-
-
 def test_a_coarse_step_has_an_error() -> None:
     """Interpolation errors cover the difference from the closed form at ten steps a period, and are of its size."""
     phase = 1.5
     mean = 3.0 * math.cos(phase)
     positive = (mean * (math.pi - phase) + 3.0 * math.sin(phase)) / math.pi
     exact = {"peak_power": 3.0 + mean, "positive_energy": positive, "regenerated_energy": positive - mean}
-    found = coarse(sine(3.0), sine(2.0, phase), 10, exact)
+    found = measured(sine(3.0), sine(2.0, phase), steps=10, names=[f"{name}_1" for name in exact])
     for name, value in exact.items():
         each = found[name]
         assert each.value is not None
@@ -119,16 +110,9 @@ def test_errors_of_one_sign_add_up(sign: float, cycles: int) -> None:
     one_way, other_way = ("positive_energy", "regenerated_energy")[:: int(sign)]
     exact = {"mean_power": sign * energy, "net_energy": sign * energy / cycles, one_way: energy / cycles}
     growing: Signal = lambda t, k: np.asarray(sign * 3.0**k * np.exp(3.0 * t))  # noqa: E731
-    found = coarse(growing, line(2.0, 0.0), 4, [*exact, other_way], cycles)
+    found = measured(growing, line(2.0, 0.0), cycles, 4, [f"{name}_1" for name in (*exact, other_way)])
     for name, value in exact.items():
         each = found[name]
         assert each.value is not None
         assert 0.5 * each.interpolation_error < abs(each.value - value) <= each.interpolation_error < 1e-3, name
     assert found[other_way].value == 0.0
-
-
-def test_a_robot_without_known_speeds() -> None:
-    """Without speeds there are torques alone."""
-    found = duty({"torque": sine(3.0)}, names=["rms_torque_1", "mean_power_1"])
-    assert found["rms_torque"].value == pytest.approx(3.0 / math.sqrt(2.0))
-    assert found["mean_power"].value is None

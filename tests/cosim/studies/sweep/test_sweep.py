@@ -44,16 +44,15 @@ def alone(changes: dict[str, Any], names: list[str] = PEAK, scene: flexfmu.Scene
 @pytest.mark.slow
 def test_a_case_is_the_changed_scene() -> None:
     """Parameters of the FMU, geometry that the motion is planned with, texts, other effects: as a scene of its own."""
-    varied: dict[str, Any] = {
-        "payload.mass": [0.0, 3.0],
-        "mechanism.proximal.length": [0.24, 0.25],
-        "trajectory.profile.kind": ["poly7", "bang-bang"],
-    }
+    lengths, kinds = [0.24, 0.25], ["poly7", "bang-bang"]
+    varied: dict[str, Any] = {"payload.mass": [0.0, 3.0], "mechanism.proximal.length": lengths}
+    varied["trajectory.profile.kind"] = kinds
     found = flexfmu.sweep(SCENE, varied, metrics=PEAK, processes=2)
     assert found.failed == []
     for row in found:
-        expected = alone({key: row[key] for key in varied})
-        assert row["peak_torque_1"] == pytest.approx(expected["peak_torque_1"], rel=1e-4)
+        assert row["peak_torque_1"] == pytest.approx(
+            alone({key: row[key] for key in varied})["peak_torque_1"], rel=1e-4
+        )
 
 
 @pytest.mark.slow
@@ -135,21 +134,16 @@ def test_what_cannot_be_is_told_before_work_starts(
     assert not (tmp_path / "out").exists()
 
 
-def test_signals_that_the_robot_lacks_are_told_in_each_line() -> None:
-    """Without an FMU for each of them."""
-    found = flexfmu.sweep(SCENE, {"payload.mass": [1.0, 2.0, 3.0]}, metrics=PEAK, record=["joint1.torqe"], processes=1)
-    assert [row["message"] for row in found] == [
-        "there is no signal 'joint1.torqe' to record; did you mean 'joint1.torque'?"
-    ] * 3
-
-
-def test_invalid_combinations_are_cases_that_fail() -> None:
-    """`ramp` belongs to one profile alone."""
+def test_cases_that_fail_say_why() -> None:
+    """`ramp` belongs to one profile alone; signals that the robot lacks are named in each line, without an FMU for each."""
     varied = {"trajectory.profile.kind": ["poly7", "trapezoidal"], "trajectory.profile.ramp": [0.2, 0.3]}
     found = flexfmu.sweep(SCENE, varied, metrics=PEAK, processes=1)
     assert [row["case"] for row in found.failed] == [0, 1]
     assert found[3]["peak_torque_1"] > 0.0
     assert found[0]["peak_torque_1"] is None
+    found = flexfmu.sweep(SCENE, {"payload.mass": [1.0, 2.0]}, metrics=PEAK, record=["joint1.torqe"], processes=1)
+    message = "there is no signal 'joint1.torqe' to record; did you mean 'joint1.torque'?"
+    assert [row["message"] for row in found] == [message] * 2
 
 
 @pytest.fixture(scope="module")
@@ -162,52 +156,35 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def swept(path: Path, **options: Any) -> SweepResult:
     """The sweep of `folder`."""
-    arguments: dict[str, Any] = {
-        "metrics": PEAK,
-        "record": ["joint1.torque"],
-        "record_step": 0.0125,
-        "processes": 2,
-    } | options
-    return flexfmu.sweep(
-        SCENE, {"payload.mass": [1.0, 2.0], "trajectory.profile.kind": ["poly7"]}, out=path, **arguments
-    )
+    usual: dict[str, Any] = {"metrics": PEAK, "record": ["joint1.torque"], "record_step": 0.0125, "processes": 2}
+    varied = {"payload.mass": [1.0, 2.0], "trajectory.profile.kind": ["poly7"]}
+    return flexfmu.sweep(SCENE, varied, out=path, **usual | options)
 
 
-def test_files(folder: Path) -> None:
-    """Units in the headings, exact numbers, types and units in Parquet, signals at their interval; no journal is left."""
+def test_results_in_files_and_notebooks(folder: Path) -> None:
+    """Units in the headings, exact numbers, types and units in Parquet and data frames, signals at their interval."""
     with open(folder / "sweep.csv", encoding="utf-8", newline="") as file:
         head, *lines = csv.reader(file)
     assert head == ["case", "payload.mass [kg]", "trajectory.profile.kind", "peak_torque_1 [N.m]", "message"]
-    result = swept(folder)
-    assert [float(line[3]) for line in lines] == [row["peak_torque_1"] for row in result]
+    result, frame = swept(folder), swept(folder).to_pandas()
+    peaks = [row["peak_torque_1"] for row in result]
+    assert [float(line[3]) for line in lines] == frame["peak_torque_1"].tolist() == peaks
+    assert frame.attrs["units"] == {"payload.mass": "kg", "peak_torque_1": "N.m"}
     assert not (folder / "journal.csv").exists()
-    recording = result.recording(1)
-    assert np.unique(recording.time)[:3].tolist() == [0.0, 0.0125, 0.025]
+    recording, step = result.recording(1), 0.0125
+    assert np.unique(recording.time)[:3].tolist() == [0.0, step, 2.0 * step]
     assert recording.time[-1] == pytest.approx(0.22)
     # between communication points as exact as these
-    run = flexfmu.run(SCENE.replace({"payload.mass": 2.0, "cosimulation.step": 1e-3 / 2.0}))
-    assert recording["joint1.torque"].values[recording.time == 0.0125][0] == pytest.approx(
-        run.recording["joint1.torque"].values[run.recording.time == 0.0125][0], rel=1e-4
-    )
-    parquet = pytest.importorskip("pyarrow.parquet")
-    table = parquet.read_table(folder / "sweep.parquet")
-    assert table.schema.field("payload.mass").metadata == {b"unit": b"kg"}
-    assert table["peak_torque_1"].to_pylist() == [row["peak_torque_1"] for row in result]
-
-
-def test_the_result_in_a_notebook(folder: Path) -> None:
-    """A short text, a table, a data frame with units, and a picture."""
-    result = swept(folder)
-    assert len(repr(result).splitlines()) == 5
-    assert result._repr_html_().count("<tr>") == 3
-    frame = result.to_pandas()
-    assert frame.attrs["units"] == {"payload.mass": "kg", "peak_torque_1": "N.m"}
-    assert frame["peak_torque_1"].tolist() == [row["peak_torque_1"] for row in result]
-    assert result[-1] == result[1]
-    peak = result[1]["peak_torque_1"]
-    assert (peak.name, peak.unit, peak.label) == ("peak_torque_1", "N.m", "Peak torque, joint 1")
-    assert len(result.plot().axes) == 1
+    run = flexfmu.run(SCENE.replace({"payload.mass": 2.0, "cosimulation.step": 1e-3 / 2.0})).recording
+    values = [each["joint1.torque"].values[each.time == step][0] for each in (recording, run)]
+    assert values[0] == pytest.approx(values[1], rel=1e-4)
+    # short text, table, picture
+    assert (len(repr(result).splitlines()), result._repr_html_().count("<tr>")) == (5, 3)
+    assert (len(result.plot().axes), result[-1], peaks[1].label) == (1, result[1], "Peak torque, joint 1")
     assert result.summary()["peak_torque_1"]["max_case"] == 1
+    table = pytest.importorskip("pyarrow.parquet").read_table(folder / "sweep.parquet")
+    assert table.schema.field("payload.mass").metadata == {b"unit": b"kg"}
+    assert table["peak_torque_1"].to_pylist() == peaks
 
 
 def test_another_sweep_in_the_folder_is_refused(folder: Path) -> None:
