@@ -41,13 +41,13 @@ def cache_folder(tmp_path: Path, object_folder: Path, monkeypatch: pytest.Monkey
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_oscillators() -> MakeModel:
     """Function that makes `oscillators`, with other names and values on request."""
     return oscillators
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_lever() -> MakeModel:
     """Function that makes `lever`."""
     return lever
@@ -99,16 +99,9 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
         ),
         functions={key: _function(key, *result) for key, result in results.items()},
         acceleration_terms=acceleration_terms(motion, outputs),
-        feedthrough={
-            "first.position": (),
-            "der(first.position)": (),
-            "der(first.position,2)": ("force",),
-            "second.position": (),
-            "der(second.position)": (),
-            "der(second.position,2)": (),
-            "first.spring_force": (),
-            "power": ("force",),
-        },
+        feedthrough=dict.fromkeys((f"{name}.position" for name in ("first", "second")), ())
+        | dict.fromkeys(("der(first.position)", "der(second.position)", "der(second.position,2)"), ())
+        | {"der(first.position,2)": ("force",), "first.spring_force": (), "power": ("force",)},
         static_start=static_start,
         margin_name="distance to nothing",
         minimum_margin=0.5,
