@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import errno
-import os
 import shutil
 import stat
-import subprocess
-import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -180,18 +177,6 @@ def test_what_is_missing_is_found_out_first(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(toolchain.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingCompilerError, match=r"install gcc or clang, or run: pip install flexfmu\[zig\]"):
         build_fmu(_never, key="oscillators")
-
-
-def test_cached_build_imports_neither_casadi_nor_jinja(make_oscillators: MakeModel) -> None:
-    """A tenth of a second is all there is; CasADi alone would take it."""
-    build_fmu(make_oscillators, key="oscillators")
-    script = (
-        "import sys; from flexfmu.fmu_build.build import build_fmu\n"
-        "assert build_fmu(None, key='oscillators').cached\n"
-        "print(sorted({'casadi', 'numpy', 'jinja2', 'fmpy'} & set(sys.modules)))"
-    )
-    outcome = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=os.environ, check=True)
-    assert outcome.stdout.strip() == "[]"
 
 
 def test_full_temporary_folder_is_an_error(
