@@ -1,138 +1,116 @@
-"""Every FMI function in every state, against the standard's table of calling sequences."""
+"""Every FMI function in every state, against the standard's table of calling sequences: FMI 2.0.4, sections 3.2.3 and 4.2.4.
+
+The states "step in progress" and "step canceled" are those of asynchronous steps, which our FMUs don't make; "error" is left to
+the importer: after a refused call the instance is where it was. That legal calls are served is what the fuzzer sees.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from ctypes import byref, c_char, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from pathlib import Path
-from typing import Any
 
 import pytest
 from boundary_support.harness import COMPILER, run
-from boundary_support.raw import ERROR, LAST_SUCCESSFUL_TIME, OK, RawInstance, raw_instance
-from boundary_support.standard import MARKS, STATES, is_allowed
+from boundary_support.raw import ERROR, OK, RawInstance, raw_instance
 from boundary_support.subjects import FILES, fail_a_step
-from fmpy.fmi2 import fmi2EventInfo
 
 from flexfmu.fmu_build.toolchain import fmi_header_folder
 
 RUNTIME = Path(__file__).parents[2] / "fmu_build" / "c-runtime"
-N_STATES = 4
 OUTSIDE_THE_TABLE = {"fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2Instantiate", "fmi2FreeInstance"}
 
-
-def nothing(_instance: RawInstance, _state: c_void_p) -> tuple[Any, ...]:
-    return ()
-
-
-def no_values(_instance: RawInstance, _state: c_void_p) -> tuple[Any, ...]:
-    return (None, 0, None)
-
-
-def no_derivatives(_instance: RawInstance, _state: c_void_p) -> tuple[Any, ...]:
-    return (None, 0, None, None)
-
-
-def one_state(_instance: RawInstance, state: c_void_p) -> tuple[Any, ...]:
-    return (state,)
-
-
-def answer(kind: int, place: Callable[[], Any]) -> Callable[[RawInstance, c_void_p], tuple[Any, ...]]:
-    return lambda _instance, _state: (kind, byref(place()))
-
-
-def first_step(instance: RawInstance, _state: c_void_p) -> tuple[Any, ...]:
-    time = c_double()
-    instance._slave._functions["fmi2GetRealStatus"](instance._slave.component, LAST_SUCCESSFUL_TIME, byref(time))
-    return (time.value, 1e-3, 0)
-
-
-def bytes_of(instance: RawInstance, state: c_void_p) -> tuple[Any, ...]:
-    content = instance.serialized(state)
-    return ((c_char * len(content)).from_buffer_copy(content), len(content), byref(c_void_p()))
-
-
-ARGUMENTS: dict[str, Callable[[RawInstance, c_void_p], tuple[Any, ...]]] = {
-    **dict.fromkeys(MARKS["co-simulation"] | MARKS["model exchange"], nothing),
-    **{f"fmi2{verb}{kind}": no_values for verb in ("Get", "Set") for kind in ("Real", "Integer", "Boolean", "String")},
-    "fmi2SetRealInputDerivatives": no_derivatives,
-    "fmi2GetRealOutputDerivatives": no_derivatives,
-    "fmi2SetDebugLogging": lambda _instance, _state: (1, 0, None),
-    "fmi2SetupExperiment": lambda _instance, _state: (0, 0.0, 0.0, 0, 0.0),
-    "fmi2GetFMUstate": lambda _instance, _state: (byref(c_void_p()),),
-    "fmi2SetFMUstate": one_state,
-    "fmi2FreeFMUstate": lambda _instance, _state: (byref(c_void_p()),),
-    "fmi2SerializedFMUstateSize": lambda _instance, state: (state, byref(c_size_t())),
-    "fmi2SerializeFMUstate": lambda _instance, state: (state, (c_char * 100000)(), 100000),
-    "fmi2DeSerializeFMUstate": bytes_of,
-    "fmi2GetDirectionalDerivative": lambda _instance, _state: ((c_uint * 1)(), 0, (c_uint * 1)(), 0, None, None),
-    "fmi2DoStep": first_step,
-    "fmi2NewDiscreteStates": lambda _instance, _state: (byref(fmi2EventInfo()),),
-    "fmi2CompletedIntegratorStep": lambda _instance, _state: (1, byref(c_int()), byref(c_int())),
-    "fmi2SetTime": lambda _instance, _state: (0.0,),
-    "fmi2SetContinuousStates": lambda _instance, _state: ((c_double * N_STATES)(), N_STATES),
-    "fmi2GetDerivatives": lambda _instance, _state: ((c_double * N_STATES)(), N_STATES),
-    "fmi2GetContinuousStates": lambda _instance, _state: ((c_double * N_STATES)(), N_STATES),
-    "fmi2GetNominalsOfContinuousStates": lambda _instance, _state: ((c_double * N_STATES)(), N_STATES),
-    "fmi2GetEventIndicators": lambda _instance, _state: (None, 0),
-    "fmi2GetStatus": answer(0, c_int),
-    "fmi2GetRealStatus": answer(LAST_SUCCESSFUL_TIME, c_double),
-    "fmi2GetIntegerStatus": answer(0, c_int),
-    "fmi2GetBooleanStatus": answer(3, c_int),
-    "fmi2GetStringStatus": answer(1, c_char_p),
+STATES = {
+    "co-simulation": ("INSTANTIATED", "INITIALISATION_MODE", "STEP_COMPLETE", "STEP_FAILED", "TERMINATED"),
+    "model exchange": ("INSTANTIATED", "INITIALISATION_MODE", "EVENT_MODE", "CONTINUOUS_TIME_MODE", "TERMINATED"),
 }
-"""Harmless arguments of each function."""
+KINDS = {"co-simulation": "STEPPING", "model exchange": "EXCHANGE"}
+"""Kind of instance → its states, and its own name, in the runtime."""
 
-CASES = [
-    (name, kind, state)
-    for name in FILES
-    for kind, state in STATES
-    if (name == "robot" or kind == "co-simulation") and (name, state) != ("trajectory", "step failed")
-]
-"""Only robots have states to exchange, and a trajectory has no step that fails."""
+TABLE = """
+fmi2SetDebugLogging               x  x  x  x  x    x  x  x  x  x
+fmi2SetupExperiment               x  -  -  -  -    x  -  -  -  -
+fmi2EnterInitializationMode       x  -  -  -  -    x  -  -  -  -
+fmi2ExitInitializationMode        -  x  -  -  -    -  x  -  -  -
+fmi2Terminate                     -  -  x  x  -    -  -  x  x  -
+fmi2Reset                         x  x  x  x  x    x  x  x  x  x
+fmi2GetReal                       +  x  x  x  x    +  x  x  x  x
+fmi2GetInteger                    +  x  x  x  x    +  x  x  x  x
+fmi2GetBoolean                    -  x  x  x  x    -  x  x  x  x
+fmi2GetString                     -  x  x  x  x    -  x  x  x  x
+fmi2SetReal                       x  x  x  +  -    x  x  x  x  -
+fmi2SetInteger                    x  x  x  +  -    x  x  x  -  -
+fmi2SetBoolean                    x  x  x  +  -    x  x  x  -  -
+fmi2SetString                     x  x  x  +  -    x  x  x  -  -
+fmi2GetFMUstate                   x  x  x  x  x    x  x  x  x  x
+fmi2SetFMUstate                   x  x  x  x  x    x  x  x  x  x
+fmi2FreeFMUstate                  x  x  x  x  x    x  x  x  x  x
+fmi2SerializedFMUstateSize        x  x  x  x  x    x  x  x  x  x
+fmi2SerializeFMUstate             x  x  x  x  x    x  x  x  x  x
+fmi2DeSerializeFMUstate           x  x  x  x  x    x  x  x  x  x
+fmi2GetDirectionalDerivative      -  x  x  x  x    -  x  x  x  x
+fmi2SetRealInputDerivatives       x  x  x  +  -    no
+fmi2GetRealOutputDerivatives      -  +  x  x  x    no
+fmi2DoStep                        -  -  x  +  -    no
+fmi2CancelStep                    -  -  -  -  -    no
+fmi2GetStatus                     -  -  x  x  x    no
+fmi2GetRealStatus                 -  -  x  x  x    no
+fmi2GetIntegerStatus              -  -  x  x  x    no
+fmi2GetBooleanStatus              -  -  x  x  x    no
+fmi2GetStringStatus               -  -  x  x  x    no
+fmi2EnterEventMode                no               -  -  x  x  -
+fmi2NewDiscreteStates             no               -  -  x  -  -
+fmi2EnterContinuousTimeMode       no               -  -  x  -  -
+fmi2CompletedIntegratorStep       no               -  -  -  x  -
+fmi2SetTime                       no               -  -  x  x  -
+fmi2SetContinuousStates           no               -  -  -  x  -
+fmi2GetDerivatives                no               -  +  x  x  x
+fmi2GetEventIndicators            no               -  x  x  x  x
+fmi2GetContinuousStates           no               -  x  x  x  x
+fmi2GetNominalsOfContinuousStates no               x  +  x  x  x
+"""
+"""Five states of co-simulation and of model exchange. x: allowed, +: allowed by our FMUs beyond the standard, -: refused; no: not
+a function of that kind."""
+
+MARKS: dict[str, dict[str, list[str]]] = {kind: {} for kind in STATES}
+"""Kind of instance → function → mark for each of its states."""
+for line in TABLE.strip().splitlines():
+    function, *marks = line.split()
+    for own in MARKS.values():
+        if marks[0] == "no":
+            del marks[0]
+        else:
+            own[function], marks = marks[:5], marks[5:]
+
+EACH = [(kind, index) for kind, states in STATES.items() for index in range(len(states))]
 
 
-def bring_to(instance: RawInstance, name: str, state: str) -> None:
+def bring_to(instance: RawInstance, state: str) -> None:
     """By the shortest way."""
-    if state != "instantiated":
+    if state != "INSTANTIATED":
         assert instance.call("fmi2EnterInitializationMode") == OK
-    if state not in ("instantiated", "initialization"):
+    if state not in ("INSTANTIATED", "INITIALISATION_MODE"):
         assert instance.call("fmi2ExitInitializationMode") == OK
-    if state == "step failed":
-        fail_a_step(instance, name)
-    if state == "continuous-time mode":
+    if state == "STEP_FAILED":
+        fail_a_step(instance, "robot")
+    if state == "CONTINUOUS_TIME_MODE":
         assert instance.call("fmi2EnterContinuousTimeMode") == OK
-    if state == "terminated":
+    if state == "TERMINATED":
         assert instance.call("fmi2Terminate") == OK
 
 
-def test_the_tables_have_all_functions() -> None:
-    """A function that is forgotten here is not held to the standard."""
-    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (fmi_header_folder() / "fmi2Functions.h").read_text()))
-    stepping, exchange = (set(MARKS[kind]) for kind in ("co-simulation", "model exchange"))
-    assert stepping | exchange == declared - OUTSIDE_THE_TABLE
-    assert (len(stepping), len(exchange), len(stepping & exchange)) == (30, 31, 21)
-
-
-PHASES = {
-    "instantiated": "INSTANTIATED",
-    "initialization": "INITIALISATION_MODE",
-    "step complete": "STEP_COMPLETE",
-    "step failed": "STEP_FAILED",
-    "event mode": "EVENT_MODE",
-    "continuous-time mode": "CONTINUOUS_TIME_MODE",
-    "terminated": "TERMINATED",
-}
-KINDS = {"co-simulation": "STEPPING", "model exchange": "EXCHANGE"}
-"""State and kind of the standard → name in the runtime's table."""
+def refused(instance: RawInstance, function: str) -> str:
+    """What a call without sensible arguments hears, which is refused before these are looked at."""
+    assert instance.call_with_nothing(function) == ERROR, function
+    return instance.sentence
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_the_runtime_has_the_standards_table(tmp_path: Path) -> None:
-    """Each function is there for the kinds and in the states of the standard: what the compiler makes of the C table."""
+    """Each declared function is there for the kinds and in the states of the standard: what the compiler makes of the C table."""
+    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (fmi_header_folder() / "fmi2Functions.h").read_text()))
+    assert MARKS["co-simulation"].keys() | MARKS["model exchange"].keys() == declared - OUTSIDE_THE_TABLE
     (header,) = RUNTIME.rglob("fmi2_states.h")
-    columns = ", ".join(f"(k & {KINDS[kind]}) && (p & {PHASES[state]})" for kind, state in STATES)
+    columns = ", ".join(f"(k & {KINDS[kind]}) && (p & {STATES[kind][index]})" for kind, index in EACH)
     columns += "".join(f", (k & {kind}) != 0" for kind in KINDS.values())
     source, program = tmp_path / "table.c", tmp_path / "table"
     source.write_text(f"""
@@ -152,49 +130,29 @@ def test_the_runtime_has_the_standards_table(tmp_path: Path) -> None:
     """)
     run(COMPILER, source, "-o", program)
     found = {name: marks for name, *marks in (line.split() for line in run(program).splitlines())}
-    expected = {
+    assert found == {
         name: [
-            *(str(int(name in MARKS[kind] and is_allowed(kind, name, state))) for kind, state in STATES),
+            *(str(int(MARKS[kind].get(name, "-----")[index] != "-")) for kind, index in EACH),
             *(str(int(name in MARKS[kind])) for kind in KINDS),
         ]
-        for name in MARKS["co-simulation"] | MARKS["model exchange"]
+        for name in declared - OUTSIDE_THE_TABLE
     }
-    assert found == expected
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "kind", "state"), CASES)
-def test_calls_are_served_and_refused_as_the_standard_says(name: str, kind: str, state: str, tmp_path: Path) -> None:
-    """Importers rely on the calls that the standard allows, and on being told of the others."""
-    path = FILES[name]()
-    wrong = []
-    for function in MARKS[kind]:
-        with raw_instance(path, tmp_path / "fmu", kind) as instance:
-            bring_to(instance, name, state)
-            saved = instance.save()
-            heard = len(instance.heard)
-            instance.call(function, *ARGUMENTS[function](instance, saved))
-            said = " ".join(each.text for each in instance.heard[heard:])
-            refused = f"{function} must not be called in the state '" in said
-            if refused == is_allowed(kind, function, state):
-                wrong.append((function, state, said))
-
-            # a refused call leaves the instance as it was; rollback and reset are always possible
-            if refused:
-                assert instance.serialized(instance.save()) == instance.serialized(saved)
-            assert instance.call("fmi2SetFMUstate", saved) == OK
-            assert instance.call("fmi2Reset") == OK
-            instance.start()
-    assert wrong == []
-
-
-def test_calls_of_the_other_kind_are_refused(tmp_path: Path) -> None:
-    """An importer that steps what it should integrate has mixed up its FMUs."""
-    path = FILES["robot"]()
-    for kind, other in (("co-simulation", "model exchange"), ("model exchange", "co-simulation")):
-        for function in set(MARKS[other]) - set(MARKS[kind]):
-            with raw_instance(path, tmp_path / "fmu", kind) as instance:
-                instance.start()
-                arguments = (0.0, 1e-3, 0) if function == "fmi2DoStep" else ARGUMENTS[function](instance, c_void_p())
-                assert instance.call_other(function, *arguments) == ERROR
-                assert f"this instance was made for {kind}" in instance.sentence
+@pytest.mark.parametrize(("kind", "index"), EACH, ids=lambda part: str(part))
+def test_illegal_calls_are_refused_and_leave_no_trace(kind: str, index: int, tmp_path: Path) -> None:
+    """Importers rely on being told of calls that the standard doesn't allow, those of the other kind of instance included; rollback and
+    reset are always possible."""
+    (other,) = {*KINDS} - {kind}
+    with raw_instance(FILES["robot"](), tmp_path / "fmu", kind) as instance:
+        bring_to(instance, STATES[kind][index])
+        saved = instance.save()
+        content = instance.serialized(saved)
+        for function, marks in MARKS[kind].items():
+            if marks[index] == "-":
+                assert f"{function} must not be called in the state '" in refused(instance, function)
+        for function in MARKS[other].keys() - MARKS[kind].keys():
+            assert f"this instance was made for {kind}" in refused(instance, function)
+        assert instance.serialized(instance.save()) == content
+        assert instance.call("fmi2SetFMUstate", saved) == instance.call("fmi2Reset") == OK
+        instance.start()

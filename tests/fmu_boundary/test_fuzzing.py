@@ -1,4 +1,4 @@
-"""Drawn sequences of FMI calls under the sanitizers, each call judged by what the standard and the FMU promise.
+"""Drawn sequences of FMI calls under the sanitizers, each call judged by what the standard and the FMU promise; two threads.
 
 `make fuzz` runs 100 000 sequences of each; FLEXFMU_FUZZ sets another number. A sequence that fails is repeated with
 ``FUZZ_TRACE=1 program 1 NUMBER``.
@@ -7,19 +7,20 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
-from boundary_support.harness import ADDRESS, COMPILER, build, has_sanitizer, run
-from boundary_support.subjects import SUBJECTS
+from boundary_support.harness import ADDRESS, COMPILER, THREAD, build, has_sanitizer, run
+from boundary_support.subjects import FILES, SUBJECTS
 
 SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "500"))
+FEWER = 20
 FUZZER = ("tape.c", "fuzzed_calls.c", "fuzz.c", "fuzz_main.c")
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(COMPILER is None, reason="no C compiler")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_no_sequence_of_calls_breaks_a_promise(name: str, tmp_path: Path) -> None:
     """Illegal orders, odd arguments, spoilt states and rollbacks: the right status and a sentence, never a crash, a hang,
@@ -27,3 +28,20 @@ def test_no_sequence_of_calls_breaks_a_promise(name: str, tmp_path: Path) -> Non
     flags = ADDRESS if has_sanitizer("address,undefined", tmp_path) else ("-O2",)
     program = build(tmp_path, SUBJECTS[name](), FUZZER, flags)
     assert run(program, SEQUENCES, seconds=3600.0) == f"{SEQUENCES} sequences\n"
+
+
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="no valgrind")
+@pytest.mark.parametrize("name", FILES)
+def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
+    """It alone sees numbers that are used before they are set: the importer's memory here is dirty."""
+    program = build(tmp_path, SUBJECTS[name](), FUZZER, ("-O1", "-g"))
+    options = ("--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
+    assert run("valgrind", *options, program, FEWER) == f"{FEWER} sequences\n"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_two_threads_do_not_touch_each_other(name: str, tmp_path: Path) -> None:
+    """Masters step their FMUs in parallel; each must get what it gets alone, and share no memory that changes."""
+    flags = THREAD if has_sanitizer("thread", tmp_path) else ("-O2",)
+    program = build(tmp_path, SUBJECTS[name](), ("threads.c",), flags)
+    assert run(program, TSAN_OPTIONS="halt_on_error=1") == ""

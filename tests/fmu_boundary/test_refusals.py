@@ -45,15 +45,16 @@ def test_null_pointers_are_refused(instance: RawInstance) -> None:
     instance.start()
     state, one = instance.save(), (c_uint * 1)(0)
     real, integer, order = (c_double * 1)(), (c_int * 1)(), (c_int * 1)(1)
+    arrays = {
+        **{f"fmi2{verb}Real": (one, 1, real) for verb in ("Get", "Set")},
+        **{f"fmi2{verb}Integer": (one, 1, integer) for verb in ("Get", "Set")},
+        "fmi2SetRealInputDerivatives": (one, 1, order, real),
+        "fmi2GetRealOutputDerivatives": (one, 1, order, real),
+    }
     refused = [
-        *((f"fmi2{verb}Real", *arrays) for verb in ("Get", "Set") for arrays in ((None, 1, real), (one, 1, None))),
-        *(
-            (f"fmi2{verb}Integer", *arrays)
-            for verb in ("Get", "Set")
-            for arrays in ((None, 1, integer), (one, 1, None))
-        ),
-        *(("fmi2SetRealInputDerivatives", *each) for each in ((None, 1, order, real), (one, 1, None, real))),
-        *(("fmi2GetRealOutputDerivatives", *each) for each in ((None, 1, order, real), (one, 1, order, None))),
+        *((name, None, *others) for name, (_, *others) in arrays.items()),
+        *((name, *others, None) for name, (*others, _) in arrays.items()),
+        ("fmi2SetRealInputDerivatives", one, 1, None, real),
         ("fmi2SetDebugLogging", 1, 1, None),
         ("fmi2SetDebugLogging", 1, 1, (c_char_p * 1)(None)),
         ("fmi2GetFMUstate", None),
@@ -74,71 +75,56 @@ def test_null_pointers_are_refused(instance: RawInstance) -> None:
     assert instance.step(0.0, 1e-3) == OK
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["robot", "block"])
-def test_numbers_that_are_none_are_refused(name: str, instance: RawInstance, value: float) -> None:
+def test_numbers_that_are_none_are_refused(name: str, instance: RawInstance) -> None:
     """NaN would spread through every FMU that is connected."""
     before = instance.get([instance.references[each] for each in instance.settable])
-    for each in instance.settable:
-        assert instance.set([instance.references[each]], [value]) == ERROR
-        assert f"{each} must be a finite number" in instance.sentence
+    for value in (math.nan, math.inf, -math.inf):
+        for each in instance.settable:
+            assert instance.set([instance.references[each]], [value]) == ERROR
+            assert f"{each} must be a finite number" in instance.sentence
+        assert instance.set_derivative(instance.references[instance.inputs[0]], 1, value) == ERROR
     assert instance.get([instance.references[each] for each in instance.settable]) == before
-    assert instance.set_derivative(instance.references[instance.inputs[0]], 1, value) == ERROR
 
 
-@pytest.mark.parametrize(
-    ("time", "size", "reason"),
-    [
-        (0.0, 0.0, "positive and finite"),
-        (0.0, -1e-3, "positive and finite"),
-        (0.0, math.nan, "positive and finite"),
-        (0.0, math.inf, "positive and finite"),
+def test_impossible_steps_are_refused(instance: RawInstance) -> None:
+    """The importer's clock and the FMU's must not drift apart unnoticed, and a step to infinity would never return; the next good step
+    is served."""
+    instance.start(stop=0.25)
+    before = instance.get_outputs()
+    for time, size, reason in (
+        *((0.0, size, "positive and finite") for size in (0.0, -1e-3, math.nan, math.inf)),
         (math.nan, 1e-3, "finite"),
         (1e-3, 1e-3, "present time 0 s"),
         (-1e-3, 1e-3, "present time 0 s"),
         (0.0, 0.5, "stop time"),
         (0.0, 1.7e308, "stop time"),
-    ],
-)
-def test_impossible_steps_are_refused(instance: RawInstance, time: float, size: float, reason: str) -> None:
-    """The importer's clock and the FMU's must not drift apart unnoticed; the next good step is served."""
-    assert instance.call("fmi2SetupExperiment", 0, 0.0, 0.0, 1, 0.25) == OK
-    assert instance.call("fmi2EnterInitializationMode") == OK
-    assert instance.call("fmi2ExitInitializationMode") == OK
-    before = instance.get_outputs()
-    assert instance.step(time, size) == ERROR
-    assert reason in instance.sentence
-    assert instance.get_outputs() == before
-    assert instance.last_time() == 0.0
+    ):
+        assert instance.step(time, size) == ERROR
+        assert reason in instance.sentence
+        assert instance.get_outputs() == before
+        assert instance.last_time() == 0.0
     assert instance.step(0.0, 0.25) == OK
-
-
-def test_time_has_an_end(instance: RawInstance) -> None:
-    """A step to infinity would never return."""
-    assert instance.call("fmi2SetupExperiment", 0, 0.0, 1.7e308, 0, 0.0) == OK
-    assert instance.call("fmi2EnterInitializationMode") == OK
-    assert instance.call("fmi2ExitInitializationMode") == OK
+    assert instance.call("fmi2Reset") == OK
+    instance.start(1.7e308)
     assert instance.step(1.7e308, 1.7e308) == ERROR
     assert "has no finite end" in instance.sentence
 
 
-def test_wrong_experiments_are_refused(instance: RawInstance) -> None:
-    """Tolerance 0 or a stop before the start are slips of the importer, which it should hear of."""
+def test_wrong_experiments_are_refused(name: str, instance: RawInstance) -> None:
+    """Tolerance 0 or a stop before the start are slips of the importer, which it should hear of. The smallest tolerance of a scene is
+    the FMU's own: a smaller one counts as that one, with a warning."""
     for arguments in ((1, 0.0, 0.0, 0, 0.0), (1, math.nan, 0.0, 0, 0.0), (1, 2.0, 0.0, 0, 0.0)):
         assert instance.call("fmi2SetupExperiment", *arguments) == ERROR
         assert "tolerance must be between 0 and 1" in instance.sentence
     for start, stop in ((math.nan, 1.0), (math.inf, 1.0), (0.0, 0.0), (0.0, -1.0), (0.0, math.nan)):
         assert instance.call("fmi2SetupExperiment", 0, 0.0, start, 1, stop) == ERROR
         assert "time must be" in instance.sentence
+    if name == "robot":
+        assert instance.call("fmi2SetupExperiment", 1, LEAST_TOLERANCE, 0.0, 0, 0.0) == OK
+        assert instance.call("fmi2SetupExperiment", 1, 0.99 * LEAST_TOLERANCE, 0.0, 0, 0.0) == WARNING
+        assert f"9.9e-13 is beyond double precision, {LEAST_TOLERANCE:g} is used" in instance.sentence
     instance.start()
-
-
-@pytest.mark.parametrize("name", ["robot"], indirect=True)
-def test_tolerance_below_rounding_is_said(instance: RawInstance) -> None:
-    """The smallest tolerance of a scene is the FMU's own: a smaller one counts as that one, with a warning."""
-    assert instance.call("fmi2SetupExperiment", 1, LEAST_TOLERANCE, 0.0, 0, 0.0) == OK
-    assert instance.call("fmi2SetupExperiment", 1, 0.99 * LEAST_TOLERANCE, 0.0, 0, 0.0) == WARNING
-    assert f"9.9e-13 is beyond double precision, {LEAST_TOLERANCE:g} is used" in instance.sentence
 
 
 def test_unknown_value_references_are_refused(instance: RawInstance) -> None:
@@ -219,13 +205,14 @@ def test_inputs_beyond_all_numbers_are_refused(tmp_path: Path) -> None:
         assert instance.get([0])[0] == ERROR
 
 
-@pytest.mark.parametrize(("name", "size", "reason"), [("block", 1e9, "samples"), ("block", 1e300, "samples")])
-def test_steps_without_end_are_discarded(name: str, instance: RawInstance, size: float, reason: str) -> None:
+@pytest.mark.parametrize("name", ["block"])
+def test_steps_without_end_are_discarded(instance: RawInstance) -> None:
     """Nobody can stop a step that has begun."""
     instance.start()
-    assert instance.step(0.0, size) == DISCARD
-    assert reason in instance.sentence
-    assert instance.last_time() == 0.0
+    for size in (1e9, 1e300):
+        assert instance.step(0.0, size) == DISCARD
+        assert "samples" in instance.sentence
+        assert instance.last_time() == 0.0
     assert instance.step(0.0, 1e-3) == OK
 
 

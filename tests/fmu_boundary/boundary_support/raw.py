@@ -56,9 +56,12 @@ class RawInstance:
             assert len(said[0].text.split()) > 3, said
         return status
 
-    def call_other(self, function: str, *arguments: Any) -> int:
-        """Status of a call that fmpy doesn't bind for this kind of instance; pointers and integers only, or a step."""
-        return int(getattr(self._slave.dll, function)(c_void_p(self._slave.component), *_as_c(arguments)))
+    def call_with_nothing(self, function: str) -> int:
+        """Status of a call whose arguments are all zero, also of one that fmpy doesn't bind for this kind of instance."""
+        doubles = {"fmi2DoStep": [c_double, c_double, c_int], "fmi2SetTime": [c_double]}
+        exported = getattr(self._slave.dll, function)
+        types = exported.argtypes[1:] if exported.argtypes else doubles.get(function, 4 * [c_void_p])
+        return int(exported(c_void_p(self._slave.component), *(kind() for kind in types)))
 
     @property
     def sentence(self) -> str:
@@ -87,9 +90,9 @@ class RawInstance:
         assert status == OK, self.sentence
         return values
 
-    def start(self) -> None:
+    def start(self, time: float = 0.0, stop: float | None = None) -> None:
         """From instantiation to the first step."""
-        assert self.call("fmi2SetupExperiment", 0, 0.0, 0.0, 0, 0.0) == OK
+        assert self.call("fmi2SetupExperiment", 0, 0.0, time, stop is not None, stop or 0.0) == OK
         assert self.call("fmi2EnterInitializationMode") == OK
         assert self.call("fmi2ExitInitializationMode") == OK
 
@@ -126,10 +129,6 @@ class RawInstance:
         state = c_void_p()
         buffer = (c_char * max(1, len(content))).from_buffer_copy(content or b"\0")
         return self.call("fmi2DeSerializeFMUstate", buffer, len(content), byref(state)), state
-
-
-def _as_c(arguments: Sequence[Any]) -> list[Any]:
-    return [c_double(each) if isinstance(each, float) else each for each in arguments]
 
 
 @contextmanager

@@ -59,6 +59,7 @@ void fuzzed_judge(fuzzed *one, flex_call_id call, fmi2Status status) {
   if (status != fmi2OK && one->shown[LOG_ERROR] && one->shown[LOG_DISCARD] && one->shown[LOG_WARNING])
     CHECK(one->ear->status == status);
   if (!is_legal && one->shown[LOG_ERROR]) CHECK(strstr(one->ear->message, calls[call].name) != NULL);
+  if (is_legal && heard(one, LOG_ERROR)) CHECK(strstr(one->ear->message, "must not be called in the state") == NULL);
 }
 
 // what was read is a number, wherever the FMU says that it is fine
