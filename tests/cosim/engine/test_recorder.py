@@ -81,17 +81,16 @@ def test_what_is_appended_is_recorded(recorder_of: Callable[[Port, int], Recorde
 
 
 def test_a_recording_survives_the_next_run(recorder_of: Callable[[Port, int], Recorder]) -> None:
-    """The next run has memory of its own."""
+    """The next run has memory of its own, be it that a part of an array is kept."""
     port = Port()
     recorder = recorder_of(port, COUNT)
     fill(port, recorder)
-    first = recorder.recording()
-    before = first["source.y"].values.copy()
+    kept = recorder.recording()["source.y"].values[2:]
     recorder.rewind(0)
     assert recorder.count == 0
     fill(port, recorder, offset=0.5)
     check(recorder, offset=0.5)
-    assert np.array_equal(first["source.y"].values, before)
+    assert np.array_equal(kept, np.arange(2.0, COUNT))
 
 
 def test_results_are_the_recorders_memory() -> None:

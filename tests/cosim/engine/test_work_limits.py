@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -87,14 +88,8 @@ def test_the_command_line_announces_in_one_line(capsys: pytest.CaptureFixture[st
 def test_a_recording_beyond_memory_is_refused(split_oscillator: Factory) -> None:
     """With its size and the remedy, before anything runs."""
     system = split_oscillator(0).system()
-
-    class Port:
-        slave = system.slaves[0]
-        recorded = 1
-        indices = np.arange(2)
-        signals = np.zeros((1, 2))
-
+    port: Any = SimpleNamespace(slave=system.slaves[0], recorded=1, indices=np.arange(2), signals=np.zeros((1, 2)))
     with pytest.raises(
         InputError, match=r"2e\+16 values at 1e\+16 instants are 1.6e\+08 GB, more than there is; take a"
     ):
-        Recorder([Port()], 10**16)  # type: ignore[list-item]
+        Recorder([port], 10**16)
