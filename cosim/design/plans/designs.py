@@ -23,6 +23,7 @@ from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 from flexfmu.trajectories.shapers.designs import design as design_shaper
 from flexfmu.trajectories.shapers.designs import specified_insensitivity
@@ -135,42 +136,6 @@ def _plain(value: float | tuple[float, ...]) -> float | list[float]:
     return list(value) if isinstance(value, tuple) else value
 
 
-@dataclass(frozen=True, eq=False)
-class PathTable:
-    """Joint angles along a path by its arc length.
-
-    Attributes:
-        length: of the path [m].
-        nodes: (N,) arc lengths [m], knots included.
-        values: (3, N, 2) q11 and q21 [rad] with two derivatives by the arc length.
-        points: (N, 2) positions [m].
-    """
-
-    length: float
-    nodes: RealArray
-    values: RealArray
-    points: RealArray
-
-    def at(self, s: RealArray) -> RealArray:
-        """(3, M, 2) joint angles and two derivatives at arc lengths (M,), between nodes by quintics."""
-        index = np.clip(np.searchsorted(self.nodes, s, side="right") - 1, 0, len(self.nodes) - 2)
-        left, width = self.nodes[index], np.diff(self.nodes)[index]
-        x, scale = ((s - left) / width)[:, None], width[:, None]
-        (p0, v0, a0), (p1, v1, a1) = self.values[:, index], self.values[:, index + 1]
-        v0, v1, a0, a1 = v0 * scale, v1 * scale, a0 * scale**2, a1 * scale**2
-        # coefficients of x³, x⁴ and x⁵
-        gap, first, second = p1 - p0 - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
-        c3, c4, c5 = (
-            10.0 * gap - 4.0 * first + 0.5 * second,
-            -15.0 * gap + 7.0 * first - second,
-            6.0 * gap - 3.0 * first + 0.5 * second,
-        )
-        position = p0 + x * (v0 + x * (0.5 * a0 + x * (c3 + x * (c4 + x * c5))))
-        slope = v0 + x * (a0 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)))
-        bend = a0 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5))
-        return np.stack([position, slope / scale, bend / scale**2])
-
-
 def references(scene: Scene, design: Design, steps: int) -> JointMotion:
     """Joint references of a design at the ends of so many equal steps.
 
@@ -190,9 +155,10 @@ def references(scene: Scene, design: Design, steps: int) -> JointMotion:
     profile = _profile(design.profile, design.parameters)
     fractions = evaluate_profile(profile, eta.ravel(), 2).derivatives().reshape(3, *eta.shape)
     fractions = np.einsum("p,kjpn->kjn", np.array(on_path.amplitudes), fractions)
-    s, speed, change = (fractions * table.length / design.duration ** np.arange(3)[:, None, None]).reshape(3, -1)
-    # joint angles by the chain rule, then the shaper's sum
-    angle, slope, bend = table.at(np.clip(s, 0.0, table.length))
+    length = table.duration
+    s, speed, change = (fractions * length / design.duration ** np.arange(3)[:, None, None]).reshape(3, -1)
+    # joint angles by the chain rule, then the shaper's sum; derivatives at both ends are those within the path
+    angle, slope, bend = table.limits(np.clip(s, 0.0, length), s > 0.5 * length, 2)
     speed, change = speed[:, None], change[:, None]
     joints = np.stack([angle, slope * speed, bend * speed**2 + slope * change])
     shaped = np.einsum("j,kjni->kni", np.array(on_joints.amplitudes), joints.reshape(3, -1, time.size, 2))
@@ -207,8 +173,10 @@ def path_table(
     width: float,
     height: float,
     corner: tuple[str, float, float],
-) -> PathTable:
-    """The path with these corners: kind, height and width [m]; other arguments as for `PickAndPlacePath`.
+) -> PiecewisePolynomial:
+    """Joint angles [rad] by the arc length [m] of the path with these corners: kind, height and width [m].
+
+    Other arguments as for `PickAndPlacePath`.
 
     Raises:
         TrajectoryError: the path is not feasible or leaves the workspace.
@@ -226,7 +194,7 @@ def path_table(
     joints = [joint.derivatives() for joint in kinematics.joints(x, y)]
     values = np.stack(joints, axis=-1)
     values[0] = np.unwrap(values[0], axis=0)
-    return PathTable(path.length, nodes, values, points)
+    return spline(nodes, values, coordinates="joints")
 
 
 @lru_cache(maxsize=256)

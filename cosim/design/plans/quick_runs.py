@@ -21,7 +21,8 @@ from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
 from flexfmu.cosim.experiment.parameters import parameters_for
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.jets import Jet, RealArray
+from flexfmu.trajectories.piecewise import spline
 
 KINDS = ("position", "velocity", "acceleration")
 """Last part of the references' names, by the order of the time derivative."""
@@ -34,18 +35,6 @@ TOLERANCE = 1e-5
 
 EVERY = 3
 """Number of variants for each whose track is examined: positions change little and steadily with the payload."""
-
-QUINTIC = np.array(
-    [
-        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
-        [-60.0, -36.0, -9.0, 60.0, -24.0, 3.0],
-        [360.0, 192.0, 36.0, -360.0, 168.0, -24.0],
-        [-720.0, -360.0, -60.0, 720.0, -360.0, 60.0],
-    ]
-)
-"""Derivatives at the beginning of the quintic on 0..1 from value, first and second derivative at 0 and at 1."""
 
 MIDDLE = np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
 """Weights of four equidistant values for the position halfway between the second and the third."""
@@ -71,11 +60,8 @@ class JointMotion:
     @cached_property
     def polynomials(self) -> RealArray:
         """(N - 1, 6, 2) derivatives 0 to 5 at the beginning of the quintic of each step."""
-        steps = np.diff(self.time)
-        scale = steps[:, None] ** np.arange(3)
-        ends = [np.einsum("kni,nk->nki", values, scale) for values in (self.values[:, :-1], self.values[:, 1:])]
-        found = np.einsum("jk,nki->nji", QUINTIC, np.concatenate(ends, axis=1))
-        return np.asarray(found / (steps[:, None] ** np.arange(6))[:, :, None])
+        taylor = spline(self.time, self.values).coefficients
+        return np.moveaxis(Jet(taylor).derivatives(), 0, 1)
 
     @cached_property
     def peaks(self) -> RealArray:
