@@ -52,50 +52,40 @@ def test_observed_errors_are_within_the_tolerance_and_near_their_estimates() -> 
 @pytest.mark.slow
 def test_open_scene_runs_as_rigid_where_that_will_do(tmp_path: Path) -> None:
     """`run` resolves the scene, says so, simulates a model without elastic states, and tells it all in summary.json."""
-    text = (ROOT / "examples" / "effects_auto.toml").read_text(encoding="utf-8")
-    of = 'of = ["peak_position_error", "peak_torque_1", "residual_vibration_amplitude"]'
-    assert of in text
-    scene = tmp_path / "open.toml"
-    scene.write_text(
-        text.replace(of, 'of = ["peak_torque_1"]').replace("tolerance = 0.02", "tolerance = 0.4"), encoding="utf-8"
-    )
-    result = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out")])
+    command = ["run", str(ROOT / "examples" / "effects_auto.toml"), "--out", str(tmp_path)]
+    wishes = ["--set", "effects.of=['peak_torque_1']", "--set", "effects.tolerance=0.4"]
+    result = CliRunner().invoke(app, command + wishes)
     assert result.exit_code == 0, result.output
-    assert "effects chosen for 40 %: rigid links (errors beside the richest set: peak_torque_1" in " ".join(
-        result.stdout.split()
-    )
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    told = " ".join(result.stdout.split())
+    assert "effects chosen for 40 %: rigid links (errors beside the richest set: peak_torque_1" in told
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     choice = summary["effect_choice"]
     assert choice["estimated_error"]["peak_torque_1"] <= 0.2
     assert summary["health"]["tolerance"] == choice["integrator_tolerance"] == 0.001
     assert {each["effect"] for each in choice["effects"]} >= {"proximal_bending", "distal_axial", "beam"}
-    assert not any(
-        name.startswith("link") for name in (tmp_path / "out" / "results.csv").read_text().split("\n")[0].split('"')
-    )
+    assert '"link' not in (tmp_path / "results.csv").read_text().partition("\n")[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("changes", "tolerance"),
+    "changes",
     [
-        ({"mechanism.material": STEEL, "payload.mass": 2.0, "effects.damping": {"kind": "none"}}, 1e-2),
-        (
-            {
-                "cosimulation.drive": "torque",
-                "cosimulation.record": ["joint1.torque"],
-                "effects.motor_inertia": 0.1,
-                "effects.damping": {"kind": "modal", "ratio": 0.01},
-                "controller": [{"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 5e-4}],
-                "disturbance": [{"kind": "step", "signal": "force.x", "amplitude": 20.0, "start": 0.05}],
-            },
-            1e-2,
-        ),
+        {"mechanism.material": STEEL, "payload.mass": 2.0, "effects.damping": {"kind": "none"}},
+        {
+            "cosimulation.drive": "torque",
+            "cosimulation.record": ["joint1.torque"],
+            "effects.motor_inertia": 0.1,
+            "effects.damping": {"kind": "modal", "ratio": 0.01},
+            "controller": [{"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 5e-4}],
+            "disturbance": [{"kind": "step", "signal": "force.x", "amplitude": 20.0, "start": 0.05}],
+        },
     ],
     ids=["undamped steel", "disturbed loop"],
 )
-def test_the_stated_error_is_that_of_the_scene_as_it_runs(changes: dict[str, object], tolerance: float) -> None:
+def test_the_stated_error_is_that_of_the_scene_as_it_runs(changes: dict[str, object]) -> None:
     """Of vibrations that are 1 % of the deflection and never die out, and of a loop under a disturbance: the error beside the
     richest set is the stated one, and below the tolerance, of the residual vibration relative to itself."""
+    tolerance = 1e-2
     scene = load_scene("barnard2012-6kg").replace(
         {"cosimulation.tolerance": integrator_tolerance(tolerance), **changes}
     )
@@ -123,15 +113,8 @@ class Pretended:
         monkeypatch.setattr(verified, "choose_effects", self.choose)
         monkeypatch.setattr(verified, "observe", self.observe)
 
-    def choose(
-        self,
-        scene: Scene,
-        _: object,
-        tolerance: float,
-        of: tuple[MeasureName, ...],
-        __: object,
-        safety: dict[str, float],
-    ) -> Scene:
+    def choose(self, scene: Scene, _: object, tolerance: float, of: Any, __: object, safety: dict[str, float]) -> Scene:
+        """Rigid links where their estimate is small enough."""
         for each in (with_set(scene, {}), richest(scene)):
             error = safety["peak_torque_1"] * self.estimator.errors(each.effects)["peak_torque_1"]
             if error <= 0.5 * tolerance:
@@ -139,9 +122,8 @@ class Pretended:
         choice = {"tolerance": tolerance, "of": of, "error": (error,), "effects": ()}
         return each.replace({"effects.choice": choice})
 
-    def observe(
-        self, scene: Scene, of: tuple[MeasureName, ...], tolerance: float | None = None, *, is_alone: bool = False
-    ) -> Observed:
+    def observe(self, scene: Scene, of: Any, tolerance: float | None = None, **_: object) -> Observed:
+        """What a run is pretended to show."""
         exact, own = self.estimator.reference, self.estimator.metrics(scene.effects)
         off = 1.0 - 200.0 * (tolerance or scene.cosimulation.tolerance)
         off += self.unforeseen if scene.effects.foreshortening else 0.0
@@ -169,16 +151,17 @@ def test_choices_that_runs_contradict_are_made_anew(monkeypatch: pytest.MonkeyPa
     assert kept.cosimulation.tolerance == 2e-3
     assert "NOT within 10 %: peak_torque_1, with a tolerance of the FMU of 0.002" in choice_sentence(kept)
     assert "NOT" not in choice_sentence(chosen)
+    # the documentation of an FMU says what was chosen; that of a scene that chooses itself doesn't
+    note = build_model(chosen).effects[-1]
+    assert (note.title, note.sentence) == ("choice of effects", choice_sentence(chosen))
+    assert note.sentence.startswith("Effects chosen for 10 %: rigid links")
+    assert all(each.title != note.title for each in build_model(with_set(OPEN, {})).effects)
 
 
 def test_numerical_errors_beyond_what_was_asked_are_warned_of() -> None:
     """A loop that is sampled coarsely has an error that no set of effects mends: it is measured against the tolerance of the choice."""
-    choice = {
-        "tolerance": 1e-3,
-        "of": ["peak_torque_1", "residual_vibration_amplitude"],
-        "error": [0, 0],
-        "effects": [],
-    }
+    of = ["peak_torque_1", "residual_vibration_amplitude"]
+    choice = {"tolerance": 1e-3, "of": of, "error": [0, 0], "effects": []}
     scene = with_set(OPEN, {}).replace({"effects.choice": choice})
     run: Any = SimpleNamespace(scene=scene, communication_step=1e-3, tolerance=1e-6)
     found = {
@@ -190,27 +173,6 @@ def test_numerical_errors_beyond_what_was_asked_are_warned_of() -> None:
     assert sentence.startswith("Peak torque, joint 1: the run's own numerical error of 1.5 N·m is more than the 0.1 %")
 
 
-@pytest.fixture
-def unverified(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Choices without runs, which take longer."""
-    monkeypatch.setattr(verified._Runs, "__init__", lambda *_: None)
-    monkeypatch.setattr(verified._Runs, "contradict_estimates", lambda *_: False)
-    monkeypatch.setattr(verified._Runs, "errors", lambda *_: dict.fromkeys(MEASURES, 0.0))
-    monkeypatch.setattr(verified._Runs, "verified", lambda _, scene, __: scene)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("unverified")
-def test_the_documentation_of_an_fmu_says_what_was_chosen() -> None:
-    """The note names the set, the tolerance and every effect that was left out; scenes that choose themselves have none."""
-    chosen = resolved(OPEN.replace(TORQUE))
-    note = build_model(chosen).effects[-1]
-    assert note.title == "choice of effects"
-    assert note.sentence.startswith("Effects chosen for 50 %: rigid links")
-    assert "proximal_bending (1 mode" in note.sentence
-    assert all(each.title != note.title for each in build_model(chosen.replace({"effects.choice": None})).effects)
-
-
 def test_an_open_scene_is_refused_where_nothing_chooses() -> None:
     """The choice is made along the scene's motion; along another one it would be another."""
     with pytest.raises(InputError, match="leaves the choice of effects open"):
@@ -218,9 +180,12 @@ def test_an_open_scene_is_refused_where_nothing_chooses() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("unverified")
 def test_comparison_has_an_effectivity_of_one_where_runs_do_as_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the estimates in place of runs: 1 for single effects, the safety factor for all; none where nothing changes."""
+    monkeypatch.setattr(verified._Runs, "__init__", lambda *_: None)
+    monkeypatch.setattr(verified._Runs, "contradict_estimates", lambda *_: False)
+    monkeypatch.setattr(verified._Runs, "errors", lambda *_: dict.fromkeys(MEASURES, 0.0))
+    monkeypatch.setattr(verified._Runs, "verified", lambda _, scene, __: scene)
     study = study_effects(OPEN.replace(TORQUE))
 
     def as_estimated(scene: Scene, of: tuple[MeasureName, ...], *_: object, **__: object) -> Observed:
