@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.sections import with_payload_error
+from flexfmu.cosim.design.shapers import examination
 from flexfmu.cosim.design.shapers import study as shaping_design
-from flexfmu.cosim.design.shapers.examination import to_csv
-from flexfmu.cosim.design.shapers.recommendation import compare_slower, recommend, write_shaped
+from flexfmu.cosim.design.shapers.recommendation import recommend, write_shaped
 from flexfmu.cosim.design.shapers.study import (
     Alternative,
     CandidateResult,
+    DesignModes,
     PayloadTrial,
     ShapedMotion,
     alternatives,
@@ -30,7 +32,6 @@ from flexfmu.cosim.design.shapers.study import (
     simulate,
     slower,
     studied,
-    study,
 )
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
@@ -42,7 +43,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import DampedModes
 from flexfmu.trajectories.shapers.designs import design
-from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, Oscillator, ShapedTrajectory
 
 
 @pytest.fixture(scope="module")
@@ -79,12 +80,13 @@ def test_modes_near_the_lowest_are_shaped_for(
     assert wanted.band == (20.0, shaped[-1])
 
 
-def result(motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0) -> CandidateResult:
+def result(
+    motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0, residual: float = 5e-5
+) -> CandidateResult:
     """A result with one trial."""
     candidate = ShapedMotion(name, "joints" if added else "-", UNSHAPED, motion)
-    return CandidateResult(
-        candidate, added, stray, (PayloadTrial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),)
-    )
+    trial = PayloadTrial(0.0, 1e-6 if settling == 0.0 else residual, settling, 50.0)
+    return CandidateResult(candidate, added, stray, (trial,))
 
 
 @pytest.mark.slow
@@ -136,11 +138,13 @@ def test_the_fmu_takes_a_shaped_motion_with_another_payload(motion: MotionPlan) 
 
 
 def test_both_ways_report_deviation_and_time(motion: MotionPlan) -> None:
-    """Shaped joints leave the path, a shaped s(t) doesn't; both take longer by the sequence's duration."""
+    """Shaped joints leave the path, a shaped s(t) doesn't; both take longer by the sequence's duration, and so can the path."""
     sequence = design("zvd", [Oscillator(58.84, 0.018)])
     joints, path = shape_joints(motion, sequence), shape_path(motion, sequence)
     assert 3e-4 < joints.deviation < 7e-4
     assert path.deviation < 1e-15
+    assert slower(motion, 0.02).motion.duration == pytest.approx(0.45)
+    assert slower(motion, 0.02).motion.profiled.path == motion.profiled.path
     for shaped in (joints, path):
         assert shaped.duration == pytest.approx(motion.duration + sequence.duration, rel=1e-14)
         assert shaped.stop_time == pytest.approx(motion.stop_time + sequence.duration, rel=1e-14)
@@ -156,33 +160,44 @@ def test_what_can_not_be_applied_is_left_out_with_its_reason(motion: MotionPlan)
     assert "go backwards" in refused["um-zv on path"]
 
 
-def test_the_soonest_at_rest_is_recommended(motion: MotionPlan) -> None:
-    """Added and settling time count together; of equal ones the smaller path deviation wins; unsettled ones don't count."""
-    unshaped, late = result(motion, "unshaped", 0.0, 0.05), result(motion, "zvd", 0.017, 0.0)
-    stray, neat = result(motion, "zv", 0.008, 0.002, 2e-3), result(motion, "mzv", 0.01, 0.0, 1e-4)
-    never = result(motion, "um-zv", 0.005, None)
-    chosen = recommend([unshaped, never, late, stray, neat], 1e-5)
-    assert chosen.result is neat
-    assert "rest within 10 µm 10.0 ms after" in chosen.reason
-    assert "50.0 ms" in chosen.reason
-
-
-def test_no_shaper_where_none_helps(motion: MotionPlan) -> None:
-    """Where the unshaped motion is at rest first, that is what is recommended."""
-    unshaped = result(motion, "unshaped", 0.0, 0.001)
-    chosen = recommend([unshaped, result(motion, "zv", 0.008, 0.0)], 1e-5)
-    assert chosen.result is unshaped
-    assert "no shaper brings the robot to rest sooner" in chosen.reason
-
-
-def test_smallest_vibration_where_nothing_settles(motion: MotionPlan) -> None:
-    """Without rest within the dwell the smallest worst residual decides, and the sentence says so."""
-    unshaped, better = result(motion, "unshaped", 0.0, None), result(motion, "zv", 0.008, None)
-    better = replace(better, trials=(replace(better.trials[0], residual=2e-5),))
-    chosen = recommend([unshaped, better], 1e-5)
-    assert chosen.result is better
-    assert "20 µm at worst instead of 50 µm" in chosen.reason
-    assert "no rest within 10 µm" in compare_slower(better, unshaped, 1e-5)
+@pytest.mark.parametrize(
+    ("results", "limits", "name", "reasons"),
+    [
+        # added and settling time count together; of equal ones the smaller path deviation wins; unsettled ones don't count
+        (
+            [(0.0, 0.05), (0.005, None), (0.017, 0.0), (0.008, 0.002, 2e-3), (0.01, 0.0, 1e-4)],
+            {},
+            "shaper 4",
+            ["rest within 10 µm 10.0 ms after", "50.0 ms"],
+        ),
+        ([(0.0, 0.001), (0.008, 0.0)], {}, "unshaped", ["no shaper brings the robot to rest sooner"]),
+        # without rest within the dwell the smallest worst residual decides
+        ([(0.0, None), (0.008, None, 0.0, 2e-5)], {}, "shaper 1", ["20 µm at worst instead of 50 µm"]),
+        # what strays, takes or asks for more than allowed isn't recommended however soon it rests
+        ([(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)], {"deviation": 1e-3}, "shaper 2", []),
+        (
+            [(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)],
+            {"deviation": 1e-3, "added_time": 9e-3},
+            "unshaped",
+            [],
+        ),
+        ([(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)], {"torque": 60.0}, "shaper 1", []),
+        (
+            [(0.0, 0.05)],
+            {"jerk": 1e4, "torque": 10.0},
+            None,
+            ["nearest is unshaped: joint jerk inf rad/s³ above 1e+04 rad/s³, peak torque 50 N·m above 10 N·m"],
+        ),
+    ],
+)
+def test_the_soonest_at_rest_within_the_limits_is_recommended(
+    motion: MotionPlan, results: list[Any], limits: dict[str, float], name: str | None, reasons: list[str]
+) -> None:
+    """And the sentence says why, or by how much the nearest misses."""
+    found = [result(motion, f"shaper {k}" if k else "unshaped", *each) for k, each in enumerate(results)]
+    chosen = recommend(found, 1e-5, limits)
+    assert (chosen.result.candidate.name, chosen.keeps_limits) == (name or "unshaped", name is not None)
+    assert all(each in chosen.reason for each in reasons)
 
 
 def test_payload_errors_are_symmetric_about_zero(scene: Scene) -> None:
@@ -192,14 +207,11 @@ def test_payload_errors_are_symmetric_about_zero(scene: Scene) -> None:
     assert payload_errors(scene, 0.0, 3) == [0.0]
 
 
-def test_a_scene_without_dwell_gets_one(scene: Scene) -> None:
-    """Residual vibration needs a dwell: fifteen periods of the lowest mode."""
+def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_perfect(scene: Scene) -> None:
+    """The scene's own shapers never act besides; a perfect drive needs no controller, and none can't be studied. Residual
+    vibration needs a dwell: fifteen periods of the lowest mode."""
     assert studied(scene, 50.0) is scene
     assert studied(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
-
-
-def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_perfect(scene: Scene) -> None:
-    """The scene's own shapers never act besides; a perfect drive needs no controller, and none can't be studied."""
     controlled = scene.replace(
         {
             "cosimulation.drive": "torque",
@@ -211,36 +223,6 @@ def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_p
     assert studied(controlled, 50.0) == studied(controlled, 50.0, "controller") == controlled.replace({"shaper": ()})
     with pytest.raises(InputError, match=r"has no \[\[controller\]\] to study shapers with"):
         studied(scene, 50.0, "controller")
-
-
-@pytest.mark.parametrize(
-    ("limits", "name"),
-    [
-        ({}, "zv"),
-        ({"deviation": 1e-3}, "mzv"),
-        ({"deviation": 1e-3, "added_time": 9e-3}, "unshaped"),
-        ({"torque": 60.0}, "zv"),
-    ],
-)
-def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: dict[str, float], name: str) -> None:
-    """A shaper that strays, takes or asks for more than allowed isn't recommended however soon it rests."""
-    found = [
-        result(motion, "unshaped", 0.0, 0.05),
-        result(motion, "zv", 0.008, 0.0, 2e-3),
-        result(motion, "mzv", 0.01, 0.0, 1e-4),
-    ]
-    chosen = recommend(found, 1e-5, limits)
-    assert (chosen.result.candidate.name, chosen.keeps_limits) == (name, True)
-
-
-def test_limits_that_nothing_keeps_are_told_with_the_nearest(motion: MotionPlan) -> None:
-    """Nothing is recommended; the sentence says by how much the nearest misses."""
-    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, {"jerk": 1e4, "torque": 10.0})
-    assert not chosen.keeps_limits
-    assert (
-        "nearest is unshaped: joint jerk inf rad/s³ above 1e+04 rad/s³, peak torque 50 N·m above 10 N·m"
-        in chosen.reason
-    )
 
 
 def test_jerk_is_that_of_the_joint_references(motion: MotionPlan) -> None:
@@ -270,28 +252,13 @@ def test_the_written_scene_applies_the_advice(motion: MotionPlan, tmp_path: Path
     assert Path(scene.controller[0].folder).resolve() == tmp_path
     times = np.linspace(0.0, wanted.motion.duration, 300)
     shaped = loop_of(scene.replace({"controller": ()})).motion
-    np.testing.assert_allclose(
-        shaped.joints.evaluate(times, 2), reference(scene, wanted).evaluate(times, 2), rtol=1e-9, atol=1e-9
-    )
-
-
-def reference(scene: Scene, wanted: ShapedMotion) -> ShapedTrajectory:
-    """The candidate's sequence on the written scene's own joints."""
-    return ShapedTrajectory(plan(scene).joints, wanted.sequence)
+    reference = ShapedTrajectory(plan(scene).joints, wanted.sequence)
+    np.testing.assert_allclose(shaped.joints.evaluate(times, 2), reference.evaluate(times, 2), rtol=1e-9, atol=1e-9)
 
 
 def shipped_text() -> str:
     """The shipped 6 kg scene."""
-    from importlib.resources import files
-
     return (files("flexfmu.model.scene") / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
-
-
-def test_a_slower_motion_takes_the_time_on_the_same_path(motion: MotionPlan) -> None:
-    """What a shaper's time could have bought: the same path and end, later."""
-    found = slower(motion, 0.02)
-    assert found.motion.duration == pytest.approx(0.45)
-    assert found.motion.profiled.path == motion.profiled.path
 
 
 def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
@@ -301,92 +268,52 @@ def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
         design_modes(plan(rigid), [0.0])
 
 
-def test_tables_have_every_trial(motion: MotionPlan) -> None:
-    """CSV has one line a simulation in SI units."""
-    trials = (
-        PayloadTrial(-0.3, 2e-6, 0.0, 41.0),
-        PayloadTrial(0.0, 1e-5, None, 50.0),
-        PayloadTrial(0.3, 3e-6, 0.0123, 61.0),
-    )
-    found = CandidateResult(
-        ShapedMotion("zv", "joints", ImpulseSequence((0.0, 0.008), (0.5, 0.5)), motion), 0.008, 3e-4, trials
-    )
-    rows = list(csv.DictReader(to_csv([found]).splitlines()))
-    assert [float(row["payload_error"]) for row in rows] == [-0.3, 0.0, 0.3]
-    assert [row["settling_time"] for row in rows] == ["0.0", "", "0.0123"]
-
-
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command with two shapers only."""
-    import flexfmu.cosim.design.shapers.examination as command
-
-    def few(modes: object) -> list[Alternative]:
-        return [each for each in alternatives(modes) if each.name in ("zv", "ei")]  # type: ignore[arg-type]
-
-    monkeypatch.setattr(command, "alternatives", few)
-
-
-@pytest.fixture
-def coarse_scene(tmp_path: Path) -> Path:
-    """A scene file with a short dwell and a coarse step."""
-    text = shipped_text()
-    path = tmp_path / "coarse.toml"
-    path.write_text(
-        text.replace("step = 2e-4", "step = 1e-3").replace('kind = "poly7"', 'kind = "bang-bang"'), encoding="utf-8"
-    )
-    return path
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("quick")
-def test_the_command_writes_and_prints(coarse_scene: Path, tmp_path: Path) -> None:
-    """JSON, CSV and the picture; the printed JSON is the written one; the shaped robot rests sooner."""
-    out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["shaper", str(coarse_scene), "--out", str(out), "--json", "--payload-errors"])
+def test_the_command_writes_and_says_what_it_recommends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """JSON, CSV and the picture; the printed JSON is the written one; the shaped robot rests sooner. For people: the modes, the
+    recommendation with its reason, a slower motion beside it, and a scene with the shaper."""
+
+    def few(modes: DesignModes) -> list[Alternative]:
+        return [each for each in alternatives(modes) if each.name in ("zv", "ei")]
+
+    monkeypatch.setattr(examination, "alternatives", few)
+    scene, out = tmp_path / "coarse.toml", tmp_path / "out"
+    text = shipped_text().replace("step = 2e-4", "step = 1e-3").replace('kind = "poly7"', 'kind = "bang-bang"')
+    scene.write_text(text, encoding="utf-8")
+    done = CliRunner().invoke(app, ["shaper", str(scene), "--out", str(out), "--json", "--payload-errors"])
     assert done.exit_code == 0, done.output
     data = json.loads((out / "shapers.json").read_text(encoding="utf-8"))
     assert json.loads(done.stdout) == data
     names = [(each["shaper"], each["shapes"]) for each in data["alternatives"]]
     assert names == [("unshaped", "-"), ("zv", "joints"), ("zv", "path"), ("ei", "joints"), ("ei", "path")]
     unshaped, zv, zv_path = data["alternatives"][:3]
-    assert len(zv["trials"]) == 7
     assert zv["worst_residual_vibration"] < 0.3 * unshaped["worst_residual_vibration"]
     assert zv_path["path_deviation"] < 1e-15 < zv["path_deviation"]
     assert zv["added_time"] == pytest.approx(zv["impulses"]["times"][-1])
     assert data["recommendation"]["shapes"] == "joints"
-    assert data["slower"]["added_time"] == pytest.approx(
-        next(e["added_time"] for e in data["alternatives"] if e["shaper"] == data["recommendation"]["shaper"])
-    )
-    assert len(list(csv.DictReader((out / "shapers.csv").read_text(encoding="utf-8").splitlines()))) == 35
+    advised = next(each for each in data["alternatives"] if each["shaper"] == data["recommendation"]["shaper"])
+    assert data["slower"]["added_time"] == pytest.approx(advised["added_time"])
+    # a line of the table for each simulation, in SI units
+    rows = list(csv.DictReader((out / "shapers.csv").read_text(encoding="utf-8").splitlines()))
+    trials = [trial for each in data["alternatives"] for trial in each["trials"]]
+    assert len(rows) == len(trials) == 35
+    for row, trial in zip(rows, trials, strict=True):
+        assert float(row["payload_error"]) == pytest.approx(trial["payload_error"])
+        assert (float(row["settling_time"]) if row["settling_time"] else None) == trial["settling_time"]
     assert (out / "sensitivity.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (out / "sensitivity.svg").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick")
-def test_the_command_says_what_it_recommends(coarse_scene: Path, tmp_path: Path) -> None:
-    """For people: the modes, a line for each alternative, the recommendation with its reason, a slower motion beside it."""
-    done = CliRunner().invoke(
-        app,
-        [
-            "shaper",
-            str(coarse_scene),
-            "--out",
-            str(tmp_path / "out"),
-            "--payload-band",
-            "0",
-            "-o",
-            str(tmp_path / "shaped.toml"),
-        ],
-    )
+    planned = tmp_path / "shaped.toml"
+    done = CliRunner().invoke(app, ["shaper", str(scene), "--out", str(out), "--payload-band", "0", "-o", str(planned)])
     assert done.exit_code == 0, done.output
-    assert '[[shaper]] kind = "zv" modes = [' in " ".join(done.stdout.split())
-    assert load_scene(tmp_path / "shaped.toml").shaper[0].kind == "zv"
+    assert load_scene(planned).shaper[0].kind == "zv"
     words = " ".join(done.stdout.split())
-    assert "Designed for 58.84 Hz (damping ratio 0.0180), 73.54 Hz" in words
-    assert "Recommended: zv on joints: rest within 10 µm" in words
-    assert "An unshaped motion slower by the same" in words
+    for each in (
+        '[[shaper]] kind = "zv" modes = [',
+        "Designed for 58.84 Hz (damping ratio 0.0180), 73.54 Hz",
+        "Recommended: zv on joints: rest within 10 µm",
+        "An unshaped motion slower by the same",
+    ):
+        assert each in words
 
 
 @pytest.mark.parametrize("band", ["1", "-0.1", "nan"])
@@ -395,16 +322,3 @@ def test_bad_bands_are_refused(band: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["shaper", "barnard2012-6kg", "--out", str(tmp_path), "--payload-band", band])
     assert done.exit_code == 2
     assert "--payload-band must be at least 0 and below 1" in done.output
-
-
-def test_study_says_how_far_it_is(motion: MotionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Progress runs from the first simulation to 1, in equal steps, without going back."""
-    import flexfmu.cosim.design.shapers.study as module
-
-    monkeypatch.setattr(module, "simulate", lambda candidate, error, fmu: PayloadTrial(error, 0.0, 0.0, 1.0))
-    heard: list[float] = []
-    report: Callable[[float], None] = heard.append
-    pair = [ShapedMotion(name, "-", UNSHAPED, motion) for name in ("a", "b")]
-    found = list(study(pair, [-0.1, 0.0, 0.1], motion.duration, Path("x.fmu"), report))
-    assert len(found) == 2
-    np.testing.assert_allclose(heard, np.arange(1, 7) / 6)
