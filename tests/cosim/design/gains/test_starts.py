@@ -17,20 +17,18 @@ from flexfmu.cosim.design.gains.starts import joint_inertias, started
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
 
+ROBOT = {
+    "effects.proximal_bending": 1,
+    "effects.distal_axial": 0,
+    "trajectory.duration": 0.2,
+    "trajectory.dwell": 0.05,
+    "cosimulation.step": 1e-3,
+    "cosimulation.tolerance": 1e-4,
+    "cosimulation.drive": "torque",
+}
+PD = {"kind": "pd", "proportional": 5e3, "derivative": 20.0, "sample_time": 5e-4}
 SCENE = load_scene("barnard2012-6kg").replace(
-    {
-        "effects.proximal_bending": 1,
-        "effects.distal_axial": 0,
-        "trajectory.duration": 0.2,
-        "trajectory.dwell": 0.05,
-        "cosimulation.step": 1e-3,
-        "cosimulation.tolerance": 1e-4,
-        "cosimulation.drive": "torque",
-        "controller": [
-            {"kind": "pd", "proportional": 5e3, "derivative": 20.0, "sample_time": 5e-4},
-            {"kind": "feedforward", "sample_time": 5e-4},
-        ],
-    }
+    {**ROBOT, "controller": [PD, {"kind": "feedforward", "sample_time": 5e-4}]}
 )
 W = 2.0 * pi * 10.0
 
@@ -39,12 +37,12 @@ def test_inertias_are_those_of_payload_and_motors() -> None:
     """Without mass of links a motor adds its inertia, and a payload its mass times the squares of the end effector's rates."""
     mechanism = {"mechanism.material.density": 1e-3, "payload.mass": 2.0}
     light = SCENE.replace({**mechanism, "controller": []})
-    bare, driven = (
-        joint_inertias(light, "start"),
-        joint_inertias(light.replace({"effects.motor_inertia": 0.3}), "start"),
+    bare, driven, heavy = (
+        joint_inertias(light.replace(each), "start")
+        for each in ({}, {"effects.motor_inertia": 0.3}, {"payload.mass": 4.0})
     )
     np.testing.assert_allclose(driven - bare, 0.3, rtol=1e-9)
-    np.testing.assert_allclose(joint_inertias(light.replace({"payload.mass": 4.0}), "start"), 2.0 * bare, rtol=1e-4)
+    np.testing.assert_allclose(heavy, 2.0 * bare, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -65,14 +63,8 @@ def test_rigid_joints_have_the_poles_of_the_table(kind: Any, poles: list[complex
             k_p, k_i = (table["velocity"][name][i] for name in ("proportional", "integral"))
             polynomial = [J, k_p, k_p * k_v + k_i, k_i * k_v]
         else:
-            polynomial = [
-                J,
-                table["derivative"][i],
-                table["proportional"][i],
-                *([table["integral"][i]] if kind == "pid" else []),
-            ]
-        expected = J * np.real(np.poly(poles))
-        np.testing.assert_allclose(polynomial, expected, rtol=3e-5)
+            polynomial = [J, *(table[name][i] for name in ("derivative", "proportional", "integral") if name in table)]
+        np.testing.assert_allclose(polynomial, J * np.real(np.poly(poles)), rtol=3e-5)
     assert table["sample_time"] == 5e-4
 
 
@@ -91,30 +83,12 @@ def test_the_flexible_robot_settles_with_them() -> None:
 def test_tuning_begins_with_them(tmp_path: Path) -> None:
     """The tuned file has the cascade, its tuned gain, and the feedforward that was there; it is better than the start."""
     source = tmp_path / "loop.toml"
-    command = [
-        "tune",
-        "barnard2012-6kg",
-        "--start",
-        "cascade:8",
-        "--over",
-        "cascade.velocity.kp=20:200",
-        "--trials",
-        "6",
-    ]
-    command += ["--out", str(tmp_path / "out"), "-o", str(source), "--json"]
-    for key in (
-        "effects.proximal_bending",
-        "effects.distal_axial",
-        "trajectory.duration",
-        "trajectory.dwell",
-        "cosimulation.step",
-        "cosimulation.tolerance",
-    ):
-        section, _, name = key.partition(".")
-        command += ["--set", f"{key}={getattr(getattr(SCENE, section), name)}"]
-    command += ["--set", "cosimulation.drive=torque", "--set", "effects.motor_inertia=0.1"]
-    command += ["--set", "controller=[{kind='feedforward',sample_time=1e-3}]"]
-    result = CliRunner().invoke(app, command)
+    command = "tune barnard2012-6kg --start cascade:8 --over cascade.velocity.kp=20:200 --trials 6 --json"
+    options = ["--out", str(tmp_path / "out"), "-o", str(source)]
+    for key, value in {**ROBOT, "effects.motor_inertia": 0.1}.items():
+        options += ["--set", f"{key}={value}"]
+    options += ["--set", "controller=[{kind='feedforward',sample_time=1e-3}]"]
+    result = CliRunner().invoke(app, command.split() + options)
     assert result.exit_code == 0, result.output
     data, scene = json.loads(result.stdout), load_scene(source)
     assert [each.kind for each in scene.controller] == ["cascade", "feedforward"]
@@ -143,7 +117,6 @@ def test_wrong_wishes(kind: Any, bandwidth: float, message: str) -> None:
 
 def test_gains_for_a_robot_that_motion_drives_so_far() -> None:
     """They are those of the same robot driven by torques, which a run with the controller has."""
-    driven = SCENE.replace({"cosimulation.drive": "motion", "controller": []})
-    assert flexfmu.start_gains(driven, "pd", 10.0, sample_time=1e-3) == flexfmu.start_gains(
-        SCENE, "pd", 10.0, sample_time=1e-3
-    )
+    robots = SCENE, SCENE.replace({"cosimulation.drive": "motion", "controller": []})
+    torque, motion = (flexfmu.start_gains(each, "pd", 10.0, sample_time=1e-3) for each in robots)
+    assert torque == motion

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import islice
 from subprocess import PIPE, Popen
 from time import process_time
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,13 +20,7 @@ from flexfmu.cosim.design.plans.designs import Design, ShaperChoice, polynomial,
 from flexfmu.cosim.design.plans.goals import goals_of
 from flexfmu.cosim.design.plans.motion_families import LAWS, MotionFamily
 from flexfmu.cosim.design.plans.search import MotionSearch, search, study_of
-from flexfmu.cosim.design.plans.sequential_programme import (
-    MotionStudy,
-    MotionTrial,
-    best_change,
-    first_iterate,
-    improved,
-)
+from flexfmu.cosim.design.plans.sequential_programme import MotionStudy, best_change, first_iterate, improved
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.timing import processor_time
@@ -95,31 +88,20 @@ def test_time_laws_move_forward_and_are_at_rest_at_both_ends() -> None:
     assert values[:, -1] == pytest.approx([1.0, 0.0, 0.0], abs=1e-8)
 
 
-@dataclass
-class Linear:
+def linear(x: float, y: float) -> Any:
     """A score whose figures are linear in two numbers: minimise 2 - x - y within x + 2y <= 1 and 3x + y <= 1."""
-
-    x: float
-    y: float
-    rows: dict[str, np.ndarray] = field(init=False)
-    minimised: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.rows = {"torque": np.array([self.x + 2.0 * self.y]), "speed": np.array([3.0 * self.x + self.y])}
-        self.minimised = np.array([2.0 - self.x - self.y])
+    rows = {"torque": np.array([x + 2.0 * y]), "speed": np.array([3.0 * x + y])}
+    return SimpleNamespace(rows=rows, minimised=np.array([2.0 - x - y]))
 
 
-def test_linear_programmes_go_to_the_vertex() -> None:
-    here, step = Linear(0.0, 0.0), np.full(2, 0.01)
-    near = [Linear(0.01, 0.0), Linear(0.0, 0.01)]
-    free = np.zeros(0), np.zeros((0, 2))
-    wide = -np.ones(2), np.ones(2)
-    change, predicted = best_change(here, near, step, TIGHT, *wide, free)  # type: ignore[arg-type]
-    assert change == pytest.approx([0.2, 0.4])
-    assert predicted == pytest.approx(0.3)
-    # within the trust region
-    change, _ = best_change(here, near, step, TIGHT, -np.ones(2), np.full(2, 0.1), free)  # type: ignore[arg-type]
-    assert change == pytest.approx([0.1, 0.1])
+@pytest.mark.parametrize(("highest", "vertex"), [(1.0, [0.2, 0.4]), (0.1, [0.1, 0.1])])
+def test_linear_programmes_go_to_the_vertex(highest: float, vertex: list[float]) -> None:
+    """Within the trust region."""
+    near, free = [linear(0.01, 0.0), linear(0.0, 0.01)], (np.zeros(0), np.zeros((0, 2)))
+    bounds = -np.ones(2), np.full(2, highest)
+    change, predicted = best_change(linear(0.0, 0.0), near, np.full(2, 0.01), TIGHT, *bounds, free)
+    assert change == pytest.approx(vertex)
+    assert predicted == pytest.approx(0.5 * sum(vertex))
 
 
 @pytest.mark.slow
@@ -149,25 +131,16 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROUNDS", ((2, 2),))
 
 
-def found(study: MotionStudy, processes: int, seed: int = 3) -> list[MotionTrial]:
-    return list(MotionSearch(study, study, seed, processes).found())
-
-
 @pytest.mark.slow
-def test_the_motions_do_not_depend_on_the_number_of_processes(
+def test_motions_are_within_limits_for_any_number_of_processes(
     study: MotionStudy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small(monkeypatch)
-    one, two = found(study, 1), found(study, 2)
-    assert len(one) > 2
-    assert [each.design for each in one] == [each.design for each in two]
-
-
-@pytest.mark.slow
-def test_motions_are_within_limits_and_get_better(study: MotionStudy, monkeypatch: pytest.MonkeyPatch) -> None:
-    small(monkeypatch)
-    motions = found(study, 1)
+    motions, others = (list(MotionSearch(study, study, 3, processes).found()) for processes in (1, 2))
+    assert len(motions) > 2
+    assert [each.design for each in motions] == [each.design for each in others]
     assert all(each.score.feasible for each in motions)
+    # and get better
     best = min(motions, key=lambda each: each.score.values["time"])
     goals = goals_of(SCENE)
     judged = Judge(goals, 3).assess(Candidate("best", "search", goals.scene.replace(best.design.changes)))
@@ -197,13 +170,9 @@ def test_least_residual_at_a_given_time() -> None:
 
 
 def test_a_search_needs_a_path() -> None:
-    class Tabulated:
-        scene = SimpleNamespace(name="log", trajectory=None)
-        wishes = None
-
-    show: Callable[[str, float | None], None] = lambda text, fraction: None  # noqa: E731
+    tabulated: Any = SimpleNamespace(scene=SimpleNamespace(name="log", trajectory=None), wishes=None)
     with pytest.raises(InputError, match="scene log has a motion from a table, and no path whose corners could change"):
-        list(islice(search(Tabulated(), (), 1, show), 1))  # type: ignore[arg-type]
+        next(search(tabulated, (), 1, lambda text, fraction: None))
 
 
 def _busy(seconds: float) -> float:
@@ -216,14 +185,11 @@ def _busy(seconds: float) -> float:
 
 def test_the_processor_time_of_all_processes_counts() -> None:
     """What the processes of a search worked is there when it is left, by its end or before."""
-    before = processor_time()
-    with mapping(_busy, 2) as mapped:
-        assert list(mapped([0.2] * 4)) == [0.2] * 4
-    assert processor_time() - before > 0.8
-    before = processor_time()
-    with mapping(_busy, 2) as mapped:
-        next(mapped([0.2] * 2))
-    assert processor_time() - before > 0.4
+    for count in (4, 1):
+        before = processor_time()
+        with mapping(_busy, 2) as mapped:
+            assert [*islice(mapped([0.2] * max(count, 2)), count)] == [0.2] * count
+        assert processor_time() - before > 0.2 * max(count, 2)
 
 
 def test_a_process_that_is_killed_is_an_error_in_one_sentence() -> None:
