@@ -142,7 +142,7 @@ SHOWN = 12
 
 def _shown(result: PlanResult) -> Iterator[RenderableType]:
     """How close the chosen motion comes to each limit, the front, the chosen motion in other models, and the verdict."""
-    from flexfmu.cosim.design.plans.plan_page import front_table, limits_table, robustness_table
+    from flexfmu.cosim.design.plans.planned_files import front_table, limits_table, robustness_table
     from flexfmu.cosim.reports.terminal import as_terminal_table
 
     chosen, given = result.chosen, result.given

@@ -1,25 +1,52 @@
-"""Files of a plan: the planned scene, the table of the front, all figures, and the page."""
+"""Files of a plan: the planned scene, the table of the front, all figures, and the page.
+
+The page has the chosen motion beside the given one, how close it comes to each limit and where, and the front.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
 
-from flexfmu.cosim.design.plans.assessment import Assessment
-from flexfmu.cosim.design.plans.plan_page import plan_page
+from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment
+from flexfmu.cosim.design.plans.clearance import Clearance
+from flexfmu.cosim.design.plans.goals import Goals
 from flexfmu.cosim.design.plans.planner import FRONT, PlanResult
 from flexfmu.cosim.design.scene_files import toml_item
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
+from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, signal_plots
+from flexfmu.cosim.reports.page import WIDTH, Plot, Table, render_page
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates
 from flexfmu.trajectories.table import write_table
 
 FILE = "planned.toml"
 """Usual name of the planned scene."""
+
+
+NAMES, COLOURS = ("given", "planned"), (PALETTE[0], PALETTE[1])
+"""Of the two motions."""
+
+LEAST = 1e-3
+"""Smallest residual vibration on a logarithmic axis [µm]."""
+
+DASHED, DOTTED = "5,3", "2,2"
+"""Lines of second joints, and of the keep-out region."""
+
+BORDER, LONG = 0.06, 2.0
+"""Of the path's view, relative to its size; and half the length of lines [m]."""
+
+BESIDE, BESIDES = 55.0, 70.0
+"""Space beside, and above and below, the panel of a plot to scale, about [pt]."""
 
 
 def write_scene(result: PlanResult, path: Path) -> list[Path]:
@@ -129,3 +156,222 @@ def summary(result: PlanResult) -> dict[str, Any]:
         ],
         "cpu_time": result.cpu_time,
     }
+
+
+def plan_page(result: PlanResult) -> str:
+    """The page of a plan as HTML.
+
+    Raises:
+        ResultsError: a run for the signals failed.
+    """
+    runs = [each.candidate.prepared().run() for each in (result.given, result.chosen)]
+    compared = [
+        ComparedRun(name, run.recording, measure_run(run), run.plan.duration)
+        for name, run in zip(NAMES, runs, strict=True)
+    ]
+    tables = [summary_table(result), limits_table(result.chosen), front_table(result)]
+    tables += [robustness_table(result)] if result.robustness else []
+    plots = [_front_plot(result), _path_plot(result.goals, runs), _references_plot(result, runs)]
+    low, high = result.goals.band
+    plots[1:1] = [_band_plot(result)] if high > low else []
+    # what was planned, and whether it keeps to all limits
+    chosen = result.chosen.candidate
+    lead = f"{chosen.label} ({chosen.method}), for payloads of {low:.4g} to {high:.4g} kg: {result.verdict}."
+    lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
+    title = f"{result.goals.scene.name}: planned motion"
+    return render_page(title, lead, [*plots, *signal_plots(compared)], [*tables, metrics_table(compared)])
+
+
+def summary_table(result: PlanResult) -> Table:
+    """Worst figures over the bands, of the given and the chosen motion."""
+    given, chosen = result.given, result.chosen
+    figures = {
+        "Total time [s]": (given.time, chosen.time),
+        "Residual vibration [µm]": (1e6 * given.residual, 1e6 * chosen.residual),
+        "Peak torque [N·m]": (given.torque, chosen.torque),
+        "RMS torque [N·m]": (given.rms_torque, chosen.rms_torque),
+        "Energy [J]": (given.energy, chosen.energy),
+        "Off the path [mm]": (1e3 * given.off_path, 1e3 * chosen.off_path),
+        **{
+            f"Joint {name} [{unit}]": (given.references[k], chosen.references[k])
+            for k, (name, unit) in enumerate((("speed", "rad/s"), ("acceleration", "rad/s²"), ("jerk", "rad/s³")))
+        },
+    }
+    rows = [
+        [name, f"{one:.4g}", f"{other:.4g}", f"{other / one:.3g}" if one else "-"]
+        for name, (one, other) in figures.items()
+    ]
+    note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
+    return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
+
+
+def limits_table(found: Assessment) -> Table:
+    """How close a motion comes to each limit, and where."""
+    rows = [
+        [
+            use.name, f"{use.value:.4g}", f"{use.limit:.4g}", "-" if use.unit == "1" else use.unit, f"{100 * use.share:.1f} %",
+            "yes" if use.met else "no", use.where,
+        ]
+        for use in found.uses
+    ]  # fmt: skip
+    header = ["Limit", "Value", "At most", "Unit", "Used", "Kept", "Where"]
+    return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in the keep-out region.")
+
+
+def front_table(result: PlanResult) -> Table:
+    """The front and the motions to compare with, the fastest first."""
+    rows = [
+        [
+            each.candidate.label, each.candidate.method, f"{each.time:.4g}", f"{1e6 * each.residual:.3g}", f"{each.torque:.4g}",
+            f"{each.energy:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
+        ]
+        for each in result.table
+    ]  # fmt: skip
+    units = ["Time [s]", "Residual [µm]", "Torque [N·m]", "Energy [J]", "Off path [mm]"]
+    note = "No other motion found beats one of these in every figure."
+    if len(result.table) > len(result.front):
+        note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
+    return Table("Pareto front", ["Motion", "Method", *units, "Limits"], rows, note)
+
+
+def standing(result: PlanResult, found: Assessment) -> str:
+    """Whether a motion keeps to the limits, and whether it is the chosen one."""
+    missed = [use.name for use in found.uses if not use.met]
+    text = f"misses {', '.join(missed)}" if missed else "kept"
+    return f"{text}, chosen" if found is result.chosen else text
+
+
+def robustness_table(result: PlanResult) -> Table:
+    """The chosen motion in other models."""
+    rows = [
+        [
+            line.model,
+            f"{1e6 * line.residual:.3g}" if math.isfinite(line.residual) else "-",
+            line.where,
+            "-" if line.torque_ratio is None else f"{line.torque_ratio:.3f}",
+            "-" if line.off_path is None else f"{1e3 * line.off_path:.3g}",
+            f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note,
+        ]
+        for line in result.robustness
+    ]
+    header = ["Model", "Residual [µm]", "Worst for", "Torque ratio", "Off path [mm]", "Limits"]
+    return Table("In other models", header, rows, "Torques are relative to the given motion's in the same model.")
+
+
+def _front_plot(result: PlanResult) -> Plot:
+    """Residual, torque and distance from the path of the front, over time."""
+    figures = {
+        "residual\n[µm]": [max(1e6 * each.residual, LEAST) for each in result.table],
+        "torque\n[N·m]": [each.torque for each in result.table],
+        "off path\n[mm]": [1e3 * each.off_path for each in result.table],
+    }
+    panels = list[Panel]()
+    for label, values in figures.items():
+        curves = []
+        for group, colour in (("limits kept", PALETTE[0]), ("limits missed", PALETTE[1])):
+            places = [k for k, each in enumerate(result.table) if each.feasible == (group == "limits kept")]
+            if places:
+                x, y = np.array([result.table[k].time for k in places]), np.array([values[k] for k in places])
+                notes = [f"{result.table[k].candidate.label}: {standing(result, result.table[k])}" for k in places]
+                curves.append(Curve(x, y, group, colour, width=0.0, dot="disc", notes=notes))
+        panels.append(
+            Panel(
+                label=label, curves=curves, markers=list(_marked(result, values, named=not panels)), is_function=False,
+                logarithmic="y" if "residual" in label else "", level=_level(result.goals, label),
+            )
+        )  # fmt: skip
+    caption = "The motions of the table. Dashed: the limit of the residual vibration."
+    return Plot("front", "Pareto front", caption, tuple(panels), "total time [s]", 330.0)
+
+
+def _level(goals: Goals, label: str) -> float | None:
+    return 1e6 * goals.wishes.residual if "residual" in label else None
+
+
+def _marked(result: PlanResult, values: Sequence[float], *, named: bool) -> Sequence[Marker]:
+    """Discs about the given and the chosen motion, with their names."""
+    names = {id(result.given): "given", id(result.chosen): "chosen"}
+    return [
+        Marker(each.time, value, 11.0, INK, 0.25, text=names[id(each)] if named else "", offset=(9.0, 3.0))
+        for each, value in zip(result.table, values, strict=True)
+        if id(each) in names
+    ]
+
+
+def _band_plot(result: PlanResult) -> Plot:
+    """Residual vibration and torques of both motions over the payload, with the robot's own stiffness and damping."""
+    panels = list[Panel]()
+    own = [k for k, each in enumerate(result.chosen.peaks) if each.variation.stiffness == each.variation.damping == 1.0]
+    payloads = np.array([result.chosen.peaks[k].variation.payload for k in own])
+    for label in ("residual\n[µm]", "joint 1\n[N·m]", "joint 2\n[N·m]"):
+        curves = []
+        for name, colour, each in zip(NAMES, COLOURS, (result.given, result.chosen), strict=True):
+            peaks = [each.peaks[k] for k in own]
+            if "residual" in label:
+                values = [max(1e6 * peak.residual, LEAST) for peak in peaks]
+            else:
+                values = [peak.torque["2" in label] for peak in peaks]
+            curves.append(Curve(payloads, np.array(values), name, colour))
+        logarithmic = "y" if "residual" in label else ""
+        panels.append(Panel(label=label, curves=curves, logarithmic=logarithmic, level=_level(result.goals, label)))
+    caption = "Residual vibration, with its limit, and largest torques."
+    return Plot("band", "Over the payload band", caption, tuple(panels), "payload [kg]", 330.0)
+
+
+def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:
+    """The paths of the end effector, and what it keeps clear of."""
+    paths = [np.column_stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"]) for run in runs]
+    curves = [
+        Curve(path[:, 0], path[:, 1], name, colour) for name, colour, path in zip(NAMES, COLOURS, paths, strict=True)
+    ]
+    view = _view(np.concatenate(paths), goals.clearance)
+    outlines = [np.vstack([each.corners, each.corners[:1]]) for each in goals.clearance.regions]
+    for origin, normal in zip(goals.clearance.origins, goals.clearance.normals, strict=True):
+        outlines.append(origin + np.outer([-LONG, LONG], [-normal[1], normal[0]]))
+    shown = [points for outline in outlines if np.isfinite(points := _within(outline, view)).any()]
+    for number, points in enumerate(shown):
+        label = "" if number else "keep-out"
+        curves.append(Curve(points[:, 0], points[:, 1], label, GREY, width=1.0, dashes=DOTTED, is_read=False))
+    panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
+    width, height = view[1] - view[0]
+    caption = "With the scene's own payload; dotted: regions to stay out of and lines not to cross."
+    size = BESIDES + (WIDTH - BESIDE) * float(height / width)
+    return Plot("path", "Path of the end effector", caption, (panel,), "x [m]", size)
+
+
+def _view(points: RealArray, clearance: Clearance) -> RealArray:
+    """The lowest and the highest corner (2, 2) [m] of what a plot shows: points, and regions near to them."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = float((high - low).max())
+    corners = np.concatenate([points, *(each.corners for each in clearance.regions)])
+    near = corners[np.all((corners > low - 0.5 * span) & (corners < high + 0.5 * span), axis=1)]
+    return np.array([near.min(axis=0) - BORDER * span, near.max(axis=0) + BORDER * span])
+
+
+def _within(outline: RealArray, view: RealArray) -> RealArray:
+    """A line through points (N, 2), with more points between them, broken where it leaves a view (2, 2)."""
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(outline, axis=0).T))])
+    even = np.union1d(length, np.arange(0.0, length[-1], 2e-3 * float(np.ptp(view, axis=0).max())))
+    points = np.column_stack([np.interp(even, length, outline[:, k]) for k in range(2)])
+    inside = np.all((points >= view[0]) & (points <= view[1]), axis=1)
+    return np.where(inside[:, None], points, np.nan)
+
+
+def _references_plot(result: PlanResult, runs: Sequence[Run]) -> Plot:
+    """Speed, acceleration and jerk of the joint references, with their limits."""
+    panels = list[Panel]()
+    kinds = (("speed", "rad/s"), ("acceleration", "rad/s²"), ("jerk", "rad/s³"))
+    for order, (name, unit) in enumerate(kinds, start=1):
+        curves = []
+        for motion, colour, run in zip(NAMES, COLOURS, runs, strict=True):
+            joints = run.plan.joints
+            instants = np.linspace(0.0, joints.duration, INSTANTS)
+            values = joints.evaluate(instants, order, "left")[order]
+            for joint, dashes in enumerate(("", DASHED)):
+                label = f"{motion} {joint + 1}"
+                curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
+        usual = np.array(result.given.references[order - 1])
+        level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
+        panels.append(Panel(label=f"{name}\n[{unit}]", curves=curves, level=level))
+    caption = "Both joints of both motions. Dashed: the limit, where it is near."
+    return Plot("planned-references", "Joint references", caption, tuple(panels), height=330.0)

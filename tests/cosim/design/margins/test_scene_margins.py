@@ -76,15 +76,12 @@ class Standstill:
 def grows(scene: Scene, angles: tuple[float, float], factor: float) -> bool:
     """Whether small motions about standstill grow with torques times a factor."""
     ports = [
-        ("input", "joint1.torque.input"),
-        ("input", "joint2.torque.input"),
-        ("output", "joint1.torque"),
-        ("output", "joint2.torque"),
+        Variable(f"joint{i}.torque{end}", "N.m", "Torque", way, start)  # type: ignore[arg-type]
+        for way, end, start in (("input", ".input", 0.0), ("output", "", None))
+        for i in (1, 2)
     ]
-    variables = [Variable(name, "N.m", "Torque", way, 0.0 if way == "input" else None) for way, name in ports]  # type: ignore[arg-type]
-    gain = block(
-        "gain", "Gain", lambda x, u, p: (factor * u, x), sample_time=1e-3, inputs=variables[:2], outputs=variables[2:]
-    )
+    law = lambda x, u, p: (factor * u, x)  # noqa: E731
+    gain = block("gain", "Gain", law, sample_time=1e-3, inputs=ports[:2], outputs=ports[2:])
     loop = own_loop(scene, Standstill(angles))
     loop = replace(loop, inline_blocks=(inline_block(as_slave(gain, SlaveNames())), *loop.inline_blocks))
     run = PreparedScene(loop.motion.scene, loop=loop).run()
@@ -111,18 +108,6 @@ def test_the_critical_gain_is_that_of_simulations(scene: Scene) -> None:
     assert grows(scene, pose.joints, 1.01 * predicted)
 
 
-def test_quantisers_and_noise_leave_the_margins_as_they_are() -> None:
-    plain = scene_margins(robot(PD), poses=1).worst
-    rough = [
-        {"kind": "quantisation", "resolution": 1e-3, "sample_time": 1e-3},
-        {"kind": "noise", "standard_deviation": 1e-3, "sample_time": 1e-3},
-        {"kind": "saturation", "limit": 500.0, "sample_time": 1e-3},
-    ]
-    found = scene_margins(robot(PD, *rough), poses=1).worst
-    assert found.gain_margin == pytest.approx(plain.gain_margin, rel=1e-9)
-    assert found.delay_margin == pytest.approx(plain.delay_margin, rel=1e-9)
-
-
 def test_payload_errors_count() -> None:
     exact, heavy = (
         scene_margins(robot(PD, *each), poses=1).poses[0].poles
@@ -134,10 +119,13 @@ def test_payload_errors_count() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"cosimulation.drive": "motion", "controller": [], "imperfection": []}, "has no loop: margins need"),
-        ({"controller": [{**PD, "sample_time": 0.001234567}, {"kind": "feedforward", "sample_time": 0.00098765}]}, "have a common period"),
+        ({"cosimulation.drive": "motion", "controller": []}, "has no loop: margins need"),
+        (
+            {"controller": [{**PD, "sample_time": 0.001234567}, {"kind": "feedforward", "sample_time": 0.00098765}]},
+            "have a common period",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         scene_margins(robot(PD).replace(changes), poses=1)
@@ -147,41 +135,28 @@ def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> 
 def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
     scene = robot(PD).replace({"trajectory.duration": 0.1})
     critical = scene_margins(scene, poses=1).worst.gain_margin
-    near = {**PD, "proportional": 0.95 * critical * 1e4, "derivative": 0.95 * critical * 60.0}
     assert stability_warning(flexfmu.run(scene)) is None
-    warning = stability_warning(flexfmu.run(scene.replace({"controller": [near]})))
-    assert warning is not None
-    assert "with torques 5.3 % larger it is unstable" in warning
-    beyond = {**PD, "proportional": 1.25 * critical * 1e4, "derivative": 1.25 * critical * 60.0}
-    warning = stability_warning(flexfmu.run(scene.replace({"controller": [beyond]})))
-    assert warning is not None
-    assert "small motions grow tenfold in" in warning
-    assert "with torques 20 % smaller it is stable" in warning
-
-
-def command(tmp_path: Path, *options: str) -> Any:
-    """`flexfmu margins` of the example."""
-    scene = Path(__file__).parents[4] / "examples" / "controller_scene.toml"
-    return CliRunner().invoke(app, ["margins", str(scene), "--poses", "1", *options])
+    for share, *sentences in (
+        (0.95, "with torques 5.3 % larger it is unstable"),
+        (1.25, "small motions grow tenfold in", "with torques 20 % smaller it is stable"),
+    ):
+        gains = {"proportional": share * critical * 1e4, "derivative": share * critical * 60.0}
+        warning = stability_warning(flexfmu.run(scene.replace({"controller": [{**PD, **gains}]}))) or ""
+        assert all(each in warning for each in sentences)
 
 
 @pytest.mark.slow
 def test_the_command_prints_margins_and_draws_pictures(tmp_path: Path) -> None:
-    found = command(tmp_path, "--json", "--out", str(tmp_path / "m"))
+    """And fails where the loop is unstable."""
+    example = str(Path(__file__).parents[4] / "examples" / "controller_scene.toml")
+    command, out = ["margins", example, "--poses", "1"], tmp_path / "m"
+    found = CliRunner().invoke(app, [*command, "--json", "--out", str(out)])
     assert found.exit_code == 0
     data = json.loads(found.stdout)
     assert data["stable"]
     assert 1.5 < data["worst"]["gain_margin"] < 2.5
-    assert sorted(path.name for path in (tmp_path / "m").iterdir()) == [
-        "bode.png",
-        "margins.csv",
-        "nyquist.png",
-        "root-locus.png",
-    ]
-
-
-def test_an_unstable_loop_fails(tmp_path: Path) -> None:
-    found = command(tmp_path, "--set", "controller.pd.proportional=5e4")
+    assert {path.name for path in out.iterdir()} == {"bode.png", "margins.csv", "nyquist.png", "root-locus.png"}
+    found = CliRunner().invoke(app, [*command, "--set", "controller.pd.proportional=5e4"])
     assert found.exit_code == 1
     assert "The loop is unstable at path 1.00" in found.stdout
 
@@ -202,9 +177,18 @@ def test_a_function_in_c_is_linearised(tmp_path: Path) -> None:
 TRACKING: dict[str, Any] = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
 
 
+ROUGH: list[dict[str, Any]] = [
+    {"kind": "quantisation", "resolution": 1e-3},
+    {"kind": "noise", "standard_deviation": 1e-3},
+    {"kind": "saturation", "limit": 500.0},
+]
+
+
 @pytest.mark.parametrize(
     ("controllers", "other"),
     [
+        # roundings, noise and limits
+        ([PD], {"imperfection": [{**each, "sample_time": 1e-3} for each in ROUGH]}),
         # neither the robot nor its compensation has Coulomb friction at standstill
         ([TRACKING], {"effects.joint_friction.coulomb": 2.0}),
         ([PD, {"kind": "friction-compensation", "viscous": 0.0, "coulomb": 1.0, "motion": "measured", "sample_time": 1e-3}], {}),
@@ -213,7 +197,7 @@ TRACKING: dict[str, Any] = {"kind": "computed-torque", "proportional": 3600.0, "
         # references aren't in the loop: an integrator among them is no instability
         ([PD], {"filter": [{"kind": "biquad", "numerator": [1.0], "denominator": [1.0, 0.0], "signal": "reference"}]}),
     ],
-    ids=["computed torque", "friction compensation", "learning", "references"],
+    ids=["imperfections", "computed torque", "friction compensation", "learning", "references"],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LearningWarning")
 def test_what_is_not_in_the_loop_leaves_the_margins_as_they_are(
