@@ -16,23 +16,8 @@ from typer.testing import CliRunner
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.sections import with_payload_error
 from flexfmu.cosim.design.shapers import examination
-from flexfmu.cosim.design.shapers import study as shaping_design
+from flexfmu.cosim.design.shapers import study as shaping
 from flexfmu.cosim.design.shapers.recommendation import recommend, write_shaped
-from flexfmu.cosim.design.shapers.study import (
-    Alternative,
-    CandidateResult,
-    DesignModes,
-    PayloadTrial,
-    ShapedMotion,
-    alternatives,
-    candidates,
-    design_modes,
-    payload_errors,
-    peak_jerk,
-    simulate,
-    slower,
-    studied,
-)
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -74,25 +59,25 @@ def test_modes_near_the_lowest_are_shaped_for(
 ) -> None:
     """Up to three times the lowest frequency and no more than three: a motion hardly excites what lies above."""
     found = DampedModes(np.array(frequencies), np.full(len(frequencies), 0.01))
-    monkeypatch.setattr(shaping_design, "damped_modes", lambda scene, pose: found)
-    wanted = design_modes(motion, (-0.3, 0.3))
+    monkeypatch.setattr(shaping, "damped_modes", lambda scene, pose: found)
+    wanted = shaping.design_modes(motion, (-0.3, 0.3))
     assert [mode.frequency for mode in wanted.modes] == shaped
     assert wanted.band == (20.0, shaped[-1])
 
 
 def result(
     motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0, residual: float = 5e-5
-) -> CandidateResult:
+) -> shaping.CandidateResult:
     """A result with one trial."""
-    candidate = ShapedMotion(name, "joints" if added else "-", UNSHAPED, motion)
-    trial = PayloadTrial(0.0, 1e-6 if settling == 0.0 else residual, settling, 50.0)
-    return CandidateResult(candidate, added, stray, (trial,))
+    candidate = shaping.ShapedMotion(name, "joints" if added else "-", UNSHAPED, motion)
+    trial = shaping.PayloadTrial(0.0, 1e-6 if settling == 0.0 else residual, settling, 50.0)
+    return shaping.CandidateResult(candidate, added, stray, (trial,))
 
 
 @pytest.mark.slow
 def test_design_modes_are_those_of_the_end_pose(motion: MotionPlan) -> None:
     """The two low modes of the loaded robot; a lighter payload raises them, a heavier one lowers them."""
-    found = design_modes(motion, [-0.3, 0.0, 0.3])
+    found = shaping.design_modes(motion, [-0.3, 0.0, 0.3])
     np.testing.assert_allclose([mode.frequency for mode in found.modes], [58.84, 73.54], atol=0.01)
     np.testing.assert_allclose([mode.ratio for mode in found.modes], [0.0180, 0.0225], atol=1e-4)
     np.testing.assert_allclose(found.path_range, (56.84, 58.84), atol=0.01)
@@ -102,8 +87,8 @@ def test_design_modes_are_those_of_the_end_pose(motion: MotionPlan) -> None:
 
 def test_alternatives_hold_what_they_promise(motion: MotionPlan) -> None:
     """All kinds are there, the shortest first; convolved ones cancel both modes, SI keeps 5 % over the band."""
-    modes = design_modes(motion, [-0.3, 0.0, 0.3])
-    found = {each.name: each.sequence for each in alternatives(modes)}
+    modes = shaping.design_modes(motion, [-0.3, 0.0, 0.3])
+    found = {each.name: each.sequence for each in shaping.alternatives(modes)}
     assert {"um-zv", "zv", "mzv", "zvd", "ei", "zvdd", "2-hump-ei", "3-hump-ei", "si", "zv x zv"} <= set(found)
     assert list(found) == sorted(found, key=lambda name: found[name].duration)
     for mode in modes.modes:
@@ -116,10 +101,11 @@ def test_alternatives_hold_what_they_promise(motion: MotionPlan) -> None:
 def test_shaped_joints_silence_the_robot(motion: MotionPlan) -> None:
     """Through the FMU, against bang-bang's residual vibration: ZV for one mode leaves a fifth, for both modes a tenth."""
     fmu = build_scene(motion.scene).path
-    one, two = Oscillator(58.84, 0.018), [Oscillator(58.84, 0.018), Oscillator(73.54, 0.0225)]
-    unshaped = simulate(ShapedMotion("unshaped", "-", UNSHAPED, motion), 0.0, fmu)
-    single = simulate(ShapedMotion("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", [one]))), 0.0, fmu)
-    double = simulate(ShapedMotion("zv", "joints", UNSHAPED, shape_joints(motion, design("zv", two))), 0.0, fmu)
+    modes = [Oscillator(58.84, 0.018), Oscillator(73.54, 0.0225)]
+    motions = motion, *(shape_joints(motion, design("zv", modes[:count])) for count in (1, 2))
+    unshaped, single, double = (
+        shaping.simulate(shaping.ShapedMotion("zv", "joints", UNSHAPED, each), 0.0, fmu) for each in motions
+    )
     assert unshaped.residual == pytest.approx(45.5e-6, rel=0.02)
     assert single.residual < 0.2 * unshaped.residual
     assert double.residual < 0.05 * unshaped.residual
@@ -131,7 +117,7 @@ def test_the_fmu_takes_a_shaped_motion_with_another_payload(motion: MotionPlan) 
     """One FMU with the payload as its parameter gives what an FMU built from the changed scene gives."""
     heavier = with_payload_error(motion.scene, 0.3)
     shaped = shape_path(motion, design("ei", [Oscillator(58.84, 0.018)]))
-    one = simulate(ShapedMotion("ei", "path", UNSHAPED, shaped), 0.3, build_scene(motion.scene).path)
+    one = shaping.simulate(shaping.ShapedMotion("ei", "path", UNSHAPED, shaped), 0.3, build_scene(motion.scene).path)
     own = measure_run(run_scene(heavier, motion=replace(shaped, scene=heavier)), companions=0)
     assert one.residual == pytest.approx(own["residual_vibration_amplitude"].value, rel=1e-9)
     assert one.settling_time == pytest.approx(own["settling_time"].value, abs=1e-8)
@@ -143,8 +129,8 @@ def test_both_ways_report_deviation_and_time(motion: MotionPlan) -> None:
     joints, path = shape_joints(motion, sequence), shape_path(motion, sequence)
     assert 3e-4 < joints.deviation < 7e-4
     assert path.deviation < 1e-15
-    assert slower(motion, 0.02).motion.duration == pytest.approx(0.45)
-    assert slower(motion, 0.02).motion.profiled.path == motion.profiled.path
+    assert shaping.slower(motion, 0.02).motion.duration == pytest.approx(0.45)
+    assert shaping.slower(motion, 0.02).motion.profiled.path == motion.profiled.path
     for shaped in (joints, path):
         assert shaped.duration == pytest.approx(motion.duration + sequence.duration, rel=1e-14)
         assert shaped.stop_time == pytest.approx(motion.stop_time + sequence.duration, rel=1e-14)
@@ -154,8 +140,8 @@ def test_both_ways_report_deviation_and_time(motion: MotionPlan) -> None:
 
 def test_what_can_not_be_applied_is_left_out_with_its_reason(motion: MotionPlan) -> None:
     """A shaper that would drive backwards along the path is still tried on the joints."""
-    slow = Alternative("um-zv", design("um-zv", [Oscillator(0.5)]))
-    found, refused = candidates(motion, [slow])
+    slow = shaping.Alternative("um-zv", design("um-zv", [Oscillator(0.5)]))
+    found, refused = shaping.candidates(motion, [slow])
     assert [(each.name, each.application) for each in found] == [("unshaped", "-"), ("um-zv", "joints")]
     assert "go backwards" in refused["um-zv on path"]
 
@@ -202,16 +188,16 @@ def test_the_soonest_at_rest_within_the_limits_is_recommended(
 
 def test_payload_errors_are_symmetric_about_zero(scene: Scene) -> None:
     """Zero is exactly among them; a scene without payload has none."""
-    assert payload_errors(scene, 0.3, 7) == [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
-    assert payload_errors(scene.replace({"payload.mass": 0.0}), 0.3, 7) == [0.0]
-    assert payload_errors(scene, 0.0, 3) == [0.0]
+    assert shaping.payload_errors(scene, 0.3, 7) == [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
+    assert shaping.payload_errors(scene.replace({"payload.mass": 0.0}), 0.3, 7) == [0.0]
+    assert shaping.payload_errors(scene, 0.0, 3) == [0.0]
 
 
 def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_perfect(scene: Scene) -> None:
     """The scene's own shapers never act besides; a perfect drive needs no controller, and none can't be studied. Residual
     vibration needs a dwell: fifteen periods of the lowest mode."""
-    assert studied(scene, 50.0) is scene
-    assert studied(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
+    assert shaping.studied(scene, 50.0) is scene
+    assert shaping.studied(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
     controlled = scene.replace(
         {
             "cosimulation.drive": "torque",
@@ -219,27 +205,28 @@ def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_p
             "shaper": [{"kind": "zv"}],
         }
     )
-    assert studied(controlled, 50.0, "perfect") == scene
-    assert studied(controlled, 50.0) == studied(controlled, 50.0, "controller") == controlled.replace({"shaper": ()})
+    assert shaping.studied(controlled, 50.0, "perfect") == scene
+    assert shaping.studied(controlled, 50.0) == controlled.replace({"shaper": ()})
+    assert shaping.studied(controlled, 50.0, "controller") == controlled.replace({"shaper": ()})
     with pytest.raises(InputError, match=r"has no \[\[controller\]\] to study shapers with"):
-        studied(scene, 50.0, "controller")
+        shaping.studied(scene, 50.0, "controller")
 
 
 def test_jerk_is_that_of_the_joint_references(motion: MotionPlan) -> None:
     """Infinite where accelerations jump; else the largest third derivative, here against differences of the second."""
-    assert peak_jerk(motion) == np.inf
+    assert shaping.peak_jerk(motion) == np.inf
     smooth = plan(motion.scene.replace({"trajectory.profile": {"kind": "poly7"}}))
     times = np.linspace(0.0, smooth.duration, 200_001)
     acceleration = smooth.joints.evaluate(times, 2)[2]
     differences = np.abs(np.diff(acceleration, axis=0)).max() / times[1]
-    assert peak_jerk(smooth) == pytest.approx(differences, rel=1e-3)
+    assert shaping.peak_jerk(smooth) == pytest.approx(differences, rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["zvd x zvd", "si"])
 def test_the_written_scene_applies_the_advice(motion: MotionPlan, tmp_path: Path, name: str) -> None:
     """The file is the scene with that shaper and no other: its planned motion is the candidate's, and paths still lead to their files."""
-    modes = design_modes(motion, [-0.3, 0.0, 0.3])
-    tried, _ = candidates(motion, [each for each in alternatives(modes) if each.name == name])
+    modes = shaping.design_modes(motion, [-0.3, 0.0, 0.3])
+    tried, _ = shaping.candidates(motion, [each for each in shaping.alternatives(modes) if each.name == name])
     wanted = next(each for each in tried if each.application == "joints")
     source, target = tmp_path / "mine.toml", tmp_path / "elsewhere" / "shaped.toml"
     target.parent.mkdir()
@@ -265,7 +252,7 @@ def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
     """Nothing vibrates: the error says what to add."""
     rigid = scene.replace({"effects.proximal_bending": 0, "effects.distal_axial": 0})
     with pytest.raises(InputError, match="nothing vibrates in scene barnard2012-6kg"):
-        design_modes(plan(rigid), [0.0])
+        shaping.design_modes(plan(rigid), [0.0])
 
 
 @pytest.mark.slow
@@ -273,8 +260,8 @@ def test_the_command_writes_and_says_what_it_recommends(tmp_path: Path, monkeypa
     """JSON, CSV and the picture; the printed JSON is the written one; the shaped robot rests sooner. For people: the modes, the
     recommendation with its reason, a slower motion beside it, and a scene with the shaper."""
 
-    def few(modes: DesignModes) -> list[Alternative]:
-        return [each for each in alternatives(modes) if each.name in ("zv", "ei")]
+    def few(modes: shaping.DesignModes) -> list[shaping.Alternative]:
+        return [each for each in shaping.alternatives(modes) if each.name in ("zv", "ei")]
 
     monkeypatch.setattr(examination, "alternatives", few)
     scene, out = tmp_path / "coarse.toml", tmp_path / "out"

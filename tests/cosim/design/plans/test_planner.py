@@ -264,29 +264,21 @@ def test_a_thin_wall_across_the_path_is_not_kept(place: float, thickness: float,
     assert found.clearance < 0.0 if crossed else found.clearance == pytest.approx(0.005, rel=0.1)
 
 
-@pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> PlanResult:
-    """A plan with a motion of the end effector from a file, longer than the given one."""
-    file = tmp_path_factory.mktemp("motion") / "mine.csv"
+def test_a_motion_from_a_file(tmp_path: Path) -> None:
+    """It is judged as the same motion of a scene, without the scene's shapers, and stands in the table."""
+    file = tmp_path / "mine.csv"
     write_table(file, flexfmu.reference_motion(SCENE.replace({"trajectory.duration": 0.5})).task)
     candidate = file_candidate(SCENE.replace({"shaper": [{"kind": "zv"}]}), file)
     slow = Candidate("slower", "csv", GOALS.scene.replace({"trajectory.duration": 0.6}))
-    return plan_scene(SCENE.replace({"plan.residual": 1.0}), methods=(), candidates=[candidate, slow], robust=False)
-
-
-def test_file(planned: PlanResult) -> None:
-    """A motion from a file is judged as the same motion of a scene, without the scene's shapers, and stands in the table."""
+    wishes = SCENE.replace({"plan.residual": 1.0})
+    planned = plan_scene(wishes, methods=(), candidates=[candidate, slow], robust=False)
     found = next(each for each in planned.assessed if each.candidate.label == "mine.csv")
     same = Judge(GOALS, 2).assess(Candidate("same", "search", SCENE.replace({"trajectory.duration": 0.5})))
     assert found.time == pytest.approx(0.5)
     assert found.residual == pytest.approx(same.residual, rel=1e-3)
     assert found.torque == pytest.approx(same.torque, rel=1e-4)
     assert [each.candidate.label for each in planned.table] == ["given", "mine.csv", "slower"]
-
-
-def test_end_effector_motion_is_written_as_such(planned: PlanResult, tmp_path: Path) -> None:
-    """A chosen motion of the end effector is the same motion in the planned scene."""
-    found = next(each for each in planned.assessed if each.candidate.label == "mine.csv")
+    # in the planned scene it is a motion of the end effector
     chosen = PlanResult(planned.goals, planned.given, found, planned.assessed, (), False, 0.0)
     write_scene(chosen, tmp_path / "planned.toml")
     again = flexfmu.reference_motion(flexfmu.load_scene(tmp_path / "planned.toml")).task
