@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from flexfmu.model.linear import linearize
+
 Array = NDArray[np.float64]
 
 MOTION: dict[str, object] = {}
@@ -70,43 +72,29 @@ def test_agrees_with_differences_in_motion(instantiate: Any, name: str) -> None:
         outputs(at)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
-def test_agrees_with_differences_at_the_start(instantiate: Any, name: str) -> None:
-    """Before the motion states follow from parameters, while the inputs are held."""
-    plant = instantiate(SCENES[name])
-    plant.initialize()
-    plant.set(plant.inputs, plant.get(plant.inputs))
-    parameters = [name for name in plant.parameters if name != "integrator.step"]
-    start = plant.get(parameters)
-    steps = 1e-3 * np.maximum(np.abs(start), 1e-2)
-    at = np.where(start < 0.0, start, np.maximum(start, 4.0 * steps))
-
-    def outputs(p: Array) -> Array:
-        plant.set(parameters, p)
-        return plant.get(plant.outputs)
-
-    outputs(at)
-    agree(plant, plant.jacobian(plant.outputs, parameters) * steps, differences(outputs, at, steps))
-
-
 @pytest.mark.parametrize(
     "name",
     [pytest.param(each, marks=[] if each in ("torque", "rigid motion") else pytest.mark.slow) for each in SCENES],
 )
-def test_agrees_with_differences_by_inputs_at_the_start(instantiate: Any, name: str) -> None:
-    """Inputs deflect the static start; rates among them don't, but move the accelerations."""
+def test_agrees_with_differences_at_the_start(instantiate: Any, name: str) -> None:
+    """Before the motion states follow from inputs, which deflect the static start, and from parameters, while the inputs are held;
+    rates among the inputs don't deflect, but move the accelerations."""
     plant = instantiate(SCENES[name])
     plant.initialize()
-    at = plant.get(plant.inputs)
-    steps = np.full(len(at), 1e-3)
+    plant.set(plant.inputs, plant.get(plant.inputs))
+    parameters = [name for name in plant.parameters if name != "integrator.step"]
+    for knowns in (plant.inputs, parameters):
+        start = plant.get(knowns)
+        steps = np.full(len(start), 1e-3) if knowns is plant.inputs else 1e-3 * np.maximum(np.abs(start), 1e-2)
+        at = start if knowns is plant.inputs else np.where(start < 0.0, start, np.maximum(start, 4.0 * steps))
 
-    def outputs(u: Array) -> Array:
-        plant.set(plant.inputs, u)
-        return plant.get(plant.outputs)
+        def outputs(values: Array, knowns: list[str] = knowns) -> Array:
+            plant.set(knowns, values)
+            return plant.get(plant.outputs)
 
-    outputs(at)
-    agree(plant, plant.jacobian(plant.outputs, plant.inputs) * steps, differences(outputs, at, steps))
+        outputs(at)
+        agree(plant, plant.jacobian(plant.outputs, knowns) * steps, differences(outputs, at, steps))
+        outputs(start)
 
 
 def test_co_simulation_differentiates_the_same(instantiate: Any) -> None:
@@ -118,3 +106,20 @@ def test_co_simulation_differentiates_the_same(instantiate: Any) -> None:
     knowns = [*both[0].states, *both[0].inputs, "payload.mass"]
     exchange, stepping = (plant.jacobian(plant.outputs, knowns) for plant in both)
     assert np.array_equal(exchange, stepping)
+
+
+@pytest.mark.parametrize("modes", [{}, RIGID], ids=["elastic", "rigid"])
+@pytest.mark.parametrize("kind", ["exchange", "stepping"])
+def test_agrees_with_the_models_own_linearisation(
+    instantiate: Any, make_scene: Any, modes: dict[str, object], kind: str
+) -> None:
+    """At rest in the start pose the FMU is an equilibrium; there its derivatives are the state-space system."""
+    plant, scene = instantiate(TORQUE | modes, kind), make_scene(TORQUE | modes)
+    plant.initialize()
+    plant.begin()
+    derivatives = [unknown.variable.name for unknown in plant.description.derivatives]
+    system = linearize(scene, scene.trajectory.start)
+    for unknowns, pair in ((derivatives, (system.A, system.B)), (plant.outputs, (system.C, system.D))):
+        for knowns, expected in zip((plant.states, plant.inputs), pair, strict=True):
+            tolerance = 1e-11 * np.abs(expected).max(initial=0.0)
+            np.testing.assert_allclose(plant.jacobian(unknowns, knowns), expected, rtol=1e-9, atol=tolerance)

@@ -62,49 +62,6 @@ def test_importers_find_the_same_events(instantiate: Any, plant_path: Any, integ
     assert np.array_equal(tight[:, 2:] == 0.0, stuck)
 
 
-@pytest.mark.slow
-def test_holds_for_an_hour(instantiate: Any) -> None:
-    """Under gravity and a force that makes the links swing, sticking motors keep their angles to the last bit."""
-    plant = instantiate(ELASTIC | {"effects.joint_friction": {"kind": "stiction", "coulomb": 40.0}}, "stepping")
-    plant.initialize(1e-6)
-    plant.begin()
-    before = plant.get(POSITIONS)
-    plant.set(TORQUES, [0.0, 0.0])
-    plant.set(["force.x"], [20.0])
-    for k in range(3600):
-        plant.fmu.doStep(float(k), 1.0)
-    assert np.array_equal(plant.get(POSITIONS), before)
-    assert np.array_equal(plant.get(RATES), [0.0, 0.0])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("excess", [-1e-6, 1e-6])
-def test_breaks_away_at_its_torque(instantiate: Any, excess: float) -> None:
-    """A millionth less than the breakaway torque beyond balance holds a motor, a millionth more moves it."""
-    plant = instantiate(RIGID, "stepping")
-    plant.initialize(1e-6)
-    holding = plant.get(TORQUES)
-    plant.begin()
-    plant.set(TORQUES, holding + np.array([BREAKAWAY * (1.0 + excess), 0.0]))
-    assert plant.get(FRICTION)[0] == pytest.approx(-BREAKAWAY * (1.0 + excess) if excess < 0.0 else -COULOMB, rel=1e-12)
-    plant.fmu.doStep(0.0, 0.01)
-    assert (plant.get(RATES)[0] > 0.0) == (excess > 0.0)
-
-
-@pytest.mark.slow
-def test_costs_less_than_three_smooth_ones(instantiate: Any) -> None:
-    """Events cost evaluations, but not three times those of friction that is smoothed at 0.01 rad/s."""
-    work = {}
-    for name, friction in {
-        "sticks": STICKING,
-        "smooth": {"viscous": 0.5, "coulomb": COULOMB, "velocity": 0.01},
-    }.items():
-        plant = instantiate(RIGID | {"effects.joint_friction": friction}, "stepping")
-        step_through(plant, 1e-6)
-        work[name] = plant.fmu.getInteger([3])[0]
-    assert work["sticks"] < 3 * work["smooth"]
-
-
 def test_rolls_back_to_the_last_bit(instantiate: Any) -> None:
     """Modes are part of the FMU's state, also of the serialized one: steps over events repeat exactly."""
     plant = instantiate(RIGID, "stepping")
