@@ -43,6 +43,24 @@ void advance(flex_plant *plant, double start, double h, int count) {
   }
 }
 
+void begin_pulled(flex_plant *plant, double speed) {
+  CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, speed);
+  flex_plant_inputs_changed(plant);
+}
+
+void advance_twice(flex_plant *plant, double start, double h, int count) {
+  char *saved = malloc(2 * plant->state_size), *end = saved + plant->state_size;
+  memcpy(saved, plant->record, plant->state_size);
+  advance(plant, start, h, count);
+  memcpy(end, plant->record, plant->state_size);
+  memcpy(plant->record, saved, plant->state_size);
+  flex_plant_restored(plant);
+  advance(plant, start, h, count);
+  CHECK(memcmp(end, plant->record, plant->state_size) == 0);
+  free(saved);
+}
+
 double output(flex_plant *plant, int index) {
   flex_failure failure = flex_plant_need_outputs(plant);
   CHECK(failure.outcome == FLEX_DONE);

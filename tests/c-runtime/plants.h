@@ -19,6 +19,12 @@ void set_input(flex_plant *plant, int index, double value);
 /* advances by `count` communication steps of size h from `start`; stops the test if a step fails */
 void advance(flex_plant *plant, double start, double h, int count);
 
+/* begins undeformed, with input 0 rising at this speed */
+void begin_pulled(flex_plant *plant, double speed);
+
+/* advances, goes back and advances again: both ends must have the same bits */
+void advance_twice(flex_plant *plant, double start, double h, int count);
+
 /* value of an output after evaluating it */
 double output(flex_plant *plant, int index);
 

@@ -44,9 +44,7 @@ TEST(stick_slip_follows_its_closed_form) {
       flex_plant *plant = make_plant(&sliders, tolerances[k]);
       double y, v, force, worst = 0.0;
       plant->record->method = method;
-      CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
-      flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, speed);
-      flex_plant_inputs_changed(plant);
+      begin_pulled(plant, speed);
       for (int i = 0; i < 200; i++) {
         advance(plant, 0.1 * i, 0.1, 1);
         stick_slip(speed, 0.1 * (i + 1), &y, &v, &force);
@@ -67,9 +65,7 @@ TEST(fixed_steps_end_at_events) {
     double y, v, force;
     plant->record->method = FLEX_RUNGE_KUTTA_4;
     plant->record->fixed_step = k ? 0.05 : 0.1;
-    CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
-    flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 0.3);
-    flex_plant_inputs_changed(plant);
+    begin_pulled(plant, 0.3);
     for (int i = 0; i < 20; i++) {
       advance(plant, i, 1.0, 1);
       stick_slip(0.3, i + 1.0, &y, &v, &force);
@@ -98,9 +94,7 @@ TEST(breakaway_is_met_within_a_step) {
   for (int k = 0; k < 7; k++) {
     flex_plant *plant = make_plant(&sliders, 1e-4);
     plant->p[1] = 1.0 + 0.37 * k;
-    CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
-    flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 1.0);
-    flex_plant_inputs_changed(plant);
+    begin_pulled(plant, 1.0);
 
     // it slips for a moment only: z'' = -w^2 z from z = (b - c)/k, z' = 1, y = t - z - c/k
     double t = plant->p[1] / STIFFNESS + 0.01, half = (plant->p[1] - C) / STIFFNESS;
@@ -137,20 +131,9 @@ TEST(two_frictions_keep_the_balance) {
 // the same motion again from any state in between, to the last bit, with events on the way and after trial inputs
 TEST(friction_rolls_back) {
   flex_plant *plant = make_plant(&sliders, 1e-6);
-  char *saved = malloc(plant->state_size), *end = malloc(plant->state_size);
   plant->p[3] = 3.0;
-  CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
-  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 0.5);
-  flex_plant_inputs_changed(plant);
-  for (int i = 0; i < 60; i++) {
-    memcpy(saved, plant->record, plant->state_size);
-    advance(plant, 0.1 * i, 0.1, 1);
-    memcpy(end, plant->record, plant->state_size);
-    memcpy(plant->record, saved, plant->state_size);
-    flex_plant_restored(plant);
-    advance(plant, 0.1 * i, 0.1, 1);
-    CHECK(memcmp(end, plant->record, plant->state_size) == 0);
-  }
+  begin_pulled(plant, 0.5);
+  for (int i = 0; i < 60; i++) advance_twice(plant, 0.1 * i, 0.1, 1);
 
   // inputs that are tried and taken back let nothing go
   flex_plant *calm = make_plant(&sliders, 1e-6);
@@ -161,7 +144,6 @@ TEST(friction_rolls_back) {
   CHECK_CLOSE(output(calm, 4), -0.4, 1e-15);
   advance(calm, 0.0, 0.1, 10);
   CHECK(output(calm, 0) == 0.0);
-  free(saved), free(end);
   free_plant(plant), free_plant(calm);
 }
 
@@ -181,9 +163,7 @@ TEST(chatter_is_bounded) {
 // between events outputs are smooth: their rates are those of the closed form, zero for what sticks
 TEST(rates_with_friction_are_exact) {
   flex_plant *plant = make_plant(&sliders, 1e-9);
-  CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
-  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 0.3);
-  flex_plant_inputs_changed(plant);
+  begin_pulled(plant, 0.3);
   for (int slips = 0; slips < 2; slips++) {
     double v, y, force, a = slips ? 4.0 * (0.3 * 2.0 - output(plant, 0)) - C : 0.0;
     stick_slip(0.3, plant->record->time, &y, &v, &force);

@@ -50,19 +50,6 @@ static double vibration_error(const flex_plant *plant, const double deflection[3
   return sqrt(error / scale);
 }
 
-// several frequencies, damped and not: the importer's tolerance must mean something
-TEST(tolerance_is_achieved) {
-  const double deflection[3] = {1.0, 0.3, 0.1};
-  const double mixed[3] = {1.0, 2.0, 4.0};
-  for (double tolerance = 1e-3; tolerance > 0.9e-11; tolerance *= 0.1)
-    for (double damping = 0.0; damping < 0.25; damping += 0.1) {
-      flex_plant *plant = let_go(mixed, damping, deflection, tolerance);
-      advance(plant, 0.0, TAU, 4);
-      CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 10.0 * tolerance);
-      free_plant(plant);
-    }
-}
-
 // the tolerance holds whatever the communication step, which must not cost more than its own solution each
 TEST(tolerance_is_achieved_between_short_steps) {
   const double frequency[3] = {1.0, 2.0, 3.0}, deflection[3] = {1.0, 0.3, 0.1};
@@ -340,7 +327,7 @@ TEST(every_method_has_its_order) {
 TEST(every_method_meets_the_tolerance) {
   const double deflection[3] = {1.0, 0.3, 0.1};
   for (int method = FLEX_AUTOMATIC; method <= FLEX_LAST_INTEGRATOR; method++)
-    for (double tolerance = 1e-3; tolerance > 0.9e-9; tolerance *= 0.1) {
+    for (double tolerance = 1e-3; tolerance > (method ? 0.9e-9 : 0.9e-11); tolerance *= 0.1) {
       flex_plant *plant = let_go((const double[]){1.0, 2.0, 4.0}, 0.0, deflection, tolerance);
       choose(plant, method, 0.0);
       advance(plant, 0.0, 25.0, 1);
@@ -425,16 +412,7 @@ TEST(every_method_rolls_back) {
     choose(plant, method, 0.0);
     begin_at(plant, y, v);
     advance(plant, 0.0, 0.1, 7);
-    void *kept = malloc(plant->state_size), *first = malloc(plant->state_size);
-    memcpy(kept, plant->record, plant->state_size);
-    advance(plant, 0.7, 0.3, 3);
-    memcpy(first, plant->record, plant->state_size);
-    memcpy(plant->record, kept, plant->state_size);
-    flex_plant_restored(plant);
-    advance(plant, 0.7, 0.3, 3);
-    CHECK(memcmp(first, plant->record, plant->state_size) == 0);
-    free(kept);
-    free(first);
+    advance_twice(plant, 0.7, 0.3, 3);
     free_plant(plant);
   }
 }

@@ -19,8 +19,6 @@ from flexfmu.model.scene.schema import Scene
 Array = NDArray[np.float64]
 Kind = Literal["exchange", "stepping"]
 
-RIGID = {"effects.proximal_bending": 0, "effects.distal_axial": 0}
-
 
 class Instance:
     """An instance with its variables by name; ``kind`` is who integrates."""
