@@ -53,7 +53,7 @@ def test_mechanism_and_path_are_to_scale_and_within(changes: dict[str, object]) 
 
 
 def test_tables_and_unreachable_points_are_drawn_too(tmp_path: Path) -> None:
-    """A motion of the joints from a file; one that leads beyond the workspace is drawn as far as it goes."""
+    """A motion from a file that leads beyond the workspace is drawn as far as it goes."""
     (tmp_path / "way.csv").write_text("time,x,y\n0,-0.1,0.3\n0.2,0.0,0.3\n0.4,0.1,0.3\n0.5,0.1,2.0\n", encoding="utf-8")
     scene = load_scene("barnard2012-6kg").replace(
         {"trajectory": {"kind": "table", "file": str(tmp_path / "way.csv"), "dwell": 0.1}}
@@ -61,8 +61,3 @@ def test_tables_and_unreachable_points_are_drawn_too(tmp_path: Path) -> None:
     _, (path, *chains), _ = drawn(scene)
     assert len(path) == 4
     assert len(chains) == 6  # none at the last row
-    (tmp_path / "joints.csv").write_text("time,q11,q21\n0,2.6,0.54\n0.2,2.5,0.5\n0.4,2.4,0.45\n", encoding="utf-8")
-    scene = scene.replace({"trajectory": {"kind": "table", "file": str(tmp_path / "joints.csv"), "dwell": 0.1}})
-    _, (path, *chains), _ = drawn(scene)
-    assert len(path) == 4
-    assert len(chains) == 9
