@@ -1,6 +1,6 @@
-"""Writes src/flexfmu/control.pyi and its like: what type checkers and editors know of the functions that describe parts of a scene.
+"""Writes src/flexfmu/*.pyi: what type checkers and editors know of names that are made or imported at their first use.
 
-The functions are made of the scene file's sections (`flexfmu.parts`), whose JSON Schema gives the types.
+The functions that describe parts of a scene are made of the scene file's sections (`flexfmu.parts`), whose JSON Schema gives the types.
 
     python generators/part_stubs.py
 """
@@ -12,10 +12,16 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+import flexfmu
+
 FOLDER = Path(__file__).parents[1] / "src" / "flexfmu"
 
-FAMILIES = ("control", "disturbances", "filters", "imperfections", "shapers")
-"""Modules whose functions `flexfmu.parts.part` makes."""
+
+def front() -> str:
+    """The text of the stub of `flexfmu` itself, which imports names at their first use."""
+    imports = [f"from flexfmu import {family} as {family}" for family in flexfmu._FAMILIES]
+    imports += [f"from flexfmu.{home} import {name} as {name}" for name, home in flexfmu._HOMES.items()]
+    return "\n".join([*sorted(imports), "", f"__all__ = {flexfmu.__all__!r}", "", "__version__: str", ""])
 
 
 def stub(family: ModuleType) -> str:
@@ -42,7 +48,8 @@ def stub(family: ModuleType) -> str:
 
 def stubs() -> dict[Path, str]:
     """Path of each stub → its text."""
-    return {FOLDER / f"{name}.pyi": stub(import_module(f"flexfmu.{name}")) for name in FAMILIES}
+    families = {FOLDER / f"{name}.pyi": stub(import_module(f"flexfmu.{name}")) for name in flexfmu._FAMILIES}
+    return {FOLDER / "__init__.pyi": front(), **families}
 
 
 def main() -> None:

@@ -74,7 +74,10 @@ def shared_names(trees: dict[str, ast.Module]) -> tuple[list[str], dict[str, lis
     """Modules with one importer, and classes whose name is used twice with their modules."""
     classes: dict[str, list[str]] = defaultdict(list)
     importers: dict[str, set[str]] = defaultdict(set)
-    for name, tree in trees.items():
+    # the front door imports names at their first use: its stubs list them
+    stubs = {"flexfmu." + path.stem: path for path in (ROOT / "src" / "flexfmu").glob("*.pyi")}
+    doors = ((name, ast.parse(path.read_text(encoding="utf-8"))) for name, path in stubs.items())
+    for name, tree in (*trees.items(), *doors):
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 classes[node.name] += [] if node.name.startswith("_") else [name]

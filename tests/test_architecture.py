@@ -88,7 +88,6 @@ PLUG_INS = (
 
 ALONE = {
     "cosim.control": "the front door names what is in it",
-    "cosim.control.shapers": "shapers in the loop",
     "cosim.control.disturbances": "blocks of disturbances, and sums for the loop",
     "cosim.design.gains.search": "the optimiser",
     "cosim.design.margins.pictures": "drawing",

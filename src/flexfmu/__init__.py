@@ -13,57 +13,6 @@ in `flexfmu.motions`. Names are imported at their first use, so that ``import fl
 
 import os
 from importlib import import_module
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from flexfmu import control, disturbances, filters, imperfections, motions, shapers
-    from flexfmu.api import (
-        build,
-        compare,
-        linearize,
-        margins,
-        modes,
-        plan_motion,
-        reference_motion,
-        run,
-        start_gains,
-        sweep,
-        tune,
-    )
-    from flexfmu.cosim.control.controllers.own_function import controller
-    from flexfmu.cosim.design.effects.study import study_effects
-    from flexfmu.cosim.engine.errors import (
-        AlgebraicLoopError,
-        FmuFileError,
-        InputError,
-        LoopWarning,
-        ResultsError,
-        RunWarning,
-        SlaveError,
-        WiringError,
-    )
-    from flexfmu.cosim.engine.results import Selection
-    from flexfmu.cosim.engine.slave import SlaveVariable
-    from flexfmu.cosim.exchange.slave_export import export_slaves
-    from flexfmu.cosim.exchange.ssp.export import export_ssp
-    from flexfmu.cosim.exchange.ssp.loading import load_ssp
-    from flexfmu.cosim.experiment.metric import Metric, RunMetrics
-    from flexfmu.cosim.experiment.scene_run import Run
-    from flexfmu.cosim.many.variants import run_variants
-    from flexfmu.cosim.metrics.metric_table import display
-    from flexfmu.cosim.metrics.metrics import measure_run
-    from flexfmu.cosim.metrics.motors import motor_loads
-    from flexfmu.cosim.metrics.stress import link_stresses
-    from flexfmu.errors import Error
-    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError
-    from flexfmu.model.scene.errors import EquilibriumError, SceneError, SceneWarning
-    from flexfmu.model.scene.file import load_scene
-    from flexfmu.model.scene.motor import Motor
-    from flexfmu.model.scene.schema import Scene
-    from flexfmu.systems import simulate, slave
-    from flexfmu.trajectories.errors import TrajectoryError
-
-    __version__: str
 
 _NAMES = {
     "api": "build compare linearize margins modes plan_motion reference_motion run start_gains sweep tune",
@@ -98,91 +47,36 @@ _HOMES = {name: module for module, names in _NAMES.items() for name in names.spl
 _FAMILIES = ("control", "disturbances", "filters", "imperfections", "motions", "shapers")
 """Modules with parts of a scene, `flexfmu.control.pd` ..."""
 
-__all__ = [
-    "AlgebraicLoopError",
-    "BuildError",
-    "EquilibriumError",
-    "Error",
-    "FmuFileError",
-    "InputError",
-    "LoopWarning",
-    "Metric",
-    "MissingCompilerError",
-    "Motor",
-    "ResultsError",
-    "Run",
-    "RunMetrics",
-    "RunWarning",
-    "Scene",
-    "SceneError",
-    "SceneWarning",
-    "Selection",
-    "SlaveError",
-    "SlaveVariable",
-    "TrajectoryError",
-    "WiringError",
-    "__version__",
-    "build",
-    "compare",
-    "control",
-    "controller",
-    "display",
-    "disturbances",
-    "export_slaves",
-    "export_ssp",
-    "filters",
-    "imperfections",
-    "linearize",
-    "link_stresses",
-    "load_scene",
-    "load_ssp",
-    "margins",
-    "measure_run",
-    "modes",
-    "motions",
-    "motor_loads",
-    "plan_motion",
-    "reference_motion",
-    "run",
-    "run_variants",
-    "shapers",
-    "simulate",
-    "slave",
-    "start_gains",
-    "study_effects",
-    "sweep",
-    "tune",
-]
+__all__ = sorted((*_FAMILIES, *_HOMES, "__version__"))
 
 # in a wheel the packages are in this folder; in a clone (editable installs) they are in the clone's top folder
 if not os.path.isdir(os.path.join(__path__[0], "model")):
     __path__.append(os.path.dirname(os.path.dirname(__path__[0])))
 
-# hidden from type checkers, which would otherwise accept every misspelt name
-if not TYPE_CHECKING:
 
-    def __getattr__(name: str) -> object:
-        """Import a public name at its first use and return its value (PEP 562).
+def __getattr__(name: str) -> object:
+    """Import a public name at its first use and return its value (PEP 562).
 
-        Raises:
-            AttributeError: there is no such public name.
-        """
-        if name == "__version__":
-            value = import_module("importlib.metadata").version("flexfmu")
-        elif name in _FAMILIES:
-            value = import_module(f"flexfmu.{name}")
-        elif name in _HOMES:
-            value = getattr(import_module(f"flexfmu.{_HOMES[name]}"), name)
-        elif name == "plan":
-            import_module("warnings").warn(
-                "flexfmu.plan is called flexfmu.reference_motion now", DeprecationWarning, stacklevel=2
-            )
-            return __getattr__("reference_motion")
-        else:
-            raise AttributeError(f"module 'flexfmu' has no attribute {name!r}; it has {', '.join(__all__)}")
-        globals()[name] = value
-        return value
+    Raises:
+        AttributeError: there is no such public name.
+    """
+    if name == "__version__":
+        value = import_module("importlib.metadata").version("flexfmu")
+    elif name in _FAMILIES:
+        value = import_module(f"flexfmu.{name}")
+    elif name in _HOMES:
+        value = getattr(import_module(f"flexfmu.{_HOMES[name]}"), name)
+    elif name == "plan":
+        import_module("warnings").warn(
+            "flexfmu.plan is called flexfmu.reference_motion now", DeprecationWarning, stacklevel=2
+        )
+        return __getattr__("reference_motion")
+    else:
+        raise AttributeError(f"module 'flexfmu' has no attribute {name!r}; it has {', '.join(__all__)}")
+    globals()[name] = value
+    return value
 
-    def __dir__() -> list[str]:
-        """The public names, for completion; most are imported at their first use."""
-        return sorted(__all__)
+
+def __dir__() -> list[str]:
+    """The public names, for completion; most are imported at their first use."""
+    return sorted(__all__)

@@ -1,24 +1,17 @@
 """Motions: what `flexfmu.run(scene, trajectory=...)` takes, from files, from other planners, and of your own."""
 
-from flexfmu.trajectories.joint import JointTrajectory
-from flexfmu.trajectories.own import OwnMotion, as_trajectory
-from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
-from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
-from flexfmu.trajectories.table import write_table
-from flexfmu.trajectories.table_file import read_table
-from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+from flexfmu.parts import family
 
-__all__ = [
-    "JointTrajectory",
-    "OwnMotion",
-    "PiecewisePolynomial",
-    "TaskTrajectory",
-    "Trajectory",
-    "as_trajectory",
-    "from_ruckig",
-    "from_scipy",
-    "from_toppra",
-    "read_table",
-    "spline",
-    "write_table",
-]
+__all__, __getattr__, __dir__ = family(
+    __name__,
+    {},
+    {
+        "trajectories.joint": "JointTrajectory",
+        "trajectories.own": "OwnMotion as_trajectory",
+        "trajectories.piecewise": "PiecewisePolynomial spline",
+        "trajectories.sources": "from_ruckig from_scipy from_toppra",
+        "trajectories.table": "write_table",
+        "trajectories.table_file": "read_table",
+        "trajectories.trajectory": "TaskTrajectory Trajectory",
+    },
+)

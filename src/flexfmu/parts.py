@@ -26,36 +26,59 @@ from flexfmu.model.scene.section import Section
 S = TypeVar("S", bound=Section)
 
 
-def part(section: type[S], example: str, kind: str | None = None) -> Callable[..., S]:
-    """The function that describes a part of the loop; its arguments are the section's keys.
+def family(
+    module: str, sections: Mapping[str, type[Section]], homes: Mapping[str, str]
+) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """The ``__all__``, ``__getattr__`` and ``__dir__`` (PEP 562) of a module with parts of the loop.
 
     Args:
-        section: class of the section.
-        example: a call as after ``import flexfmu``, without this name; it gives family and name of the function.
-        kind: the section's ``kind`` where it has several.
+        module: name of the module.
+        sections: call of a function after the module's name, an example → section of the scene file that it describes.
+        homes: module → names, with spaces between them, that are imported from there at their first use.
     """
-    family, _, name = example.partition("(")[0].partition(".")
-    chosen = get_args(section.model_fields["kind"].annotation)[0] if kind is None else kind
+    examples = {example.partition("(")[0]: example for example in sections}
+    places = {name: home for home, names in homes.items() for name in names.split()}
+    names = sorted(examples | places)
+
+    @cache
+    def __getattr__(name: str) -> Any:  # noqa: N807 - it becomes the module's
+        if name in examples:
+            return part(sections[examples[name]], module, examples[name])
+        if name in places:
+            return getattr(import_module(f"flexfmu.{places[name]}"), name)
+        raise AttributeError(f"module {module!r} has no attribute {name!r}; it has {', '.join(names)}")
+
+    return names, __getattr__, lambda: names
+
+
+def part(section: type[S], module: str, example: str) -> Callable[..., S]:
+    """The function that describes a part of the loop; its arguments are the section's keys.
+
+    Where the section has several kinds the function's name is that of one, ``two_hump_ei`` of ``2-hump-ei``.
+    """
+    name, place = example.partition("(")[0], f"{module}.{example.partition('(')[0]}"
+    kinds = get_args(section.model_fields["kind"].annotation)
+    chosen = kinds[0]
+    if len(kinds) > 1:
+        chosen = name.replace("_", "-").replace("two", "2").replace("three", "3")
     table = definition(section)
     keys = {key: field for key, field in table["properties"].items() if key != "kind"}
 
     def make(**given: Any) -> S:
         try:
             if "kind" in given:
-                raise SceneError(
-                    f"the function's name is the kind, got kind={given['kind']!r} (flexfmu.{family}.{name})"
-                )
+                raise SceneError(f"the function's name is the kind, got kind={given['kind']!r} ({place})")
             # None leaves a key out
             values = {key: _plain(value) for key, value in given.items() if value is not None}
             return section.model_validate({"kind": chosen, **values})
         except ValidationError as error:
-            raise SceneError(f"{'; '.join(sentences(error.errors(), section))} (flexfmu.{family}.{name})") from None
+            raise SceneError(f"{'; '.join(sentences(error.errors(), section))} ({place})") from None
 
     make.__name__ = make.__qualname__ = name
-    make.__module__ = f"flexfmu.{family}"
+    make.__module__ = module
     make.__doc__ = "\n".join(
         [
-            f"{inspect.getdoc(section)}\n\nExample:\n    ``flexfmu.{example}``\n\nArgs:",
+            f"{inspect.getdoc(section)}\n\nExample:\n    ``{module}.{example}``\n\nArgs:",
             *(f"    {key}: {_described(field)}" for key, field in keys.items()),
             "\nRaises:\n    SceneError: a value is missing, unknown or out of range.",
         ]
@@ -71,22 +94,6 @@ def _argument(key: str, field: Mapping[str, Any], required: bool) -> inspect.Par
     default = inspect.Parameter.empty if required else field.get("default")
     kind = type_of(field) if default is not None else f"{type_of(field)} | None"
     return inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-
-
-def seldom(module: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a module (PEP 562) that imports these names at their first use: what they need takes long to load.
-
-    Args:
-        module: name of the module.
-        homes: name → module that has it.
-    """
-
-    def __getattr__(name: str) -> Any:  # noqa: N807 - it becomes the module's
-        if name not in homes:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        return getattr(import_module(homes[name]), name)
-
-    return __getattr__
 
 
 @cache

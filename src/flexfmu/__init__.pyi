@@ -1,0 +1,56 @@
+from flexfmu import control as control
+from flexfmu import disturbances as disturbances
+from flexfmu import filters as filters
+from flexfmu import imperfections as imperfections
+from flexfmu import motions as motions
+from flexfmu import shapers as shapers
+from flexfmu.api import build as build
+from flexfmu.api import compare as compare
+from flexfmu.api import linearize as linearize
+from flexfmu.api import margins as margins
+from flexfmu.api import modes as modes
+from flexfmu.api import plan_motion as plan_motion
+from flexfmu.api import reference_motion as reference_motion
+from flexfmu.api import run as run
+from flexfmu.api import start_gains as start_gains
+from flexfmu.api import sweep as sweep
+from flexfmu.api import tune as tune
+from flexfmu.cosim.control.controllers.own_function import controller as controller
+from flexfmu.cosim.design.effects.study import study_effects as study_effects
+from flexfmu.cosim.engine.errors import AlgebraicLoopError as AlgebraicLoopError
+from flexfmu.cosim.engine.errors import FmuFileError as FmuFileError
+from flexfmu.cosim.engine.errors import InputError as InputError
+from flexfmu.cosim.engine.errors import LoopWarning as LoopWarning
+from flexfmu.cosim.engine.errors import ResultsError as ResultsError
+from flexfmu.cosim.engine.errors import RunWarning as RunWarning
+from flexfmu.cosim.engine.errors import SlaveError as SlaveError
+from flexfmu.cosim.engine.errors import WiringError as WiringError
+from flexfmu.cosim.engine.results import Selection as Selection
+from flexfmu.cosim.engine.slave import SlaveVariable as SlaveVariable
+from flexfmu.cosim.exchange.slave_export import export_slaves as export_slaves
+from flexfmu.cosim.exchange.ssp.export import export_ssp as export_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp as load_ssp
+from flexfmu.cosim.experiment.metric import Metric as Metric
+from flexfmu.cosim.experiment.metric import RunMetrics as RunMetrics
+from flexfmu.cosim.experiment.scene_run import Run as Run
+from flexfmu.cosim.many.variants import run_variants as run_variants
+from flexfmu.cosim.metrics.metric_table import display as display
+from flexfmu.cosim.metrics.metrics import measure_run as measure_run
+from flexfmu.cosim.metrics.motors import motor_loads as motor_loads
+from flexfmu.cosim.metrics.stress import link_stresses as link_stresses
+from flexfmu.errors import Error as Error
+from flexfmu.fmu_build.errors import BuildError as BuildError
+from flexfmu.fmu_build.errors import MissingCompilerError as MissingCompilerError
+from flexfmu.model.scene.errors import EquilibriumError as EquilibriumError
+from flexfmu.model.scene.errors import SceneError as SceneError
+from flexfmu.model.scene.errors import SceneWarning as SceneWarning
+from flexfmu.model.scene.file import load_scene as load_scene
+from flexfmu.model.scene.motor import Motor as Motor
+from flexfmu.model.scene.schema import Scene as Scene
+from flexfmu.systems import simulate as simulate
+from flexfmu.systems import slave as slave
+from flexfmu.trajectories.errors import TrajectoryError as TrajectoryError
+
+__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'display', 'disturbances', 'export_slaves', 'export_ssp', 'filters', 'imperfections', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune']
+
+__version__: str
