@@ -63,24 +63,22 @@ def library_for(robot_sources: Sources) -> LibraryFor:
 
 
 @pytest.fixture
-def write_library(tmp_path: Path, library_for: LibraryFor, robot_sources: Sources) -> Callable[..., Path]:
-    """Function that writes a platform's library into a file of its proper name."""
+def run(tmp_path: Path, robot: SymbolicModel, robot_sources: Sources, library_for: LibraryFor) -> Callable[..., Array]:
+    """Function that runs the robot's library of a platform, or a given one, in a C program: its outputs, shape (steps, outputs)."""
 
-    def write(name: str, with_zig: bool = False) -> Path:
-        path = tmp_path / f"{robot_sources.model_identifier}{PLATFORMS[name].suffix}"
-        path.write_bytes(library_for(name, with_zig))
-        return path
-
-    return write
-
-
-@pytest.fixture
-def run_library(tmp_path: Path, robot: SymbolicModel, robot_sources: Sources) -> Callable[..., Array]:
-    """Function that runs a library of the robot, made for a platform, and gives its outputs, shape (steps, outputs)."""
-
-    def run(library: Path, name: str, emulator: tuple[str, ...] = ()) -> Array:
+    def run_on(
+        name: str, emulator: tuple[str, ...] = (), *, with_zig: bool = False, library: Path | None = None
+    ) -> Array:
+        if library is None:
+            library = tmp_path / f"{robot_sources.model_identifier}{PLATFORMS[name].suffix}"
+            library.write_bytes(library_for(name, with_zig))
+        # the same flags as the libraries, so that zig builds its parts of the C library once; the mathematics library comes
+        # along as with every importer that computes: fmpy's own compilation doesn't link it
         program = tmp_path / f"harness-{name}{'.exe' if name == 'win64' else ''}"
-        _compile_harness(name, program)
+        linked = ["-ldl", "-Wl,--no-as-needed", "-lm"] if "linux" in name else []
+        flags = ["-std=c99", "-O2", "-ffp-contract=off", "-s", "-Wl,--gc-sections", "-I", fmi_header_folder()]
+        command = [*find_compiler(PLATFORMS[name]).command, *flags, Path(__file__).with_name("harness.c")]
+        subprocess.run([*command, "-o", program, *linked], check=True, capture_output=True)
         first = len(robot.inputs) + len(robot.parameters)
         starts = [repr(variable.start) for variable in robot.inputs[:2]]
         numbers = (len(robot.outputs), first, STEPS, STEP, *starts)
@@ -95,26 +93,14 @@ def run_library(tmp_path: Path, robot: SymbolicModel, robot_sources: Sources) ->
         assert outcome.returncode == 0, outcome.stderr
         return np.array([[float.fromhex(word) for word in line.split()] for line in outcome.stdout.splitlines()])
 
-    return run
-
-
-def _compile_harness(name: str, program: Path) -> None:
-    """With the same flags as the libraries, so that zig builds its parts of the C library once.
-
-    It brings the mathematics library along like every importer that computes: fmpy's own compilation doesn't link it.
-    """
-    compiler = find_compiler(PLATFORMS[name])
-    source = Path(__file__).with_name("harness.c")
-    libraries = ["-ldl", "-Wl,--no-as-needed", "-lm"] if "linux" in name else []
-    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-s", "-Wl,--gc-sections", "-I", fmi_header_folder()]
-    subprocess.run([*compiler.command, *flags, source, "-o", program, *libraries], check=True, capture_output=True)
+    return run_on
 
 
 @pytest.fixture
-def native(run_library: Callable[..., Array], write_library: Callable[..., Path]) -> Array:
+def native(run: Callable[..., Array]) -> Array:
     """Outputs of this machine's own binary."""
     if native_platform().zig_target != PLATFORMS["linux64"].zig_target:
         pytest.skip(f"the reference is linux64, this is {native_platform().zig_target}")
-    outputs = run_library(write_library("linux64"), "linux64")
+    outputs = run("linux64")
     assert np.ptp(outputs, axis=0).min() > 0.0, "every output should move"
     return outputs

@@ -29,11 +29,6 @@ OLDEST_GLIBC = {"linux64": (2, 14), "aarch64-linux": (2, 17)}
 """Of 2011, and the first one that ARM had."""
 
 
-def lief() -> Any:
-    """The library."""
-    return pytest.importorskip("lief")
-
-
 def _fmi_functions(description: str) -> set[str]:
     """What the standard's header declares for the interfaces that the model description names."""
     header = (fmi_header_folder() / "fmi2Functions.h").read_text(encoding="utf-8")
@@ -45,62 +40,38 @@ def _fmi_functions(description: str) -> set[str]:
     return {name for section in sections for name in re.findall(r"FMI2_Export \w+ +(fmi2\w+);", section)}
 
 
-def _exports(name: str, library: bytes) -> set[str]:
-    binary = lief().parse(list(library))
-    if PLATFORMS[name].suffix == ".dylib":
+@pytest.mark.usefixtures("zig")
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_exports_and_needs(name: str, library_for: LibraryFor, robot_sources: Sources) -> None:
+    """An importer finds every function of the interfaces, and two FMUs in one process cannot see each other's. An FMU is carried
+    to machines of which nothing is known but their C library, which may be that of an enterprise system of ten years ago."""
+    lief = pytest.importorskip("lief")
+    binary, suffix = lief.parse(list(library_for(name))), PLATFORMS[name].suffix
+    if suffix == ".dylib":
         names = {symbol.name for symbol in binary.symbols if symbol.has_export_info}
-        return {each.removeprefix("_") for each in names - OF_ZIG_S_LINKER}
-    if name.startswith("win"):
-        return {entry.name for entry in binary.get_export().entries}
-    return {symbol.name for symbol in binary.exported_symbols}
-
-
-def _needs(name: str, library: bytes) -> list[str]:
-    binary = lief().parse(list(library))
-    if PLATFORMS[name].suffix != ".dylib":
-        return list(binary.libraries)
-    dependencies = [each for each in binary.libraries if each.command != lief().MachO.LoadCommand.TYPE.ID_DYLIB]
-    return [each.name for each in dependencies]
-
-
-def _glibc_versions(library: bytes) -> set[tuple[int, ...]]:
-    requirements = lief().parse(list(library)).symbols_version_requirement
-    names = [version.name for requirement in requirements for version in requirement.get_auxiliary_symbols()]
-    return {tuple(map(int, name.removeprefix("GLIBC_").split("."))) for name in names}
-
-
-@pytest.mark.usefixtures("zig")
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PLATFORMS)
-def test_exports_are_the_fmi_functions_and_nothing_else(
-    name: str, library_for: LibraryFor, robot_sources: Sources
-) -> None:
-    """An importer finds every function of the interfaces, and two FMUs in one process cannot see each other's."""
-    assert _exports(name, library_for(name)) == _fmi_functions(robot_sources.description)
-
-
-@pytest.mark.usefixtures("zig")
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PLATFORMS)
-def test_nothing_is_needed_but_the_c_library(name: str, library_for: LibraryFor) -> None:
-    """An FMU is carried to machines of which nothing is known."""
-    needed = _needs(name, library_for(name))
+        exports = {each.removeprefix("_") for each in names - OF_ZIG_S_LINKER}
+        own = lief.MachO.LoadCommand.TYPE.ID_DYLIB
+        needed = [each.name for each in binary.libraries if each.command != own]
+    else:
+        needed = list(binary.libraries)
+        exported = binary.get_export().entries if suffix == ".dll" else binary.exported_symbols
+        exports = {each.name for each in exported}
+    assert exports == _fmi_functions(robot_sources.description)
     assert needed
-    assert [each for each in needed if not re.fullmatch(NEEDED[PLATFORMS[name].suffix], each, re.IGNORECASE)] == []
+    assert [each for each in needed if not re.fullmatch(NEEDED[suffix], each, re.IGNORECASE)] == []
+    if name in OLDEST_GLIBC:
+        assert _glibc_version(binary) <= OLDEST_GLIBC[name]
 
 
-@pytest.mark.usefixtures("zig")
-@pytest.mark.slow
-@pytest.mark.parametrize("name", OLDEST_GLIBC)
-def test_old_linux_systems_can_load_it(name: str, library_for: LibraryFor) -> None:
-    """Built on a new system, an FMU must still run on an enterprise one of ten years ago."""
-    assert max(_glibc_versions(library_for(name))) <= OLDEST_GLIBC[name]
+def _glibc_version(binary: Any) -> tuple[int, ...]:
+    """The newest one that is needed."""
+    names = [each.name for needed in binary.symbols_version_requirement for each in needed.get_auxiliary_symbols()]
+    return max(tuple(map(int, name.removeprefix("GLIBC_").split("."))) for name in names)
 
 
-@pytest.mark.slow
 def test_the_native_compiler_keeps_to_old_versions_too(library_for: LibraryFor) -> None:
     """Not only zig, which is told so, but whatever compiler this machine has."""
-    native = native_platform()
+    lief, native = pytest.importorskip("lief"), native_platform()
     if native.zig_target != PLATFORMS["linux64"].zig_target:
         pytest.skip(f"{find_compiler(native).command[0]} builds for {native.zig_target} here")
-    assert max(_glibc_versions(library_for("linux64"))) <= OLDEST_GLIBC["linux64"]
+    assert _glibc_version(lief.parse(list(library_for("linux64")))) <= OLDEST_GLIBC["linux64"]

@@ -137,13 +137,13 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     except (OSError, UnicodeDecodeError) as error:
         raise ResultsError(f"can't read {path}: {getattr(error, 'strerror', None) or error}") from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if len(lines) < 2:
-        raise ResultsError(f"{path} has no rows: it must have a header and at least one row of numbers")
-    separator = max(",;\t", key=lines[0].count)
-    header, *rows = csv.reader(lines, delimiter=separator)
+    separator = max(",;\t", key="".join(lines[:1]).count)
+    header, *rows = csv.reader(lines, delimiter=separator) if lines else [[]]
     # a second line of units
-    has_units = all(math.isnan(_number_in(cell.replace(",", "."))) for cell in rows[0])
+    has_units = bool(rows) and all(math.isnan(_number_in(cell.replace(",", "."))) for cell in rows[0])
     own = [cell.strip().strip("[]") for cell in rows.pop(0)] if has_units else []
+    if not rows:
+        raise ResultsError(f"{path} has no rows: it must have a header and at least one row of numbers")
     names, units = list[str](), dict[str, str]()
     for i, cell in enumerate(header):
         # brackets with a number belong to the name: link11.bending[1]
