@@ -107,8 +107,9 @@ def test_derivatives_are_unnormalised() -> None:
 
 
 def test_numbers_and_arrays_are_constants_on_either_side() -> None:
-    """Protects mixed arithmetic, where numpy would otherwise spread a jet over an array's elements."""
-    value = np.array([1.0, 2.0])
+    """Protects mixed arithmetic, where numpy would otherwise spread a jet over an array's elements; the lower order and the common
+    shape win: no coefficient is invented."""
+    value, wide = np.array([1.0, 2.0]), np.array([[1.0, 3.0], [4.0, 5.0]])
     jet = Jet.variable(value, 2)
     for result, expected in (
         (value * jet, [value**2, value, [0, 0]]),
@@ -116,38 +117,22 @@ def test_numbers_and_arrays_are_constants_on_either_side() -> None:
         (np.float64(2.0) + jet, [value + 2.0, [1, 1], [0, 0]]),
         (jet / 2.0, [value / 2.0, [0.5, 0.5], [0, 0]]),
         (1.0 / jet, [1 / value, -1 / value**2, 1 / value**3]),
+        (wide - jet, [wide - value, np.full((2, 2), -1.0), np.zeros((2, 2))]),
+        (jet * wide, [value * wide, wide, np.zeros((2, 2))]),
+        (jet / Jet.variable(2.0, 5), [value / 2.0, 0.5 - value / 4.0, value / 8.0 - 0.25]),
+        (Jet.variable(wide, 5) + jet, [wide + value, np.full((2, 2), 2.0), np.zeros((2, 2))]),
     ):
         assert isinstance(result, Jet)
         np.testing.assert_allclose(result.coefficients, expected)
-
-
-def test_the_lower_order_and_the_common_shape_win() -> None:
-    """Protects the promise that no coefficient is invented, and broadcasting from the last axis."""
-    scalar, points = Jet.variable(2.0, 5), Jet.variable(np.ones((4, 3)), 3)
-    for result in (scalar * points, scalar + points, scalar / points, points - scalar):
-        assert result.order == 3
-        assert result.shape == (4, 3)
-    array = np.arange(1.0, 7.0).reshape(2, 3)
-    row = Jet.variable(np.array([1.0, 2.0, 4.0]), 1)
-    for result, value in (
-        (row * array, row.value * array),
-        (row / array, row.value / array),
-        (array - row, array - row.value),
-    ):
-        assert result.coefficients.shape == (2, 2, 3)
-        np.testing.assert_allclose(result.value, value)
 
 
 @pytest.mark.parametrize(
     ("operation", "message"),
     [
         (lambda: sqrt(Jet.variable([1.0, 0.0], 1)), "square root .* above zero, got 0.0 at index 1"),
-        (lambda: sqrt(Jet.constant(-1.0, 0)), "square root .* above zero, got -1.0"),
         (lambda: sqrt(Jet.constant(np.nan, 0)), "square root .* got nan"),
         (lambda: power(Jet.variable(0.0, 1), 0.5), "real power .* above zero"),
         (lambda: 1.0 / Jet.variable([[1.0, 2.0], [0.0, 1.0]], 1), "division .* other than zero, got 0.0 at index 1, 0"),
-        (lambda: Jet.variable(1.0, 1) / 0.0, "division .* other than zero, got 0.0"),
-        (lambda: Jet.variable(0.0, -1), "whole number of at least 0, got -1"),
         (lambda: Jet.constant(0.0, 1.5), "whole number of at least 0, got 1.5"),  # type: ignore[arg-type]
         (lambda: Jet.constant(0.0, 0).differentiate(), "order 0 has no derivative"),
         (lambda: Jet(np.zeros((0, 2))), "at least one coefficient"),

@@ -191,9 +191,3 @@ def test_at_rest_and_continuous() -> None:
     left, right = (motion.evaluate(inner, 4, side) for side in ("left", "right"))
     for order in range(5):
         assert abs(left - right)[order].max() < 1e-8 * abs(right[order]).max()
-
-
-def test_refused() -> None:
-    """A degree that FITPACK doesn't have."""
-    with pytest.raises(TrajectoryError, match="has degree 3 or 5, got 7"):
-        smoothed(TIME, exact(TIME, 0), 1e-3, 7)

@@ -10,7 +10,6 @@ import pytest
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.own import as_trajectory
-from flexfmu.trajectories.trajectory import Trajectory
 
 DURATION = 0.4
 
@@ -77,16 +76,6 @@ def test_polynomials_have_the_derivatives_of_the_formula() -> None:
     np.testing.assert_array_equal(found[11:], 0.0)
 
 
-def test_it_stands_still_before_and_after() -> None:
-    """And has both limits at its ends: acceleration within, none outside."""
-    motion = as_trajectory(Cycloid())
-    outside = motion.evaluate([-1.0, DURATION + 1.0], 3)
-    np.testing.assert_allclose(outside[0], [[0.0, 0.01], [0.2, 0.01]], atol=1e-14)
-    np.testing.assert_array_equal(outside[1:], 0.0)
-    np.testing.assert_array_equal(motion.evaluate(0.0, 2, "left")[1:], 0.0)
-    assert motion.evaluate(0.0, 2, "right")[2, 0, 1] == pytest.approx(-0.01 * (2.0 * pi / DURATION) ** 2, rel=1e-8)
-
-
 @pytest.mark.parametrize("extent", [0.0, 1e-9, 1e-6, 1e-3])
 def test_small_motions_and_standstills(extent: float) -> None:
     """Positions to rounding, and accelerations as exact as rounded positions give them by Markov's inequality, n²(n² - 1)/3 / (half an
@@ -116,12 +105,7 @@ def test_breakpoints_have_two_limits() -> None:
     sides = [motion.evaluate(0.2, 2, side)[:, 0, 0] for side in ("left", "right")]  # type: ignore[arg-type]
     np.testing.assert_allclose(sides, [[0.04, 0.4, 2.0], [0.04, 0.4, -2.0]], rtol=1e-9)
     assert 0.13 in as_trajectory(Sudden()).breakpoints
-
-
-def test_the_duration_may_be_a_method() -> None:
-    """Both spellings are common."""
-    motion: Trajectory = as_trajectory(changed(Cycloid, duration=lambda self: DURATION))
-    assert motion.duration == DURATION
+    assert as_trajectory(changed(Cycloid, duration=lambda self: DURATION)).duration == DURATION  # a method does too
 
 
 @pytest.mark.parametrize(

@@ -94,17 +94,6 @@ def test_stands_still_before_and_after() -> None:
     assert motion.evaluate([2.0], 1, "left")[1, 0] == pytest.approx([4.5, 4.0])
 
 
-def test_a_jump_has_both_limits() -> None:
-    """Two rows of one time: acceleration 1 until 1 s, then -1, as bang-bang motions have it."""
-    time = np.array([0.0, 1.0, 1.0, 2.0])
-    position, rate, bend = [0.0, 0.5, 0.5, 1.0], [0.0, 1.0, 1.0, 0.0], [1.0, 1.0, -1.0, -1.0]
-    motion = spline(time, np.stack([np.column_stack([row, row]) for row in (position, rate, bend)]))
-    assert motion.breakpoints == (0.0, 1.0, 2.0)
-    assert motion.evaluate([1.0], 2, "left")[2, 0, 0] == pytest.approx(1.0)
-    assert motion.evaluate([1.0], 2, "right")[2, 0, 0] == pytest.approx(-1.0)
-    assert motion.evaluate([0.5, 1.5], 0)[0, :, 0] == pytest.approx([0.125, 0.875])
-
-
 def test_no_breakpoint_where_nothing_jumps() -> None:
     """A knot within a polynomial, or within standstill, is none."""
     taylor = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 2.0]])

@@ -20,6 +20,7 @@ from flexfmu.trajectories.profiles import double_s, evaluate_profile, polynomial
 from flexfmu.trajectories.shapers.designs import design, extra_insensitive, specified_insensitivity, zero_vibration
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
 from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
+from flexfmu.trajectories.table import smoothed
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 NONE = (0.0, -0.025, math.nan, math.inf)
@@ -91,6 +92,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: spline([0.0, 1.0], np.zeros((1, 3, 2)), 5), r"shape \(m \+ 1, 2, 2\)"),
     (lambda: spline([0.0], np.zeros((1, 1, 2)), 5), "2 or more times"),
     (lambda: spline([1.0, 0.0], np.zeros((1, 2, 2)), 5), "must ascend from 0 s"),
+    (lambda: smoothed(np.linspace(0.0, 1.0, 9), np.zeros((9, 2)), 1e-3, 7), "has degree 3 or 5, got 7"),
     (lambda: from_ruckig("motion"), "expected a ruckig.Trajectory, got str"),
     (lambda: from_ruckig(ruckig.Trajectory(3)), "has 3 coordinates, the robot's motions have 2"),
     (lambda: from_ruckig(ruckig.Trajectory(2)), "calculate it first"),

@@ -30,19 +30,12 @@ def test_same_bits_as_scipy(seed: int) -> None:
         assert root_between(function, low, high, absolute=absolute, relative=1e-15) == expected
 
 
-def test_a_root_at_an_end() -> None:
-    """An end at which the function is zero is the root, whatever its sign elsewhere."""
+def test_ends() -> None:
+    """An end at which the function is zero is the root; without a change of sign there need not be one; and interpolation crawls
+    towards a root of high multiplicity, as scipy's does."""
     assert root_between(lambda x: x * x, 0.0, 1.0) == 0.0
     assert root_between(lambda x: x - 1.0, 0.0, 1.0) == 1.0
-
-
-def test_no_change_of_sign() -> None:
-    """Without a change of sign there need not be a root."""
     with pytest.raises(ValueError, match="same sign at 1 and at 2: 1 and 4"):
         root_between(lambda x: x * x, 1.0, 2.0)
-
-
-def test_no_convergence() -> None:
-    """Interpolation crawls towards a root of high multiplicity, as scipy's does."""
     with pytest.raises(RuntimeError, match="after 100 steps"):
         root_between(lambda x: (x - 0.3) ** 9, -1.0, 1.0, absolute=1e-17)

@@ -76,22 +76,16 @@ def test_multi_hump_amplitudes_are_the_published_ones() -> None:
 
 
 @pytest.mark.parametrize("ratio", [0.02, 0.1, 0.2])
-def test_damped_two_hump_sequence_is_the_published_fit(ratio: float) -> None:
-    """The published polynomials in ζ for 5 % approximate the solution of the same equations."""
-    mode = Oscillator(1.0, ratio)
-    sequence = extra_insensitive(mode, 0.05, humps=2)
-    powers = ratio ** np.arange(4)
-    amplitudes = np.array([[0.16054, 0.76699, 2.26560, -1.22750], [0.33911, 0.45081, -2.58080, 1.73650]]) @ powers
-    times = np.array([[0.49890, 0.16270, -0.54262, 6.16180], [0.99748, 0.18382, -1.58270, 8.17120]]) @ powers
-    np.testing.assert_allclose(sequence.amplitudes[:2], amplitudes, atol=2e-3)
-    np.testing.assert_allclose(sequence.times[1:3], times, atol=4e-3)
-
-
-@pytest.mark.parametrize("ratio", [0.02, 0.1, 0.2])
-def test_damped_unity_magnitude_times_are_the_published_fit(ratio: float) -> None:
-    """The published polynomials in ζ approximate the exact times of UM-ZV."""
-    times = np.array([[0.16724, 0.27242, 0.20345, 0.0], [0.33323, 0.00533, 0.17914, 0.20125]]) @ ratio ** np.arange(4)
-    np.testing.assert_allclose(unity_magnitude(Oscillator(1.0, ratio)).times[1:], times, atol=2e-3)
+def test_damped_sequences_are_the_published_fits(ratio: float) -> None:
+    """The published polynomials in ζ of two humps for 5 %, and of UM-ZV, approximate the solution of the same equations."""
+    powers, mode = ratio ** np.arange(4), Oscillator(1.0, ratio)
+    two_humps, magnitude = extra_insensitive(mode, 0.05, humps=2), unity_magnitude(mode)
+    for found, tolerance, *polynomials in (
+        (two_humps.amplitudes[:2], 2e-3, [0.16054, 0.76699, 2.26560, -1.22750], [0.33911, 0.45081, -2.58080, 1.73650]),
+        (two_humps.times[1:3], 4e-3, [0.49890, 0.16270, -0.54262, 6.16180], [0.99748, 0.18382, -1.58270, 8.17120]),
+        (magnitude.times[1:], 2e-3, [0.16724, 0.27242, 0.20345, 0.0], [0.33323, 0.00533, 0.17914, 0.20125]),
+    ):
+        np.testing.assert_allclose(found, np.array(polynomials) @ powers, atol=tolerance)
 
 
 @pytest.mark.parametrize("name", ["um-zv", "zv", "mzv", "zvd", "zvdd", "zvddd"])
@@ -165,11 +159,7 @@ def test_split_impulses_keep_the_residual_small(name: str, split: float) -> None
     np.testing.assert_allclose(np.array(on_grid.times) / 1e-3, np.round(np.array(on_grid.times) / 1e-3), atol=1e-9)
     moved = ImpulseSequence(tuple(1e-3 * np.round(np.array(sequence.times) / 1e-3)), sequence.amplitudes)
     assert moved.residual(58.0)[0] > 4.0 * on_grid.residual(58.0)[0]
-
-
-def test_impulses_on_the_grid_stay_whole() -> None:
-    """A multiple of the sample time isn't split, rounding of the quotient notwithstanding."""
-    assert len(zero_vibration(Oscillator(50.0)).split(1e-3).times) == 2
+    # a multiple of the sample time stays whole, rounding of the quotient notwithstanding
     assert len(zero_vibration(Oscillator(1.0 / 0.6)).split(0.1).times) == 2
 
 
@@ -181,12 +171,8 @@ def test_specified_insensitivity_is_ei_at_its_own_width() -> None:
     found = specified_insensitivity(FREQUENCY - half, FREQUENCY + half)
     np.testing.assert_allclose(found.times, ei.times, rtol=1e-3)
     np.testing.assert_allclose(found.amplitudes, ei.amplitudes, atol=1e-3)
-
-
-def test_insensitivity_without_limits() -> None:
-    """No range where the design itself misses the level; one impulse has none at all."""
-    assert extra_insensitive(Oscillator(10.0), 0.1).insensitivity(10.0, 0.05) == 0.0
-    assert UNSHAPED.insensitivity(10.0) == 0.0
+    # no range where the design itself misses the level; one impulse has none at all
+    assert extra_insensitive(Oscillator(10.0), 0.1).insensitivity(10.0, 0.05) == UNSHAPED.insensitivity(10.0) == 0.0
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from flexfmu.trajectories.joint import EndEffectorTrajectory
 from flexfmu.trajectories.profiles import evaluate_profile
 from flexfmu.trajectories.shapers.designs import SHAPERS, design
 from flexfmu.trajectories.shapers.sequence import (
-    ImpulseSequence,
     Oscillator,
     ShapedTrajectory,
     path_deviation,
@@ -114,19 +113,6 @@ def test_a_motion_along_the_path_does_not_go_backwards(motion: MotionPlan) -> No
     slow = Oscillator(0.5)
     with pytest.raises(TrajectoryError, match=r"go backwards along its path at t = .* s.*shape the joint references"):
         shape_along_path(motion.profiled, design("um-zv", [slow]))
-
-
-def test_shapers_longer_than_the_motion() -> None:
-    """With a gap between the impulses' motions the end effector waits on the way, at rest."""
-    nominal = plan(load_scene("barnard2012-6kg")).profiled
-    sequence = ImpulseSequence((0.0, 1.0), (0.5, 0.5))
-    shaped = shape_along_path(nominal, sequence)
-    waiting = shaped.evaluate([0.5, 0.7, 0.9], 3)
-    np.testing.assert_allclose(waiting[1:], 0.0, atol=1e-12)
-    np.testing.assert_allclose(waiting[0], np.repeat(waiting[0, :1], 3, axis=0), atol=1e-15)
-    np.testing.assert_allclose(
-        waiting[0, 0], nominal.evaluate(0.5 * nominal.duration, 0)[0, 0], atol=1e-12
-    )  # half of the path
 
 
 def test_two_shapers_along_the_path_are_both_applied(motion: MotionPlan) -> None:
