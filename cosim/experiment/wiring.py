@@ -117,16 +117,41 @@ def wire(
     bus.connect_controllers(controllers)
     bus.add_disturbances(disturbances, plant)
     bus.publish_to(plant)
-    stuck = bus.pass_through(waiting)
-    if stuck:
-        raise WiringError(_nothing_to_pass(stuck[0], bus, controllers, plant))
-    # controllers and inline blocks must be connected
+    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    if stuck := bus.pass_through(waiting):
+        name, missing = stuck[0].slave.name, bus.missing(stuck[0]) or ""
+        if missing in _names(plant, "input") and outputs:
+            raise WiringError(
+                f"{name} acts on {missing}, but the controllers output {', '.join(outputs)}: call the output {missing}, "
+                f'or connect it, connect = {{ "{plant.name}.{missing}" = "{outputs[0]}" }} for example'
+            )
+        if missing.endswith(".torque"):
+            raise WiringError(f"{name} acts on {missing}, which nothing outputs: the robot needs a controller")
+        raise WiringError(f"{name} acts on {missing}, which doesn't exist; {suggestion(missing, bus.sources)}")
     wiring = bus.finished(plant)
+    # controllers must reach the robot, and without one inline blocks must reach something
+    inputs = _names(plant, "input")
     if controllers and not wiring.feeding:
-        raise WiringError(_nothing_arrives(controllers, plant))
-    if not controllers:
-        _check_takers(inline_blocks, wiring)
-    _check_misspelt(controllers, plant, wiring.connections)
+        raise WiringError(
+            f"nothing that the controllers output ({', '.join(outputs) or 'no outputs'}) reaches the robot, which takes "
+            f"{', '.join(inputs)}; give outputs these names, or connect them explicitly, "
+            f'connect = {{ "{plant.name}.{inputs[0]}" = "{outputs[0] if outputs else "mine.torque"}" }} for example'
+        )
+    used, fed = ({ends[side] for ends in wiring.connections} for side in (0, 1))
+    for inline in () if controllers else inline_blocks:
+        name = inline.slave.name
+        if used.isdisjoint(f"{name}.{output}" for output in _names(inline.slave, "output")):
+            raise WiringError(
+                f"{name} acts on {', '.join(inline.replaces)}, which nothing takes: add a controller, or leave {name} out"
+            )
+    # an output that goes nowhere may be a misspelt input of the robot
+    unfed = [name for name in inputs if f"{plant.name}.{name}" not in fed]
+    for output in (each for each in outputs if each not in used):
+        for near in get_close_matches(output.partition(".")[2], unfed, n=1, cutoff=MISSPELT):
+            raise WiringError(
+                f"{output} is connected to nothing, and {plant.name}.{near} has no source: call the output {near}, "
+                f'or connect it, connect = {{ "{plant.name}.{near}" = "{output}" }}'
+            )
     return wiring
 
 
@@ -141,7 +166,7 @@ class _Bus:
 
     def __post_init__(self) -> None:
         for target in self.explicit:
-            _check_variable(self.slaves, target, "input")
+            self._check(target, "input")
 
     def publish(self, slave: Slave) -> None:
         """Make a slave's outputs available."""
@@ -151,10 +176,16 @@ class _Bus:
         """Insert the inline blocks whose signals exist; return the others."""
         waiting = []
         for inline in inline_blocks:
-            if self.missing(inline) is None:
-                self._pass(inline)
-            else:
+            if self.missing(inline) is not None:
                 waiting.append(inline)
+                continue
+            name, outputs = inline.slave.name, _names(inline.slave, "output")
+            for signal, target in zip(inline.takes, _names(inline.slave, "input"), strict=True):
+                chosen = self.explicit.pop(f"{name}.{target}", signal)
+                self.connections.append((self.source(chosen), f"{name}.{target}"))
+            self.sources |= {
+                signal: f"{name}.{output}" for signal, output in zip(inline.replaces, outputs, strict=True)
+            }
         return waiting
 
     def missing(self, inline: InlineBlock) -> str | None:
@@ -163,15 +194,6 @@ class _Bus:
         taken = zip(inline.takes, _names(inline.slave, "input"), strict=True)
         needed = [signal for signal, target in taken if f"{name}.{target}" not in self.explicit]
         return next((signal for signal in (*needed, *inline.replaces) if signal not in self.sources), None)
-
-    def _pass(self, inline: InlineBlock) -> None:
-        """Insert an inline block."""
-        name = inline.slave.name
-        for signal, target in zip(inline.takes, _names(inline.slave, "input"), strict=True):
-            chosen = self.explicit.pop(f"{name}.{target}", None)
-            self.connections.append((self.source(signal if chosen is None else chosen), f"{name}.{target}"))
-        outputs = _names(inline.slave, "output")
-        self.sources |= {signal: f"{name}.{output}" for signal, output in zip(inline.replaces, outputs, strict=True)}
 
     def connect_controllers(self, controllers: Sequence[Slave]) -> None:
         """Connect the controllers' inputs, then make their outputs available."""
@@ -238,7 +260,7 @@ class _Bus:
         elif name.endswith(OPTIONAL) or name == "payload.mass":
             return
         else:
-            raise WiringError(_no_source(self.slaves, self.sources, target))
+            raise WiringError(self._no_source(target))
         self.connections.append((source, target))
 
     def find(self, name: str) -> str | None:
@@ -254,7 +276,7 @@ class _Bus:
             WiringError: there is none.
         """
         if name.partition(".")[0] in self.slaves:
-            _check_variable(self.slaves, name, "output")
+            self._check(name, "output")
             return name
         found = self.find(name)
         if found is None:
@@ -276,68 +298,47 @@ class _Bus:
         feeding = {name: self.sources[name] for name in _names(plant, "input") if name in self.sources}
         own = {name: source for name, source in feeding.items() if source.partition(".")[0] != plant.name}
         self.connections += [(source, f"{plant.name}.{name}") for name, source in own.items()]
-        _check_units(self.slaves, self.sources, self.connections)
+        # connections join equal units
+        for source, target in self.connections:
+            out, into = self._unit(source), self._unit(target)
+            if out and into and out != into:
+                fits = [signal for signal, full in self.sources.items() if self._unit(full) == into]
+                hint = f"connect a signal in {into} ({', '.join(fits)}), or " if fits else ""
+                raise WiringError(
+                    f"units differ: {source} is in {out}, {target} is in {into}; {hint}put a conversion between"
+                )
         return Wiring(tuple(self.connections), own)
 
+    def _check(self, full_name: str, causality: Causality) -> None:
+        """Raise `WiringError` if there is no ``slave.variable`` of this causality."""
+        slave, _, name = full_name.partition(".")
+        if slave not in self.slaves:
+            raise WiringError(f"{full_name!r}: there is no slave {slave!r}; slaves: {', '.join(self.slaves)}")
+        names = _names(self.slaves[slave], causality)
+        if name not in names:
+            near = get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has: {', '.join(names) or 'none'}"
+            raise WiringError(f"{slave} has no {causality} {name!r}; {hint}")
 
-def _check_takers(inline_blocks: Sequence[InlineBlock], wiring: Wiring) -> None:
-    """Check that the outputs of every inline block are used.
+    def _unit(self, full_name: str) -> str:
+        """Unit of ``slave.variable``; empty if it is unknown."""
+        slave, _, name = full_name.partition(".")
+        return next((each.unit for each in self.slaves[slave].variables if each.name == name), "")
 
-    Raises:
-        WiringError: they are not.
-    """
-    feeding = {source.partition(".")[0] for source, _ in wiring.connections}
-    for inline in inline_blocks:
-        name = inline.slave.name
-        if name not in feeding:
-            raise WiringError(
-                f"{name} acts on {', '.join(inline.replaces)}, which nothing takes: add a controller, or leave {name} out"
-            )
-
-
-def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:
-    """Message: no output of a controller has the name of an input of the plant."""
-    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
-    inputs = _names(plant, "input")
-    return (
-        f"nothing that the controllers output ({', '.join(outputs) or 'no outputs'}) reaches the robot, which takes "
-        f"{', '.join(inputs)}; give outputs these names, or connect them explicitly, "
-        f'connect = {{ "{plant.name}.{inputs[0]}" = "{outputs[0] if outputs else "mine.torque"}" }} for example'
-    )
-
-
-def _nothing_to_pass(inline: InlineBlock, bus: _Bus, controllers: Sequence[Slave], plant: Slave) -> str:
-    """Message: the signal that an inline block needs doesn't exist."""
-    missing = bus.missing(inline) or ""
-    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
-    # controllers with outputs of other names
-    if missing in _names(plant, "input") and outputs:
+    def _no_source(self, target: str) -> str:
+        """Message: an input, ``slave.input``, has no source; with what would fit by name and by unit."""
+        name, unit = target.partition(".")[2], self._unit(target)
+        units = {signal: self._unit(full) for signal, full in self.sources.items()}
+        near = get_close_matches(name, units, n=1)
+        same = [signal for signal, each in units.items() if unit and each == unit]
+        hint = f"; did you mean {near[0]!r}{_bracketed(units[near[0]])}?" if near else "."
+        best = [*near, *same, *units, "joint1.position"][0]
+        nearest = get_close_matches(name, units, n=NEAREST, cutoff=0.0)
+        there = f"in {unit} there are: {', '.join(same)}" if same else f"the nearest signals are: {', '.join(nearest)}"
         return (
-            f"{inline.slave.name} acts on {missing}, but the controllers output {', '.join(outputs)}: call the output "
-            f'{missing}, or connect it, connect = {{ "{plant.name}.{missing}" = "{outputs[0]}" }} for example'
+            f"{target}{_bracketed(unit)} has no source: no signal has that name{hint} Rename it, or connect it explicitly, "
+            f'connect = {{ "{name}" = "{best}" }} for example; {there}'
         )
-    # no controller
-    if missing.endswith(".torque"):
-        return f"{inline.slave.name} acts on {missing}, which nothing outputs: the robot needs a controller"
-    # probably a wrong name
-    hint = suggestion(missing, bus.sources)
-    return f"{inline.slave.name} acts on {missing}, which doesn't exist; {hint}"
-
-
-def _check_variable(slaves: Mapping[str, Slave], full_name: str, causality: Causality) -> None:
-    """Check that ``slave.variable`` exists.
-
-    Raises:
-        WiringError: it doesn't.
-    """
-    slave, _, name = full_name.partition(".")
-    if slave not in slaves:
-        raise WiringError(f"{full_name!r}: there is no slave {slave!r}; slaves: {', '.join(slaves)}")
-    names = _names(slaves[slave], causality)
-    if name not in names:
-        near = get_close_matches(name, names, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"it has: {', '.join(names) or 'none'}"
-        raise WiringError(f"{slave} has no {causality} {name!r}; {hint}")
 
 
 def _names(slave: Slave, causality: Causality) -> tuple[str, ...]:
@@ -347,81 +348,6 @@ def _names(slave: Slave, causality: Causality) -> tuple[str, ...]:
 
 def _plain(name: str) -> str:
     return name.replace(".", "_")
-
-
-def _no_source(slaves: Mapping[str, Slave], sources: Mapping[str, str], target: str) -> str:
-    """Return the message that an input has no source, with what would fit by name and by unit.
-
-    Args:
-        slaves: name → slave.
-        sources: signal → ``slave.output``.
-        target: ``slave.input``.
-    """
-    name, unit, units = target.partition(".")[2], _unit(slaves, target), _units(slaves, sources)
-    near = get_close_matches(name, units, n=1)
-    same = [signal for signal, each in units.items() if unit and each == unit]
-    hint = f"; did you mean {near[0]!r}{_bracketed(units[near[0]])}?" if near else "."
-    best = [*near, *same, *units, "joint1.position"][0]
-    nearest = get_close_matches(name, units, n=NEAREST, cutoff=0.0)
-    there = f"in {unit} there are: {', '.join(same)}" if same else f"the nearest signals are: {', '.join(nearest)}"
-    return (
-        f"{target}{_bracketed(unit)} has no source: no signal has that name{hint} Rename it, or connect it explicitly, "
-        f'connect = {{ "{name}" = "{best}" }} for example; {there}'
-    )
-
-
-def _check_units(
-    slaves: Mapping[str, Slave], sources: Mapping[str, str], connections: Sequence[tuple[str, str]]
-) -> None:
-    """Check that connections join equal units.
-
-    Args:
-        slaves: name → slave.
-        sources: signal → ``slave.output``.
-        connections: pairs (``slave.output``, ``slave.input``).
-
-    Raises:
-        WiringError: they differ; the message has the signals that would fit.
-    """
-    for source, target in connections:
-        out, into = _unit(slaves, source), _unit(slaves, target)
-        if out and into and out != into:
-            fits = [signal for signal, unit in _units(slaves, sources).items() if unit == into]
-            hint = f"connect a signal in {into} ({', '.join(fits)}), or " if fits else ""
-            raise WiringError(
-                f"units differ: {source} is in {out}, {target} is in {into}; {hint}put a conversion between"
-            )
-
-
-def _check_misspelt(controllers: Sequence[Slave], plant: Slave, connections: Sequence[tuple[str, str]]) -> None:
-    """Check that no output goes nowhere whose name is nearly that of an input of the plant without a source.
-
-    Raises:
-        WiringError: one does.
-    """
-    used = {end for ends in connections for end in ends}
-    names = [each.name for each in plant.variables if each.causality == "input"]
-    unfed = [name for name in names if f"{plant.name}.{name}" not in used]
-    for controller in controllers:
-        outputs = [each.name for each in controller.variables if each.causality == "output"]
-        for name in outputs:
-            near = get_close_matches(name, unfed, n=1, cutoff=MISSPELT)
-            if near and f"{controller.name}.{name}" not in used:
-                raise WiringError(
-                    f"{controller.name}.{name} is connected to nothing, and {plant.name}.{near[0]} has no source: call the output "
-                    f'{near[0]}, or connect it, connect = {{ "{plant.name}.{near[0]}" = "{controller.name}.{name}" }}'
-                )
-
-
-def _units(slaves: Mapping[str, Slave], sources: Mapping[str, str]) -> dict[str, str]:
-    """Signals and their units; empty for unknown ones."""
-    return {signal: _unit(slaves, full) for signal, full in sources.items()}
-
-
-def _unit(slaves: Mapping[str, Slave], full_name: str) -> str:
-    """Unit of ``slave.variable``; empty if it is unknown."""
-    slave, _, name = full_name.partition(".")
-    return next((each.unit for each in slaves[slave].variables if each.name == name), "")
 
 
 def _bracketed(unit: str) -> str:
