@@ -28,25 +28,18 @@ def parameters() -> Iterator[tuple[str, Any, Any]]:
 OPTIONS = [(name, context, each) for name, context, each in parameters() if each.param_type_name == "option"]
 
 
-def test_every_option_names_its_default() -> None:
-    """As a text, or by what click adds; flags that switch something on are off."""
-    silent = [
-        f"{name} {option.opts[0]}"
-        for name, context, option in OPTIONS
-        if option.name != "help" and "default:" not in option.get_help_record(context)[1].lower()
-    ]
-    assert silent == []
-
-
-def test_every_option_and_argument_names_what_it_takes() -> None:
-    """A word in capitals, the choices, or nothing for a flag; arguments have theirs."""
+def test_every_option_and_argument_names_what_it_takes_and_its_default() -> None:
+    """A word in capitals, the choices, or nothing for a flag; arguments have theirs. The default is there as a text, or by what
+    click adds; flags that switch something on are off."""
     for name, context, option in parameters():
         record = option.get_help_record(context)
         assert record is not None
         assert record[1]
         if option.param_type_name == "argument":
             assert re.fullmatch(r"(SCENE|RUN|FILE\.\w+)(\.\.\.)? <[\w\[\]]+>", record[0])
-        elif not option.is_flag:
+            continue
+        assert option.name == "help" or "default:" in record[1].lower(), f"{name} {option.opts[0]}"
+        if not option.is_flag:
             assert re.search(r"--[\w-]+ ([A-Z]|<[\w-]+\|)", record[0]), f"{name} {record}"
 
 

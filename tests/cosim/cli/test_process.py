@@ -12,7 +12,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -182,27 +182,19 @@ def in_terminal(columns: int, *arguments: str) -> str:
     fcntl, pty, termios = (pytest.importorskip(name) for name in ("fcntl", "pty", "termios"))
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
-    command = [*FLEXFMU, *arguments]
-    with subprocess.Popen(
-        command, stdin=theirs, stdout=theirs, stderr=subprocess.DEVNULL, env=without_width()
-    ) as process:
+    command, text = [*FLEXFMU, *arguments], b""
+    with (
+        subprocess.Popen(
+            command, stdin=theirs, stdout=theirs, stderr=subprocess.DEVNULL, env=without_width()
+        ) as process,
+        suppress(OSError),  # Linux' sign of the end
+    ):
         os.close(theirs)
-        text = b"".join(chunks(ours)).decode().replace("\r\n", "\n")
+        while chunk := os.read(ours, 65536):
+            text += chunk
     os.close(ours)
     assert process.returncode == 0
-    return text
-
-
-def chunks(terminal: int) -> Iterator[bytes]:
-    """What is written into the terminal until its last user ends."""
-    while True:
-        try:
-            chunk = os.read(terminal, 65536)
-        except OSError:  # Linux' sign of the end
-            return
-        if not chunk:
-            return
-        yield chunk
+    return text.decode().replace("\r\n", "\n")
 
 
 @pytest.fixture(scope="module")

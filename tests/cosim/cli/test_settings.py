@@ -88,15 +88,6 @@ def test_every_command_with_a_scene_can_change_it() -> None:
     assert [name for name, options in single.items() if "--set" not in options and name != "new"] == []
 
 
-def test_modes_are_those_of_the_changed_scene() -> None:
-    """The option reaches the computation: a lighter payload raises the first frequency, rigid links have none."""
-    few = ("--poses", "3", "--json", "--set", "effects.distal_axial=0", "--set", "effects.proximal_bending=1")
-    heavy, light = (flexfmu("modes", SCENE, *few, "--set", f"payload.mass={mass}") for mass in (6, 0.1))
-    first = [json.loads(result.stdout)["poses"][0]["frequencies"] for result in (heavy, light)]
-    assert [len(each) for each in first] == [2, 2]
-    assert first[0][0] < first[1][0]
-
-
 @pytest.mark.slow
 def test_results_of_a_changed_scene_leave_the_others_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each run has a folder of its own, and says in its titles what was changed."""

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blocks import pd
 
 import flexfmu
 from flexfmu.cosim.cli import run as command
@@ -107,15 +106,6 @@ def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:
     np.testing.assert_array_equal(torque, run.recording["computed_torque.joint1.torque"].values)
     assert values(run)["peak_torque_1"] == abs(torque[time <= run.plan.duration]).max()
     assert abs(np.diff(torque)[np.diff(time) > 0.0]).max() == 0.0
-
-
-def test_the_python_way_gives_the_same_numbers(robot: Scene) -> None:
-    """A controller of the scene file and the same block in Python are the same loop, bit by bit."""
-    section = {"kind": "pd", "proportional": 1e4, "derivative": [100.0, 90.0], "sample_time": 1e-3, "offset": 5e-4}
-    by_file = run_scene(robot.replace({"controller": [section]}))
-    by_python = flexfmu.run(robot, controllers=[pd(1e4, [100.0, 90.0], sample_time=1e-3, offset=5e-4)])
-    for name, column in by_file.recording.columns.items():
-        np.testing.assert_array_equal(column.values, by_python.recording[name].values)
 
 
 def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run) -> None:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
-from pathlib import Path
 
-import fmpy.util
-import fmpy.validation
 import numpy as np
 import pytest
 
@@ -144,10 +141,3 @@ def test_an_fmu_without_the_effect_is_refused(scene: Scene, run: Run) -> None:
     other = scene.replace({"effects.damping": {"kind": "stiffness", "time": 1e-4}})
     with pytest.raises(InputError, match=r"lacks damping\.time"):
         run_scene(other, fmu_path=run.fmu_path)
-
-
-def test_fmpy_reads_the_results(run: Run, tmp_path: Path) -> None:
-    """The CSV file of a real run, with its names in brackets, is one table for fmpy."""
-    table = fmpy.util.read_csv(run.recording.write_csv(tmp_path / "results.csv"))
-    assert len(table.dtype.names) == 1 + len(run.recording.columns)
-    np.testing.assert_array_equal(table["link11.bending[1]"], run.recording["link11.bending[1]"].values)

@@ -23,9 +23,6 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 TWICE = {"trajectory.way_back": "same-path", "trajectory.cycles": 2, "trajectory.pause": 0.05}
-RIGID_LINKS = dict.fromkeys(
-    (f"effects.{link}_{kind}" for link in ("proximal", "distal") for kind in ("bending", "axial")), 0
-)
 LEARNING = {"kind": "learning", "gain": 1.0, "cycles": 3, "sample_time": 1e-3}
 NAMES = ("peak_torque_1", "peak_torque_2", "peak_tip_deflection_1")
 
@@ -68,16 +65,6 @@ def test_metrics_are_those_of_the_whole_duty_cycle(cycles: flexfmu.Run) -> None:
         name for name, value in whole.items() if value is None
     }
     np.testing.assert_allclose(cycles.plan.end_pose[1], [-0.175, 0.32], atol=1e-12)
-
-
-def test_a_rigid_robot_has_the_same_torques_in_all_cycles() -> None:
-    """Inverse dynamics knows no past: torques of the way back mirror those of the way there, cycle after cycle."""
-    run = flexfmu.run(robot().replace({**RIGID_LINKS, **TWICE, "cosimulation.step": 5e-3}))
-    time, torque = run.recording.time, run.recording["joint1.torque"].values
-    first = np.interp([0.1, 0.2, 0.28], time, torque)
-    np.testing.assert_allclose(np.interp([0.8, 0.9, 0.98], time, torque), first, rtol=1e-6)
-    back = np.interp([0.55, 0.45, 0.37], time, torque)
-    np.testing.assert_allclose(back, first, rtol=1e-6)
 
 
 def test_shaped_motions_are_repeated_as_they_are() -> None:

@@ -179,17 +179,3 @@ def test_the_report_says_which_spline(known: MotionPlan, folder: Path) -> None:
     assert motion.source == "spline of degree 5 (C3) through 3 rows of end-effector positions, velocities in few.csv"
     again = flexfmu.reference_motion(tabulated(known, folder / "few.csv", degree=3))
     assert again.source.startswith("spline of degree 3 (C1) through 3 rows")
-
-
-def test_measured_positions(known: MotionPlan, tmp_path: Path) -> None:
-    """A smoothing spline starts at the first row, where the robot stands, and has the acceleration of the motion."""
-    time = np.linspace(0.0, 0.43, 431)
-    rows = known.joints.evaluate(time, 0)[0] + 2e-5 * np.random.default_rng(0).normal(size=(431, 2))
-    table = np.column_stack([time, rows])
-    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="time,q11,q21", comments="", fmt="%.9g")
-    motion = flexfmu.reference_motion(tabulated(known, tmp_path / "log.csv", noise=2e-5))
-    assert motion.task.evaluate(0.0, 0)[0, 0] == pytest.approx(motion.scene.start, abs=1e-12)
-    instants = np.linspace(0.0, 0.43, 500)[1:-1]
-    found, expected = (each.evaluate(instants, 2)[2] for each in (motion.joints, known.joints))
-    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.04 * np.sqrt(np.mean(expected**2))
-    assert motion.source.startswith("smoothing spline of degree 5 (C4) through 431 rows of joint positions")
