@@ -29,6 +29,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
+from flexfmu.cosim.metrics.segments import Analysis
 from flexfmu.cosim.metrics.signals import segments
 from flexfmu.cosim.studies.workprec.solver_trials import scipy_run, system_of
 from flexfmu.cosim.studies.workprec.trial import completed, subject_of
@@ -127,7 +128,7 @@ def overheads(folder: Path, repeat: int, record: Selection = EVERYTHING) -> dict
 
 def peak_torque(run: Run) -> float:
     """The metric of each variant [N.m]."""
-    return float(segments(run.recording, ["joint1.torque"]).maximum_norm())
+    return Analysis(segments(run.recording, ["joint1.torque"])).peak()[0]
 
 
 def cold_build() -> float:

@@ -23,7 +23,7 @@ import numpy as np
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.segments import HermiteSegments, bernstein_basis, cut, maximum_norm
+from flexfmu.cosim.metrics.segments import HermiteSegments, bernstein_basis, cut, largest_magnitude
 from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.motor import Motor
@@ -79,13 +79,13 @@ class Pieces:
         values = np.abs(_sampled(control))
         sample, piece = np.unravel_index(int(np.argmax(values)), values.shape)
         time = self.start[piece] + SAMPLES[sample] * self.duration[piece]
-        return maximum_norm(control[..., np.newaxis]), float(time)
+        return largest_magnitude(control), float(time)
 
     def highest(self, control: RealArray) -> float:
         """Return the largest value of polynomials."""
-        # values above the least are norms
+        # values above the least are magnitudes
         size = float(np.abs(control).max())
-        return maximum_norm(control[..., np.newaxis] + size) - size
+        return largest_magnitude(control + size) - size
 
     def curves(self, *controls: RealArray) -> tuple[RealArray, list[RealArray]]:
         """Return times [s] and the values of polynomials then, about `POINTS` in the order of time."""

@@ -46,9 +46,6 @@ LARGEST = 5, 2
 PEAK_TOLERANCE = 1e-11
 """Relative gap at which the search for a maximum stops: far above rounding errors, far below any metric's error."""
 
-HALVINGS = 5
-"""Bisections of all segments at once in each round of a search."""
-
 MAXIMUM_BISECTIONS = 60
 """Bisections after which a segment is as short as the spacing of floating-point numbers."""
 
@@ -106,7 +103,11 @@ class HermiteSegments:
         such a segment has no value and no slope at its start.
         """
         noise = rounding / self.duration**2
-        if len(self.left) < 4 or not noise.size or noise.max() <= RESOLVED * norms(self.left[2]).max():
+        if (
+            len(self.left) < 4
+            or not noise.size
+            or noise.max() <= RESOLVED * np.linalg.norm(self.left[2], axis=-1).max()
+        ):
             return self, float(noise.max(initial=0.0))
         second = HermiteSegments(self.start, self.end, self.left[2:], self.right[2:])
         short = noise > np.sqrt(contributions(*second._two_point)[-1])
@@ -343,47 +344,22 @@ def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
     return 0.5 * (points + 1.0), 0.5 * weights
 
 
-def norms(vectors: RealArray) -> RealArray:
-    """Return the Euclidean norms (...) of vectors (..., c)."""
-    if vectors.shape[-1] == 1:
-        return np.abs(vectors[..., 0])
-    return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))
+def largest_magnitude(control: RealArray) -> float:
+    """Return the largest magnitude on [0, 1] of polynomials with Bernstein control points (degree + 1, n); NaN if one of them is NaN.
 
-
-def maximum_norm(control: RealArray) -> float:
-    """Return the largest norm on [0, 1] of polynomials with Bernstein control points (degree + 1, n, c).
-
-    Divides the segments whose bound, the control points, exceeds the largest value found so far. The result is NaN if a control point is NaN.
+    Bisects those whose bound, the control points, exceeds the largest value found so far.
     """
     best = 0.0
-    for _ in range(0, MAXIMUM_BISECTIONS, HALVINGS):
-        if control.shape[1] == 0:
+    for _ in range(MAXIMUM_BISECTIONS):
+        if not control.size:
             break
         # the end control points are values of the polynomial, the others are bounds
-        sizes = norms(control)
-        bounds = sizes.max(axis=0)
-        best = max(best, float(sizes[0].max()), float(sizes[-1].max()))
+        sizes = np.abs(control)
+        bounds, best = sizes.max(axis=0), max(best, float(sizes[[0, -1]].max()))
         if math.isnan(bounds.max()):
             return math.nan
-        # divide only segments that may exceed the largest value
-        control = divide(control[:, bounds > best * (1.0 + PEAK_TOLERANCE)])
+        control = np.concatenate(cut(control[:, bounds > best * (1.0 + PEAK_TOLERANCE)]), axis=1)
     return best
-
-
-def divide(control: RealArray) -> RealArray:
-    """Return the control points (degree + 1, n p, c) of the p = 2^`HALVINGS` equal parts of every segment."""
-    count, n, channels = control.shape
-    parts = _division(count) @ control.reshape(count, n * channels)
-    return np.asarray(parts.reshape(count, -1, channels))
-
-
-@cache
-def _division(count: int) -> RealArray:
-    """Matrix from ``count`` control points to those of all parts; its rows are ordered by control point, then part."""
-    parts = np.eye(count)[:, np.newaxis]
-    for _ in range(HALVINGS):
-        parts = np.stack(cut(parts), axis=2).reshape(count, -1, count)
-    return parts.reshape(-1, count)
 
 
 def cut(control: RealArray, theta: float = 0.5) -> tuple[RealArray, RealArray]:

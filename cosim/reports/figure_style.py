@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.engine.drawing import NotebookFigure
+from flexfmu.cosim.engine.errors import ResultsError
 
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
 """Colours of text and mechanism, of secondary lines, and of fills."""
@@ -56,15 +57,21 @@ def style() -> AbstractContextManager[None]:
     return context
 
 
-def save(drawing: Figure, stem: Path) -> None:
-    """Write a drawing as ``<stem>.png`` at 150 dpi and as ``<stem>.svg``, without a date in them.
+def save(drawing: Callable[[], Figure], stem: Path) -> None:
+    """Draw a figure in the `style` of files, and write it as ``<stem>.png`` at 150 dpi and as ``<stem>.svg``, without a date in them.
 
     Raises:
-        OSError: the folder can't be written.
+        ResultsError: the folder can't be written.
     """
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    drawing.savefig(stem.with_suffix(".png"), dpi=150, metadata={"Software": None})
-    drawing.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    try:
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        with style():
+            figure = drawing()
+            figure.savefig(stem.with_suffix(".png"), dpi=150, metadata={"Software": None})
+            figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    except OSError as error:
+        reason = error.strerror or error
+        raise ResultsError(f"can't write {stem}: {reason}; choose another folder or free some space") from error
 
 
 def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:

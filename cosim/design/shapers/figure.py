@@ -4,6 +4,7 @@ and over time without and with the recommended shaper."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,7 @@ from matplotlib.ticker import FormatStrFormatter
 
 from flexfmu.cosim.design.shapers.examination import ShaperStudy
 from flexfmu.cosim.design.shapers.study import UNSHAPED_NAME
-from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw, save, style
+from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw, save
 
 POINTS = 500
 """Points of a sensitivity curve."""
@@ -64,14 +64,7 @@ def save_sensitivity(study: ShaperStudy, folder: Path) -> None:
     Raises:
         ResultsError: the folder can't be written.
     """
-    stem = folder / "sensitivity"
-    try:
-        with style():
-            save(draw_sensitivity(study), stem)
-    except OSError as error:
-        raise ResultsError(
-            f"can't write {stem}: {error.strerror or error}; choose another folder or free some space"
-        ) from error
+    save(partial(draw_sensitivity, study), folder / "sensitivity")
 
 
 def _closed_form(axes: Axes, study: ShaperStudy, colours: Mapping[str, Any]) -> None:

@@ -3,22 +3,21 @@ on a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 from urllib.parse import quote
 
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.text import Text
 
-from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 from flexfmu.cosim.engine.showing import ShowProgress, csv_text, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.reports.figure_style import save, style
+from flexfmu.cosim.reports.figure_style import save
 from flexfmu.cosim.reports.page import render
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
@@ -179,7 +178,7 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: ShowProgress = quiet) -> 
     add("trajectory tables", [compare(table, evaluators()) for table in tables[:3]])
     for index, (figure, drawing) in enumerate(TRAJECTORY_FIGURES.items()):
         progress(figure.label, 0.10 + 0.02 * index)
-        write_figure(drawing, out / figure.file())
+        save(drawing, out / figure.file())
     add("trajectory figures", figures=TRAJECTORY_FIGURES)
     progress("natural frequencies along the path", 0.25)
     add("frequencies", [compare(tables[3], evaluators())])
@@ -190,7 +189,7 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: ShowProgress = quiet) -> 
     report = replace(report, versions=versions(next(iter(simulations.values())).fmu_path))
     for index, (figure, draw) in enumerate(SIMULATED_FIGURES.items()):
         progress(figure.label, 0.95 + 0.02 * index)
-        write_figure(lambda draw=draw: draw(simulations, compared), out / figure.file())  # type: ignore[misc]
+        save(partial(draw, simulations, compared), out / figure.file())
     add("simulations", compared, SIMULATED_FIGURES)
     progress("done", 1.0)
     return report
@@ -215,20 +214,6 @@ def simulate_cases(
         OutputFolder(out).write("simulations.csv", "\n".join(lines) + "\n")
         progress(f"simulated {', '.join(case)}", 0.30 + 0.65 * len(done) / len(cases))
     return done
-
-
-def write_figure(drawing: Callable[[], Figure], stem: Path) -> None:
-    """Draw a figure and write it as PNG and SVG.
-
-    Raises:
-        ResultsError: the folder can't be written.
-    """
-    try:
-        with style():
-            save(drawing(), stem)
-    except OSError as error:
-        reason = error.strerror or error
-        raise ResultsError(f"can't write {stem}: {reason}; choose another folder or free some space") from error
 
 
 def citation() -> str:

@@ -361,11 +361,9 @@ def write_files(result: SweepResult, folder: Path, *, plot: bool) -> list[Path]:
     with contextlib.suppress(ImportError):
         files.append(write_parquet(result, folder / "sweep.parquet"))
     if plot:
-        from flexfmu.cosim.reports.figure_style import save, style
+        from flexfmu.cosim.reports.figure_style import save
 
-        figure = result.plot()
-        with style():
-            save(figure, folder / "sweep")
+        save(result.plot, folder / "sweep")
         files += [folder / "sweep.png", folder / "sweep.svg"]
     return files
 

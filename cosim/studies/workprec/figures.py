@@ -4,6 +4,7 @@ offline page on which every point shows its setting, error, time and work."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
-from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel
-from flexfmu.cosim.reports.figure_style import GREY, PlainNumbers, draw, save, style
+from flexfmu.cosim.reports.figure_style import GREY, PlainNumbers, draw, save
 from flexfmu.cosim.reports.page import Plot, render_page
 from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
@@ -136,24 +136,23 @@ def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
     """
     names = [name for name in FAMILIES if study.family(name)]
     # a picture of each, and all diagrams beside each other
-    pictures = {f"workprec-{name}": ([name], 6.6) for name in names} | {"workprec": (names, 6.5)}
-    try:
-        with style():
-            for stem, (shown, width) in pictures.items():
-                columns = min(2, max(len(shown), 1))
-                rows = max(1, -(-len(shown) // columns))
-                figure = draw(width * columns, 4.8 * rows)
-                places = figure.subplots(rows, columns, squeeze=False).ravel()
-                for place, name in zip(places, shown, strict=False):
-                    draw_family(place, study, name)
-                for place in places[len(shown) :]:
-                    place.set_axis_off()
-                keep_apart(figure)
-                save(figure, folder / stem)
-    except OSError as error:
-        reason = error.strerror or error
-        raise ResultsError(f"can't write to {folder}: {reason}; choose another folder or free some space") from error
+    for name in names:
+        save(partial(_picture, study, [name], 6.6), folder / f"workprec-{name}")
+    save(partial(_picture, study, names, 6.5), folder / "workprec")
     return names
+
+
+def _picture(study: WorkPrecisionStudy, names: Sequence[str], width: float) -> Figure:
+    """The diagrams of some families, two in a row, each of this width."""
+    columns, rows = min(2, max(len(names), 1)), max(1, -(-len(names) // 2))
+    figure = draw(width * columns, 4.8 * rows)
+    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    for place, name in zip(places, names, strict=False):
+        draw_family(place, study, name)
+    for place in places[len(names) :]:
+        place.set_axis_off()
+    keep_apart(figure)
+    return figure
 
 
 def _points(trials: Sequence[WorkPrecisionTrial]) -> RealArray:

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments, contributions, cut, maximum_norm
+from flexfmu.cosim.metrics.segments import (
+    Analysis,
+    HermiteSegments,
+    bernstein_basis,
+    contributions,
+    cut,
+    largest_magnitude,
+)
 
 
 def sine_segments(
@@ -99,11 +106,15 @@ def test_mean_square_against_closed_form() -> None:
 
 
 def test_bisection_keeps_the_polynomial() -> None:
-    """Both halves of a segment, put together, are the segment."""
-    control = np.random.default_rng(1).normal(size=(6, 3, 2))
+    """Both halves of polynomials, put together, are these; the largest magnitude is that of dense samples. A NaN doesn't hide."""
+    control = np.random.default_rng(1).normal(size=(6, 3))
     first, second = cut(control)
     np.testing.assert_allclose(first[-1], second[0])
-    assert maximum_norm(control) == pytest.approx(max(maximum_norm(first), maximum_norm(second)), rel=1e-12)
+    found, halves = largest_magnitude(control), (largest_magnitude(first), largest_magnitude(second))
+    assert found == pytest.approx(max(halves), rel=1e-12)
+    dense = bernstein_basis(np.linspace(0.0, 1.0, 20_001), 5) @ control
+    assert found == pytest.approx(np.abs(dense).max(), rel=1e-7)
+    assert np.isnan(largest_magnitude(np.where(np.arange(18).reshape(6, 3) == 7, np.nan, 0.0)))
 
 
 def added(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:
