@@ -1,11 +1,12 @@
-"""The generated C: the same numbers as CasADi, the same bytes every time."""
+"""The generated C: the same numbers as CasADi, the same bytes every time, also where two equal parts go side by side."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi
 import numpy as np
@@ -13,45 +14,79 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.fmu_build.codegen import function_file, generate_description, generate_functions, identifier
+from flexfmu.fmu_build.codegen import (
+    _prepare,
+    _sizes,
+    c_code,
+    function_file,
+    generate_description,
+    generate_functions,
+    identifier,
+    twin_arguments,
+    with_all_arguments,
+)
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.templating import c_double, c_string
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler, native_platform
+from flexfmu.fmu_build.twins import Graph, find_twins, function_code
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]
 
+ROOM = 10_000
+"""More than any function here needs for its arguments, results and work."""
+REAL = "typedef double real;\nstatic inline double flex_real(double x) { return x; }\n"
+FUNCTIONS = ("residual", "outputs", "motion_rate1", "motion_rate2")
 
-def _load(model: SymbolicModel, folder: Path) -> ctypes.CDLL:
-    """The generated functions alone, as a library that exports them."""
-    runtime = runtime_sources("elementary") | {name: runtime_sources()[name] for name in ("real.h", "memory.h")}
-    files = generate_functions(model)[0] | runtime
+
+def _library(files: Mapping[str, str], folder: Path, *flags: str) -> ctypes.CDLL:
+    """C files with the elementary functions, as a library that exports all of them."""
+    folder.mkdir(exist_ok=True)
+    files = {**runtime_sources("elementary"), **files}
     for name, text in files.items():
         (folder / name).write_text(text)
-    jobs = [CompileJob(name, (*GENERATED_FLAGS, "-fvisibility=default")) for name in files if name.endswith(".c")]
+    jobs = [
+        CompileJob(name, (*GENERATED_FLAGS, "-fvisibility=default", *flags)) for name in files if name.endswith(".c")
+    ]
     compiler = find_compiler(native_platform())
     compiler.compile(jobs, folder)
     compiler.link([job.object_file for job in jobs], "functions.so", folder)
     return ctypes.CDLL(str(folder / "functions.so"))
 
 
+def _results(
+    library: ctypes.CDLL, symbol: str, function: casadi.Function, points: list[list[np.ndarray]]
+) -> np.ndarray:
+    """Results of a compiled function at some points."""
+    results = np.full((len(points), function.numel_out(0)), np.nan)
+    integers, work = (ctypes.c_int * ROOM)(), (ctypes.c_double * ROOM)()
+    for arguments, result in zip(points, results, strict=True):
+        pointers = (ctypes.c_void_p * ROOM)(*(each.ctypes.data for each in arguments))
+        target = (ctypes.c_void_p * ROOM)(result.ctypes.data)
+        assert getattr(library, symbol)(pointers, target, integers, work, 0) == 0
+    return results
+
+
+def _points(function: casadi.Function, count: int) -> list[list[np.ndarray]]:
+    """Drawn arguments."""
+    random = np.random.default_rng(1)
+    return [[random.uniform(0.1, 1.2, function.numel_in(i)) for i in range(function.n_in())] for _ in range(count)]
+
+
 def test_compiled_functions_agree_with_casadi(make_oscillators: MakeModel, tmp_path: Path) -> None:
     """What the FMU calculates is what the model says, argument by argument."""
     model = make_oscillators()
-    library = _load(model, tmp_path)
-    _, facts = generate_functions(model)
-    random = np.random.default_rng(1)
+    files, facts = generate_functions(model)
+    library = _library(files | {name: runtime_sources()[name] for name in ("real.h", "memory.h")}, tmp_path)
     for fact in facts:
         function = model.functions[fact.field]
-        arguments = [random.uniform(0.5, 2.0, function.numel_in(i)) for i in range(function.n_in())]
-        pointers = (ctypes.c_void_p * fact.n_arg)(*(argument.ctypes.data for argument in arguments))
-        result = np.full(function.numel_out(0), np.nan)
-        results = (ctypes.c_void_p * fact.n_res)(result.ctypes.data)
-        integers, work = (ctypes.c_int * (fact.n_iw + 1))(), (ctypes.c_double * (fact.n_w + 1))()
-        assert getattr(library, fact.symbol)(pointers, results, integers, work, 0) == 0
-        expected = np.asarray(function(*arguments)).ravel(order="F")
-        np.testing.assert_allclose(result, expected, rtol=1e-14, err_msg=fact.field)
+        points = _points(function, 2)
+        expected = [np.asarray(function(*arguments)).ravel(order="F") for arguments in points]
+        found = _results(library, fact.symbol, function, points)
+        np.testing.assert_allclose(found, expected, rtol=1e-14, err_msg=fact.field)
 
 
 def test_code_is_deterministic_and_complete(make_oscillators: MakeModel, make_lever: MakeModel) -> None:
@@ -155,3 +190,61 @@ def test_model_names_become_identifiers() -> None:
     """The library's file name must be a C identifier by the FMI standard."""
     names = {"barnard2012-6kg": "barnard2012_6kg", "6 kg": "model_6_kg", "": "model_"}
     assert {name: identifier(name) for name in names} == names
+
+
+def _model(changes: dict[str, Any]) -> SymbolicModel:
+    return build_model(load_scene("barnard2012-6kg").replace(changes))
+
+
+def _function(model: SymbolicModel, name: str) -> casadi.Function:
+    return _prepare(name, model.functions[name], _sizes(model))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path) -> None:
+    """Side by side or not, with vector types or without: a compiler must not decide about an FMU's numbers."""
+    model = _model({})
+    function = _function(model, name)
+    code = function_code(function, twin_arguments(model, name))
+    assert code is not None
+    points, results = _points(function, 20), []
+    for number, (text, *flags) in enumerate(((with_all_arguments(c_code(function)),), (code,), (code, "-DFLEX_PLAIN"))):
+        library = _library({"function.c": text, "model_functions.h": REAL}, tmp_path / str(number), *flags)
+        results.append(_results(library, function.name(), function, points))
+    assert np.isfinite(results[0]).any()
+    for side_by_side in results[1:]:
+        np.testing.assert_array_equal(side_by_side, results[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mechanism.working_mode": "left"},
+        {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05},
+        {"effects.foreshortening": True, "effects.distal_bending": 1},
+    ],
+    ids=["left", "torque", "foreshortening"],
+)
+def test_most_operations_of_the_legs_are_twins(changes: dict[str, Any]) -> None:
+    """Both legs go through the same formulas; what closes the mechanism and the frame's signs don't hide that."""
+    model = _model(changes)
+    for name in FUNCTIONS:
+        graph = Graph.of(_function(model, name))
+        twins = find_twins(graph, twin_arguments(model, name))
+        operations = [node for node in range(len(graph.nodes)) if not graph.is_leaf(node)]
+        assert sum(node in twins for node in operations) > 0.7 * len(operations), name
+
+
+def test_no_twin_needs_the_other() -> None:
+    """Twins are computed at once, so an operand must not wait for them."""
+    model = _model({})
+    graph = Graph.of(_function(model, "residual"))
+    twins = find_twins(graph, twin_arguments(model, "residual"))
+    needed: list[set[int]] = []
+    for node in range(len(graph.nodes)):
+        # everything that a node needs, the twins of its operands included
+        parts = {part for i in graph.operands(node) for part in twins.get(i, (i,))}
+        needed.append(parts.union(*(needed[part] for part in parts if part < node)))
+    assert all(first not in needed[second] and second not in needed[first] for first, second in twins.values())
