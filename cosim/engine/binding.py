@@ -8,43 +8,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from ctypes import c_void_p
 from functools import partial
-from typing import Literal, Protocol, cast, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from flexfmu.cosim.engine.slave import (
-    BindsBuffers,
-    Call,
-    GivesOutputDerivatives,
-    Indices,
-    RealArray,
-    Slave,
-    TakesInputDerivatives,
-)
+from flexfmu.cosim.engine.slave import BindsBuffers, Call, Indices, RealArray, Slave
 
 
-def bind_set(slave: Slave, indices: Indices, signals: RealArray) -> Call:
-    """Return a call that sets inputs from ``signals`` (orders + 1, n); row k has the k-th derivatives."""
-    values, derivatives = signals[0], signals[1:]
+def bind(slave: Slave, direction: Literal["set", "get"], indices: Indices, signals: RealArray) -> Call:
+    """Return a call that sets inputs from ``signals`` (orders + 1, n), or gets outputs into them; row k has the k-th derivatives."""
+    parts = (
+        {direction: signals[0], f"{direction}_derivatives": signals[1:]}
+        if len(signals) > 1
+        else {direction: signals[0]}
+    )
     if isinstance(slave, BindsBuffers):
-        set_values = slave.bind_set(indices, values)
-        return Both(set_values, slave.bind_set_derivatives(indices, derivatives)) if len(derivatives) else set_values
-    if not len(derivatives):
-        return lambda: slave.set(indices, values)
-    taker = cast(TakesInputDerivatives, slave)
-    return Both(lambda: slave.set(indices, values), lambda: taker.set_derivatives(indices, derivatives))
-
-
-def bind_get(slave: Slave, indices: Indices, signals: RealArray) -> Call:
-    """Return a call that reads outputs into ``signals`` (orders + 1, n); row k has the k-th derivatives."""
-    values, derivatives = signals[0], signals[1:]
-    if isinstance(slave, BindsBuffers):
-        get_values = slave.bind_get(indices, values)
-        return Both(get_values, slave.bind_get_derivatives(indices, derivatives)) if len(derivatives) else get_values
-    if not len(derivatives):
-        return lambda: slave.get(indices, values)
-    giver = cast(GivesOutputDerivatives, slave)
-    return Both(lambda: slave.get(indices, values), lambda: giver.get_derivatives(indices, derivatives))
+        calls: list[Call] = [getattr(slave, f"bind_{name}")(indices, buffer) for name, buffer in parts.items()]
+    else:
+        calls = [partial(getattr(slave, name), indices, buffer) for name, buffer in parts.items()]
+    return Both(*calls) if len(calls) > 1 else calls[0]
 
 
 class Both:

@@ -243,13 +243,12 @@ class BindsBuffers(Protocol):
 
     Buffers are C-contiguous; shapes as in `Slave.set`, `Slave.get`, `TakesInputDerivatives.set_derivatives` and
     `GivesOutputDerivatives.get_derivatives`. Calls may be bound before the slave is initialised and are valid for all
-    its runs; they may be made only between `Slave.initialize` and the end of a run.
+    its runs; they may be made only between `Slave.initialize` and the end of a run. A slave that takes or gives
+    derivatives binds them by ``bind_set_derivatives`` and ``bind_get_derivatives``.
     """
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call: ...
     def bind_get(self, indices: Indices, values: RealArray) -> Call: ...
-    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call: ...
-    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call: ...
 
 
 @runtime_checkable

@@ -188,22 +188,6 @@ class BlockSlave(SampledMemory):
 
         return Take(memory, indices, values)
 
-    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Refuse: sampled inputs have no derivatives.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(f"{self.name} is sampled and takes no input derivatives")
-
-    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Refuse: outputs are constant between the samples and have no derivatives.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(f"{self.name} is sampled and gives no output derivatives")
-
 
 def check_variables(block: SymbolicBlock) -> None:
     """Check names and parameters of a block.

@@ -133,8 +133,6 @@ class _HeldFmu:
         self.path, self.parameters, self.variables = slave.path, slave.parameters, slave.variables
         self.can_save, self.report, self.take_report = slave.can_save, slave.report, slave.take_report
         self.get, self.bind_get = slave.get, slave.bind_get
-        # no derivatives: the master asks for none
-        self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
 
     @property
     def messages(self) -> tuple[str, ...]:

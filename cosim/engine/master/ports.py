@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from flexfmu.cosim.engine.binding import bind_get, bind_set, nothing
+from flexfmu.cosim.engine.binding import bind, nothing
 from flexfmu.cosim.engine.errors import InputError, NotFiniteError, SlaveError
 from flexfmu.cosim.engine.hermite import hermite_derivatives
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
@@ -65,8 +65,8 @@ class OutputPort:
         if self.indices.size:
             # a slave that predicts its outputs has more derivatives at the beginning of a step than at its end
             rows = self.recorded if isinstance(slave, PredictsOutputs) else self.signals.shape[0]
-            self.transfer = bind_get(slave, self.indices, self.signals[:rows])
-            self.read_announced = bind_get(slave, self.indices, self.signals)
+            self.transfer = bind(slave, "get", self.indices, self.signals[:rows])
+            self.read_announced = bind(slave, "get", self.indices, self.signals)
 
     def reset(self) -> None:
         """Set the signals of an earlier run to zero."""
@@ -239,7 +239,7 @@ class InputPort:
         self._begins: list[RealArray] = []
         self._indices = indices
         self._extrapolations = [group.extrapolation(self.fed) for group in groups]
-        self.send = bind_set(slave, indices, self.fed) if groups else nothing
+        self.send = bind(slave, "set", indices, self.fed) if groups else nothing
 
     def reset(self) -> None:
         """Set the signals of an earlier run to zero."""
