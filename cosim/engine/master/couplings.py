@@ -13,20 +13,16 @@ from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, feedthrough, in
 
 @dataclass(frozen=True)
 class Algorithm:
-    """A coupling algorithm, as the master uses it; steps aren't iterated unless the algorithm has a solver."""
+    """A coupling algorithm, as the master uses it.
 
-    @property
-    def iteration(self) -> LoopSolver | None:
-        """Solver for the signals at the end of a step in closed loops of slaves; None if steps aren't iterated."""
-        return None
+    Attributes:
+        interpolates: whether an input is interpolated between both ends of a step, else extrapolated from its beginning,
+            if its source is stepped after the target, and if it is stepped before.
+        solver: solves for the signals at the end of a step in closed loops of slaves; None if steps aren't iterated.
+    """
 
-    def interpolates(self, ahead: bool) -> bool:
-        """Whether an input is interpolated between both ends of a step, else extrapolated from its beginning.
-
-        Args:
-            ahead: whether the source is stepped before the target.
-        """
-        return ahead
+    interpolates = False, True
+    solver: LoopSolver | None = field(default=None, init=False)
 
 
 @dataclass(frozen=True)
@@ -41,9 +37,7 @@ class GaussSeidel(Algorithm):
 class Jacobi(Algorithm):
     """Steps all slaves with inputs extrapolated from the beginning of the step; their order doesn't matter."""
 
-    def interpolates(self, ahead: bool) -> bool:
-        """False: every input is extrapolated."""
-        return False
+    interpolates = False, False
 
 
 @dataclass(frozen=True)
@@ -59,16 +53,8 @@ class Implicit(Algorithm):
             slaves' own integrators.
     """
 
+    interpolates = True, True
     solver: LoopSolver = field(default_factory=lambda: Anderson(tolerance=Tolerance(relative=1e-8)))
-
-    @property
-    def iteration(self) -> LoopSolver:
-        """The solver."""
-        return self.solver
-
-    def interpolates(self, ahead: bool) -> bool:
-        """True: every input is interpolated."""
-        return True
 
 
 class Transport(Enum):
@@ -133,10 +119,10 @@ def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: 
         exact = giver.ends_exactly and order == giver.announced_order
         return Coupling(Transport.ANNOUNCED if exact else Transport.EXTRAPOLATED, order, None, exact)
     # stepped slaves: as the algorithm says, with the derivatives that the source gives and the target takes
-    interpolates = algorithm.interpolates(ahead)
+    interpolates = algorithm.interpolates[ahead]
     if interpolates and accepted:
         return Coupling(Transport.INTERPOLATED, min(known, accepted), min(known, (accepted - 1) // 2), exact=True)
-    if interpolates and algorithm.iteration is not None:
+    if interpolates and algorithm.solver is not None:
         return Coupling(Transport.AVERAGED, 0, 0, exact=False)
     return Coupling(Transport.EXTRAPOLATED, min(known, accepted), None, exact=False)
 
@@ -178,9 +164,9 @@ class StepGroup:
 def step_groups(system: System, algorithm: Algorithm) -> tuple[StepGroup, ...]:
     """All slaves that are stepped, in order; those of a closed loop are one group if the step is iterated."""
     stepped, signals = _stepped(system)
-    if algorithm.iteration is None:
+    if algorithm.solver is None:
         return tuple(StepGroup((i,)) for i in stepped)
-    return tuple(_group(each, stepped, signals, algorithm.iteration) for each in _ordered_rings(stepped, signals))
+    return tuple(_group(each, stepped, signals, algorithm.solver) for each in _ordered_rings(stepped, signals))
 
 
 def step_order(system: System, algorithm: Algorithm) -> tuple[int, ...]:
