@@ -127,6 +127,13 @@ def test_forgotten_start_values_are_set_again(make_decay: Make, isolation: float
     assert not told
 
 
+@pytest.mark.parametrize("value", [1, 1.0, True, "true"])
+def test_booleans_in_all_spellings(foreign_fmu: Path, value: Any) -> None:
+    """0, 1, true and false, as numbers, as Python has them and as FMI spells them."""
+    result = alone(FmuSlave(foreign_fmu, "decay", {"inverted": value, "u": 2.0}))
+    assert result.recording["decay.x"].values[-1] == pytest.approx(-2.0 + 3.0 * np.exp(-1.0), rel=1e-12)
+
+
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
 def test_values_that_are_not_taken_are_named(foreign_fmu: Path, isolation: float | None) -> None:
     """A start value that reads back otherwise is a warning with both values, in words where they have any."""
@@ -205,13 +212,6 @@ def test_pending_steps_that_are_not_stated(foreign_fmu: Path, compiled: bool | N
     assert result.outcome is Outcome.STEP_FAILED
     assert "fmi2DoStep returned fmi2Pending, which takes canRunAsynchronuously = true" in result.message
     assert "no reason" not in result.message
-
-
-def test_booleans_in_all_spellings(foreign_fmu: Path) -> None:
-    """0, 1, true and false, as numbers, as Python has them and as FMI spells them."""
-    for value in (1, 1.0, True, "true"):
-        result = alone(FmuSlave(foreign_fmu, "decay", {"inverted": value, "u": 2.0}))
-        assert result.recording["decay.x"].values[-1] == pytest.approx(-2.0 + 3.0 * np.exp(-1.0), rel=1e-12)
 
 
 ONCE = "<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" needsExecutionTool="true" '
@@ -294,19 +294,8 @@ def test_blanks_and_unicode_in_paths(foreign_fmu: Path, tmp_path: Path, monkeypa
     assert done.stdout == "COMPLETED\n", done.stderr
 
 
-@pytest.mark.skipif(not AVAILABLE, reason="isolation needs Linux")
-def test_what_isolated_fmus_print(
-    foreign_fmu: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """A program that runs FMUs keeps its standard output for itself."""
-    monkeypatch.setenv("DECAY_PRINTS", "yes")
-    alone(FmuSlave(foreign_fmu), CALL_LIMIT)
-    printed = capfd.readouterr()
-    assert printed.out == ""
-    assert "a licence of 1000 lines" in printed.err
-
-
-def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path) -> None:
+@pytest.mark.parametrize("isolate", ["--no-isolate", pytest.param("--isolate", marks=ISOLATED.marks)])
+def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path, isolate: str) -> None:
     """`--json` on standard output is JSON and nothing else, whatever a library prints there."""
     path = make_decay(STATES_DERIVATIVES)
     ssd = (
@@ -321,17 +310,11 @@ def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "s.ssp", "w") as archive:
         archive.writestr("SystemStructure.ssd", ssd)
         archive.write(path, "resources/decay.fmu")
-    command = [
-        sys.executable,
-        "-c",
-        "from flexfmu.cosim.cli.main import main; main()",
-        "run",
-        str(tmp_path / "s.ssp"),
-        "--json",
-    ]
-    options = ["--stop-time", "1", "--step", "0.1", "--out", str(tmp_path / "out"), "--no-isolate"]
+    options = ["--stop-time", "1", "--step", "0.1", "--out", str(tmp_path / "out"), isolate, "--json"]
+    program = "from flexfmu.cosim.cli.main import main; main()"
+    command = [sys.executable, "-c", program, "run", str(tmp_path / "s.ssp"), *options]
     environment = {**os.environ, "DECAY_PRINTS": "yes"}
-    done = subprocess.run([*command, *options], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     # an FMU that ends the run is no failure either: status 0, complete files
     assert json.loads(done.stdout)["outcome"] == "ended_by_slave"
     assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.55)

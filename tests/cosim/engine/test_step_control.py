@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling, fitted
-from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.trajectories.blends import LameBlend
@@ -108,6 +108,9 @@ def test_the_error_is_kept(
         assert [slave.saved for slave in oscillator.slaves] == [0, 0]
 
 
+RING = [("left.x", "right.u"), ("right.x", "left.u")]
+
+
 class Kicks(PythonSlave):
     """Does nothing but has instants that must be hit."""
 
@@ -124,17 +127,12 @@ class Kicks(PythonSlave):
     def restore(self, state: object) -> None: ...
 
 
-def with_marks(oscillator: Any, marks: tuple[float, ...]) -> System:
-    """The oscillator with instants to hit."""
-    wires = [("left.x", "right.u"), ("right.x", "left.u")]
-    return connect([*oscillator.slaves, Kicks(marks)], wires)
-
-
 def test_marks_are_hit(split_oscillator: Factory) -> None:
     """Chosen steps land on every mark exactly; each mark has two sides, every other point one."""
     marks = (1.0 / 3.0, 0.7, 0.7 + 1e-5, 1.234567)
     control = StepDoubling(tolerance=1e-5)
-    result = simulate(with_marks(split_oscillator(2), marks), 2.0, 0.01, step_control=control)
+    system = connect([*split_oscillator(2).slaves, Kicks(marks)], RING)
+    result = simulate(system, 2.0, 0.01, step_control=control)
     times, counts = np.unique(result.recording.time, return_counts=True)
     assert set(times[counts == 2].tolist()) == set(marks)
     assert result.delays[1].seconds == pytest.approx(np.diff(times).max(), rel=1e-6)
@@ -162,10 +160,9 @@ class Impatient(Kicks):
 def test_rejected_steps_leave_no_trace(split_oscillator: Factory) -> None:
     """A run whose first step is too long for somebody, and is taken back at its end, gives bit by bit what a run gives
     that begins with the shorter step."""
-    wires = [("left.x", "right.u"), ("right.x", "left.u")]
     results = []
     for first in (0.5, 0.1):
-        system = connect([*split_oscillator(3).slaves, Impatient(())], wires)
+        system = connect([*split_oscillator(3).slaves, Impatient(())], RING)
         control = StepDoubling(tolerance=1e-3, smallest=1e-6)
         results.append(simulate(system, 2.0, first, step_control=control))
     back, straight = results
