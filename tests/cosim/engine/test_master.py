@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from python_slave import PythonSlave, SampledSlave
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
@@ -99,44 +99,6 @@ def test_nobody_is_told_more_derivatives_than_he_takes(given: int, taken: int) -
     assert result.outcome is Outcome.COMPLETED, result.message
     degree = max(min(given, taken), min(2 * given + 1, taken - (taken + 1) % 2))
     assert target.orders == ({degree} if taken else set())
-
-
-class Controller(SampledSlave):
-    """Samples its input every 0.25 s and holds minus twice its value."""
-
-    name, sample_time = "controller", 0.25
-    variables = (SlaveVariable("y", "input", start=0.0), SlaveVariable("u", "output"))
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.samples: list[float] = []
-
-    def sample(self, time: float) -> None:
-        self.samples.append(time)
-        self.memory[1] = -2.0 * self.memory[0]
-
-
-class Integrator(PythonSlave):
-    """x' = u, from x = 1."""
-
-    name = "plant"
-    feedthrough = {"x": ()}  # noqa: RUF012
-    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output", start=1.0))
-
-    def step(self, time: float, step: float) -> None:
-        self.memory[1] += step * self.memory[0]
-
-
-def test_sampled_controller() -> None:
-    """A controller with its own sample time acts at its instants, between ticks too, without delay, and holds: the
-    loop gives the geometric series of the sampled system, and its output jumps from left to right limit."""
-    controller = Controller()
-    system = connect([controller, Integrator()], [("plant.x", "controller.y"), ("controller.u", "plant.u")])
-    result = simulate(system, stop=1.0, step=0.1)
-    assert controller.samples == [0.0, 0.25, 0.5, 0.75, 1.0]
-    time, x, u = result.recording.time, result.recording["plant.x"].values, result.recording["controller.u"].values
-    np.testing.assert_allclose([x[time == t][-1] for t in controller.samples], 0.5 ** np.arange(5), rtol=1e-14)
-    assert u[time == 0.25].tolist() == [-2.0, pytest.approx(-1.0)]
 
 
 class Troublemaker(Recorder):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from python_slave import PythonSlave, SampledSlave
 
-from flexfmu.cosim.engine.errors import AlgebraicLoopError, FmuFileError, InputError, WiringError
+from flexfmu.cosim.engine.errors import AlgebraicLoopError, FmuFileError, InputError, ResultsError, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.grid import Clock, time_grid
@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.master.iteration import Anderson
 from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import Wire, connect
-from flexfmu.cosim.engine.results import FORMATS, Recording, Selection
+from flexfmu.cosim.engine.results import FORMATS, Column, Recording, Selection
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.model.scene.loop import FmuSection
@@ -182,6 +182,9 @@ CASES: dict[type[Exception], dict[str, Call]] = {
         r"InputDerivatives are .'maxOrder': 'many'": lambda it: FmuSlave(it.decay(*ORDER)),
         "has no binary for .* .it has: amiga64": lambda it: FmuSlave(it.decay(platform="amiga64")),
         rf"no binary for {fmpy.platform_tuple} \(it has: riscv": lambda it: FmuSlave(it.events(platform="riscv-linux")),
+    },
+    ResultsError: {
+        "'x' has 3 values for 2 instants": lambda it: Recording(np.zeros(2), {"x": Column("m", np.zeros(3))})
     },
     ValueError: {"output_order": lambda it: FmuSection(kind="fmu", path="a.fmu", output_order=-1)},
 }

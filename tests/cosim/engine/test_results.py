@@ -129,12 +129,6 @@ def test_unreadable_files(name: str, text: str | None, tmp_path: Path) -> None:
         Recording.read(tmp_path / name)
 
 
-def test_lengths_must_agree() -> None:
-    """A column that doesn't fit its times is a mistake of the caller."""
-    with pytest.raises(ResultsError, match="'x' has 3 values for 2 instants"):
-        Recording(np.zeros(2), {"x": Column("m", np.zeros(3))})
-
-
 def test_a_recording_is_a_mapping_from_names(recording: Recording) -> None:
     """It iterates over names, as a dict does, and an unknown name isn't in it."""
     assert list(recording) == [*recording.columns] == ["joint1.torque", "der(link11.bending[1],2)"]

@@ -54,23 +54,20 @@ def agree(found: Run, twin: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    "keys", [{}, {"offset": 4e-4}, {"parameters": {"direct": True}}], ids=["task", "offset", "direct"]
+    "keys", [{}, {"offset": 4e-4}, {"parameters": {"direct": True}}, None], ids=["task", "offset", "direct", "default"]
 )
 def test_a_fixed_step_controller_equals_its_python_twin(
-    robot: Scene, make_task: MakeTask, keys: dict[str, Any]
+    robot: Scene, make_task: MakeTask, keys: dict[str, Any] | None
 ) -> None:
-    """Whether it calculates in its step or puts out at once: sampled at its own instants, equal steps, none late."""
-    found = run_scene(with_task(robot, make_task(), sample_time=1e-3, **keys))
-    agree(
-        found, flexfmu.run(robot, controllers=[pid(*GAINS.values(), sample_time=1e-3, offset=keys.get("offset", 0.0))])
-    )
+    """Whether it calculates in its step or puts out at once: sampled at its own instants, equal steps, none late. An FMU
+    that can't vary its step takes the sample time from its default experiment; from Python by its path alone."""
+    if keys is None:
+        found = flexfmu.run(robot, controllers=[fmu_slave(make_task(), "task", GAINS)])
+    else:
+        found = run_scene(with_task(robot, make_task(), sample_time=1e-3, name="task", **keys))
+    offset = (keys or {}).get("offset", 0.0)
+    agree(found, flexfmu.run(robot, controllers=[pid(*GAINS.values(), sample_time=1e-3, offset=offset)]))
     assert {each.seconds for each in found.delays} == {0.0}
-
-
-def test_the_default_experiment_is_the_sample_time(robot: Scene, make_task: MakeTask) -> None:
-    """An FMU that can't vary its step takes it from its default experiment; from Python by its path alone."""
-    found = flexfmu.run(robot, controllers=[fmu_slave(make_task(), "task", GAINS)])
-    agree(found, flexfmu.run(robot, controllers=[pid(*GAINS.values(), sample_time=1e-3)]))
     assert {each.name: each.sample_time for each in found.slaves}["task"] == 1e-3
 
 

@@ -12,6 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.grid import time_grid
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.trajectories.blends import LameBlend
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import bang_bang
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 Array = NDArray[np.float64]
 
@@ -134,38 +139,30 @@ def test_few_points_are_as_good_as_many(order: int) -> None:
     np.testing.assert_allclose(share[:5] * few.ended[1], share[:5] * many.ended[6], rtol=0.0, atol=1e-11)
 
 
-@dataclass
-class Lift:
-    """Two axes that move by 1 rad in a second, 3 t² - 2 t³; it counts its evaluations."""
+class Counted:
+    """A motion that counts its evaluations."""
 
-    duration: float = 1.0
-    breakpoints: tuple[float, ...] = (0.0, 1.0)
-    evaluations: int = 0
+    def __init__(self) -> None:
+        path = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
+        self.motion, self.evaluations = TaskTrajectory(path, bang_bang(), 1.0), 0
+        self.duration, self.breakpoints = self.motion.duration, self.motion.breakpoints
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: str = "right") -> Array:
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
         self.evaluations += 1
-        t = np.atleast_1d(np.asarray(time, dtype=float))
-        moves = (t >= 0.0) & (t < 1.0) if side == "right" else (t > 0.0) & (t <= 1.0)
-        x = np.clip(t, 0.0, 1.0)
-        terms = [3 * x**2 - 2 * x**3, 6 * x - 6 * x**2, 6 - 12 * x, np.full(t.shape, -12.0)]
-        result = np.zeros((order + 1, t.size, 2))
-        result[0] = terms[0][:, None]
-        for k, term in enumerate(terms[1 : order + 1], 1):
-            result[k, moves] = term[moves, None]
-        return result
+        return self.motion.evaluate(time, order, side)
 
 
 @pytest.mark.parametrize("order", [3, 9])
 def test_standstill_is_calculated_once(order: int) -> None:
     """Minutes after the motion cost nothing, and have the same bits; points that touch the motion are calculated."""
-    slave, again = TrajectorySlave(lift := Lift(), order=order), TrajectorySlave(Lift(), order=order)
+    slave, again = TrajectorySlave(motion := Counted(), order=order), TrajectorySlave(Counted(), order=order)
     grids = [start + 0.01 * np.arange(50) for start in (0.6, 1.0, 1.3, 7.1, 100.25)]
     for times in grids[:3]:
         slave.prepare(times)
-    known = lift.evaluations
+    known = motion.evaluations
     for times in grids[3:]:
         slave.prepare(times)
-    assert lift.evaluations == known
+    assert motion.evaluations == known
     for times in grids:
         slave.prepare(times)
         again.follow(again.trajectory)
@@ -173,4 +170,4 @@ def test_standstill_is_calculated_once(order: int) -> None:
         np.testing.assert_array_equal(slave.announced, again.announced)
         np.testing.assert_array_equal(slave.ended, again.ended)
         slave.announce(times[0])
-    assert lift.evaluations == known
+    assert motion.evaluations == known
