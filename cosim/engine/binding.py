@@ -17,11 +17,9 @@ from flexfmu.cosim.engine.slave import BindsBuffers, Call, Indices, RealArray, S
 
 def bind(slave: Slave, direction: Literal["set", "get"], indices: Indices, signals: RealArray) -> Call:
     """Return a call that sets inputs from ``signals`` (orders + 1, n), or gets outputs into them; row k has the k-th derivatives."""
-    parts = (
-        {direction: signals[0], f"{direction}_derivatives": signals[1:]}
-        if len(signals) > 1
-        else {direction: signals[0]}
-    )
+    parts: dict[str, RealArray] = {direction: signals[0]}
+    if len(signals) > 1:
+        parts[f"{direction}_derivatives"] = signals[1:]
     if isinstance(slave, BindsBuffers):
         calls: list[Call] = [getattr(slave, f"bind_{name}")(indices, buffer) for name, buffer in parts.items()]
     else:
