@@ -74,11 +74,15 @@ def test_direct_and_inverse_model_are_inverses_of_each_other(changes: dict[str, 
         u = np.concatenate([q_a, v_a, a_a])
         a_e = acceleration(inverse, q_e, v_e, u)
         torque = inverse.functions["outputs"](q_e, v_e, a_e, u, derived(inverse)).full().ravel()[:2]
-        found = acceleration(
-            direct, np.concatenate([q_a, q_e]), np.concatenate([v_a, v_e]), np.concatenate([torque, np.zeros(2)])
-        )
+        y, v = np.concatenate([q_a, q_e]), np.concatenate([v_a, v_e])
+        applied = np.concatenate([torque, np.zeros(2)])
+        found = acceleration(direct, y, v, applied)
         expected = np.concatenate([a_a, a_e])
         np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+        # dry friction of motors that slip is an output too, by Stribeck's law
+        if changes is DRIVES["friction that sticks"]:
+            friction = [outputs(direct, y, v, applied)[f"joint{k}.friction"] for k in (1, 2)]
+            assert friction == pytest.approx(-np.sign(v_a) * (2.0 + np.exp(-((v_a / 2.0) ** 2))), rel=1e-6)
 
 
 def test_reactions_are_the_multipliers_of_the_constraints() -> None:
@@ -144,6 +148,9 @@ def test_transmission_twists_under_load_and_vibrates_as_two_masses() -> None:
     poles = linearize(scene, POSE).poles()
     found = np.unique(np.round(np.sort(np.abs(poles.imag)), 3))[-2:]
     np.testing.assert_allclose(found, np.sort(np.sqrt(squares)), rtol=2e-3)
+    # a damper takes its coefficient times both inverse inertias
+    damped = linearize(scene.replace({"effects.transmission": {"stiffness": 1e5, "damping": 3.0}}), POSE)
+    assert np.trace(damped.A) == pytest.approx(-3.0 * (2.0 / 0.05 + np.trace(np.linalg.inv(links))), rel=1e-3)
 
 
 def test_linearisation_predicts_small_responses() -> None:

@@ -65,15 +65,16 @@ def test_corrected_references_hold_for_the_band(
     assert before[0] > 1e-6
     assert after[0] < 4e-7
     assert after[1] < max(9e-5, 1.2 * before[1])
-    change = found.coefficients - nominal.coefficients
-    assert 1e-6 < np.abs(change).max() < 1e-3
-    np.testing.assert_array_equal(change[[0, 1, 2, 3, -4, -3, -2, -1]], 0.0)
 
 
 def test_limits_of_torque_and_jerk_are_kept(
     robot: Scene, motion: PiecewisePolynomial, nominal: JointSpline, found: JointSpline
 ) -> None:
-    """Less torque than the correction would take is possible, at more distance from the path or more vibration."""
+    """Less torque than the correction would take is possible, at more distance from the path or more vibration; corrections are
+    some hundred microradians, at rest at both ends."""
+    change = found.coefficients - nominal.coefficients
+    assert 1e-6 < np.abs(change).max() < 1e-3
+    np.testing.assert_array_equal(change[[0, 1, 2, 3, -4, -3, -2, -1]], 0.0)
     fractions = np.linspace(0.0, 1.0, 801)
     jerk = 0.98 * float(np.abs(found.evaluate(fractions, 3)[3]).max())
     limit = 0.997 * judged(robot, motion, found)[2].max(axis=0)
