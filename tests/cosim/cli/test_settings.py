@@ -112,6 +112,7 @@ def test_results_of_a_changed_scene_leave_the_others_alone(tmp_path: Path, monke
 def test_folders_of_changes() -> None:
     """Without changes the name alone; texts, arrays and many changes give names that every system can have, different ones each."""
     assert usual_folder("a", None) == usual_folder("a", ()) == Path("results/a")
+    assert usual_folder("a", None, "-plan") == Path("results/a-plan")
     assert usual_folder("a", ["payload.mass=3"], "-plan") == Path("results/a-plan-payload.mass=3")
     many = [[f"effects.gravity=[{x},0]", f"trajectory.profile={{ kind = '{'poly7' * 20}' }}"] for x in range(20)]
     names = {usual_folder("a", each).name for each in many}
