@@ -36,6 +36,14 @@ def robot() -> Scene:
     return load_scene("barnard2012-6kg")
 
 
+def looped(controller: Mapping[str, Any], *imperfections: Mapping[str, Any], **changes: Any) -> Scene:
+    """The paper's robot with one bending and one axial mode, driven by a loop; changes are of its effects."""
+    effects = {"motor_inertia": 0.1, "proximal_bending": 1, "distal_axial": 1, **changes}
+    keys = {"cosimulation.drive": "torque", "cosimulation.tolerance": 1e-8, "trajectory.dwell": 0.0}
+    keys |= {f"effects.{key}": value for key, value in effects.items()}
+    return robot().replace({**keys, "controller": [controller], "imperfection": list(imperfections)})
+
+
 def context(
     name: str, initial: Sequence[float] = (), scene: Scene | None = None, path: Any = None, **others: Any
 ) -> Context:

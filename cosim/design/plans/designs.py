@@ -157,8 +157,8 @@ def references(scene: Scene, design: Design, steps: int) -> JointMotion:
     fractions = np.einsum("p,kjpn->kjn", np.array(on_path.amplitudes), fractions)
     length = table.duration
     s, speed, change = (fractions * length / design.duration ** np.arange(3)[:, None, None]).reshape(3, -1)
-    # joint angles by the chain rule, then the shaper's sum; derivatives at both ends are those within the path
-    angle, slope, bend = table.limits(np.clip(s, 0.0, length), s > 0.5 * length, 2)
+    # joint angles by the chain rule, then the shaper's sum
+    angle, slope, bend = table.evaluate(np.clip(s, 0.0, length), 2)
     speed, change = speed[:, None], change[:, None]
     joints = np.stack([angle, slope * speed, bend * speed**2 + slope * change])
     shaped = np.einsum("j,kjni->kni", np.array(on_joints.amplitudes), joints.reshape(3, -1, time.size, 2))

@@ -151,7 +151,7 @@ def test_what_can_not_be_applied_is_left_out_with_its_reason(motion: MotionPlan)
     [
         # added and settling time count together; of equal ones the smaller path deviation wins; unsettled ones don't count
         (
-            [(0.0, 0.05), (0.005, None), (0.017, 0.0), (0.008, 0.002, 2e-3), (0.01, 0.0, 1e-4)],
+            [(0.0, 0.05), (0.005, None), (0.017, 0.0), (0.008, 0.002, 2e-3), (0.01, 3e-5, 1e-4)],
             {},
             "shaper 4",
             ["rest within 10 µm 10.0 ms after", "50.0 ms"],

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import context, delay, pd, pid, quantisation
+from blocks import context, delay, looped, pd, pid, quantisation
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -18,8 +18,6 @@ from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 TIME: Any = {"sample_time": 1e-3}
@@ -84,40 +82,40 @@ def rounding(t, reference, measurement):
 
 
 @pytest.fixture
-def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], Scene]:
-    """Controller → the paper's robot with it, one mode of each proximal link."""
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The module with the functions."""
     (tmp_path / "own_margins.py").write_text(OWN)
     monkeypatch.syspath_prepend(str(tmp_path))
-    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "effects.distal_axial": 0}
-    plain = load_scene("barnard2012-6kg").replace({**changes, "effects.proximal_bending": 1, "trajectory.dwell": 0.02})
-    return lambda controller: plain.replace({"controller": [controller]})
 
 
-def test_python_functions_and_fmus_have_the_margins_of_blocks(
-    robot: Callable[[dict[str, Any]], Scene], tmp_path: Path
-) -> None:
+def python(name: str) -> dict[str, Any]:
+    """The section of one of them."""
+    return {"kind": "python", "source": f"own_margins:{name}"}
+
+
+@pytest.mark.usefixtures("own")
+def test_python_functions_and_fmus_have_the_margins_of_blocks(tmp_path: Path) -> None:
     """The same law as a block, as a function that CasADi can't trace, and as an FMU."""
-    exact, called = (
-        scene_margins(robot({"kind": "python", "source": f"own_margins:{name}"}), poses=1).worst
-        for name in ("traced", "pi_d")
-    )
-    block = pid(4e3, 2e4, 40.0, filter_time=2e-3, **TIME)
-    fmu = build_fmu(block, tmp_path / "own.fmu")
     gains = {"proportional": 4e3, "integral": 2e4, "derivative": 40.0, "filter_time": 2e-3}
-    by_block = scene_margins(robot({"kind": "pid", **gains, **TIME}), poses=1).worst
-    by_fmu = scene_margins(robot({"kind": "fmu", "path": str(fmu.path)}), poses=1).worst
-    for found, wanted in ((called, exact), (by_fmu, by_block)):
+    fmu = build_fmu(pid(**gains, **TIME), tmp_path / "own.fmu")
+    pairs = (
+        (python("traced"), python("pi_d")),
+        ({"kind": "pid", **gains, **TIME}, {"kind": "fmu", "path": str(fmu.path)}),
+    )
+    for pair in pairs:
+        wanted, found = (scene_margins(looped(each, distal_axial=0), poses=1).worst for each in pair)
         for name in ("gain_margin", "delay_margin", "disk_margin", "sensitivity_peak"):
             assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-6), name
 
 
-def test_what_is_not_linear_is_refused(robot: Callable[[dict[str, Any]], Scene]) -> None:
+@pytest.mark.usefixtures("own")
+def test_what_is_not_linear_is_refused() -> None:
     """With the slave's name and by how much; a run doesn't call a function for its warning."""
     with pytest.raises(InputError, match=r"rounding can't be linearised: about its operating point it answers with"):
-        scene_margins(robot({"kind": "python", "source": "own_margins:rounding"}), poses=1)
+        scene_margins(looped(python("rounding")), poses=1)
     with pytest.raises(InputError, match=r"not to one of 1e-05: it rounds, or has a dead zone"):
         identified_block(BlockSlave(quantisation(1e-2, **TIME)), np.array([0.3, -0.2]))
     with pytest.raises(InputError, match="memories of more than 40 samples"):
         identified_block(BlockSlave(delay(60e-3, **START, **TIME)), np.array([0.3, -0.2]))
-    run = flexfmu.run(robot({"kind": "python", "source": "own_margins:pi_d"}))
+    run = flexfmu.run(looped(python("pi_d"), distal_axial=0))
     assert stability_warning(run) is None

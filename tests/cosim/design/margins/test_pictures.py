@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import looped
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -16,7 +17,6 @@ from matplotlib.patches import Circle
 from flexfmu.cosim.design.margins.margins import ALL
 from flexfmu.cosim.design.margins.pictures import disk_of, draw_margins, loop_curves, worst_curves
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins, write_margins
-from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.jets import RealArray
 
 PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 60.0, "sample_time": 1e-3}
@@ -34,16 +34,7 @@ LOOPS: dict[str, tuple[list[dict[str, Any]], dict[str, float]]] = {
 def margins_of(name: str) -> MarginsResult:
     """Those of the paper's robot with few modes and a PD."""
     imperfections, gains = LOOPS[name]
-    changes = {
-        "cosimulation.drive": "torque",
-        "effects.motor_inertia": 0.1,
-        "effects.proximal_bending": 1,
-        "effects.distal_axial": 1,
-        "trajectory.dwell": 0.0,
-        "controller": [{**PD, **gains}],
-        "imperfection": imperfections,
-    }
-    return scene_margins(load_scene("barnard2012-6kg").replace(changes), poses=2)
+    return scene_margins(looped({**PD, **gains}, *imperfections), poses=2)
 
 
 def curve_of(axes: Axes) -> tuple[RealArray, RealArray]:

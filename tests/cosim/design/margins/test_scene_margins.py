@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from blocks import c_function
+from blocks import c_function, looped
 from typer.testing import CliRunner
 
 import flexfmu
@@ -28,9 +28,9 @@ from flexfmu.cosim.experiment.scene_loop import loop_of, own_loop
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import inline_block
 from flexfmu.cosim.many.prepared_scene import PreparedScene
-from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import Variable
+from flexfmu.trajectories.piecewise import spline
 
 PD: dict[str, Any] = {"kind": "pd", "proportional": 1e4, "derivative": 60.0, "sample_time": 1e-3}
 SEVERAL_RATES: list[dict[str, Any]] = [
@@ -38,39 +38,6 @@ SEVERAL_RATES: list[dict[str, Any]] = [
     {"kind": "delay", "time": 3e-4, "sample_time": 2.5e-4},
     {"kind": "lag", "time_constant": 2e-4},
 ]
-
-
-def robot(controller: dict[str, Any], *imperfections: dict[str, Any], gravity: float = -9.81) -> Scene:
-    """The paper's robot with few modes, driven by a loop."""
-    return load_scene("barnard2012-6kg").replace(
-        {
-            "cosimulation.drive": "torque",
-            "cosimulation.tolerance": 1e-8,
-            "effects.motor_inertia": 0.1,
-            "effects.gravity": [0.0, gravity],
-            "effects.proximal_bending": 1,
-            "effects.distal_axial": 1,
-            "trajectory.dwell": 0.0,
-            "controller": [controller],
-            "imperfection": list(imperfections),
-        }
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Standstill:
-    """Joints that stand still."""
-
-    angles: tuple[float, float]
-    coordinates: str = "joints"
-    duration: float = 0.6
-    breakpoints: tuple[float, ...] = (0.0, 0.6)
-
-    def evaluate(self, time: Any, order: int = 2, side: str = "right") -> Any:
-        """Joint angles [rad] and their derivatives."""
-        found = np.zeros((order + 1, np.size(time), 2))
-        found[0] = self.angles
-        return found
 
 
 def grows(scene: Scene, angles: tuple[float, float], factor: float) -> bool:
@@ -82,7 +49,7 @@ def grows(scene: Scene, angles: tuple[float, float], factor: float) -> bool:
     ]
     law = lambda x, u, p: (factor * u, x)  # noqa: E731
     gain = block("gain", "Gain", law, sample_time=1e-3, inputs=ports[:2], outputs=ports[2:])
-    loop = own_loop(scene, Standstill(angles))
+    loop = own_loop(scene, spline([0.0, 0.6], np.array([[angles, angles]]), coordinates="joints"))
     loop = replace(loop, inline_blocks=(inline_block(as_slave(gain, SlaveNames())), *loop.inline_blocks))
     run = PreparedScene(loop.motion.scene, loop=loop).run()
     change, time = np.abs(np.diff(run.recording["gain.joint1.torque"].values)), run.recording.time[1:]
@@ -94,8 +61,8 @@ def grows(scene: Scene, angles: tuple[float, float], factor: float) -> bool:
 @pytest.mark.parametrize(
     "scene",
     [
-        robot(PD, gravity=-1e-4),
-        robot({**PD, "kind": "pid", "proportional": 1e3, "integral": 4e3, "derivative": 8.0, "filter_time": 1e-3}, *SEVERAL_RATES, gravity=-1e-4),
+        looped(PD, gravity=(0.0, -1e-4)),
+        looped({**PD, "kind": "pid", "proportional": 1e3, "integral": 4e3, "derivative": 8.0, "filter_time": 1e-3}, *SEVERAL_RATES, gravity=(0.0, -1e-4)),
     ],
     ids=["one rate", "several rates, delay and lag"],
 )  # fmt: skip
@@ -110,7 +77,7 @@ def test_the_critical_gain_is_that_of_simulations(scene: Scene) -> None:
 
 def test_payload_errors_count() -> None:
     exact, heavy = (
-        scene_margins(robot(PD, *each), poses=1).poses[0].poles
+        scene_margins(looped(PD, *each), poses=1).poses[0].poles
         for each in ([], [{"kind": "payload-error", "relative": 0.5}])
     )
     assert abs(heavy[0].imag) < abs(exact[0].imag)
@@ -128,12 +95,12 @@ def test_payload_errors_count() -> None:
 )
 def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        scene_margins(robot(PD).replace(changes), poses=1)
+        scene_margins(looped(PD).replace(changes), poses=1)
 
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 def test_runs_warn_of_loops_that_are_unstable_or_nearly() -> None:
-    scene = robot(PD).replace({"trajectory.duration": 0.1})
+    scene = looped(PD).replace({"trajectory.duration": 0.1})
     critical = scene_margins(scene, poses=1).worst.gain_margin
     assert stability_warning(flexfmu.run(scene)) is None
     for share, *sentences in (
@@ -203,8 +170,8 @@ ROUGH: list[dict[str, Any]] = [
 def test_what_is_not_in_the_loop_leaves_the_margins_as_they_are(
     controllers: list[dict[str, Any]], other: dict[str, Any]
 ) -> None:
-    plain = scene_margins(robot(controllers[0]), poses=1).worst
-    found = scene_margins(robot(controllers[0]).replace({"controller": controllers, **other}), poses=1).worst
+    plain = scene_margins(looped(controllers[0]), poses=1).worst
+    found = scene_margins(looped(controllers[0]).replace({"controller": controllers, **other}), poses=1).worst
     for name in ("gain_margin", "delay_margin", "sensitivity_peak"):
         assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-6), name
 
@@ -212,7 +179,7 @@ def test_what_is_not_in_the_loop_leaves_the_margins_as_they_are(
 def test_jitter_counts_with_its_mean() -> None:
     """Between 0 and a sample late: as a delay of half a sample, linearly interpolated, but for the mean of its numbers."""
     jitter, delay = (
-        scene_margins(robot(PD, {"signal": "velocity", "sample_time": 1e-3, **each}), poses=1).worst.gain_margin
+        scene_margins(looped(PD, {"signal": "velocity", "sample_time": 1e-3, **each}), poses=1).worst.gain_margin
         for each in ({"kind": "jitter", "time": 1e-3}, {"kind": "delay", "time": 5e-4})
     )
     assert jitter == pytest.approx(delay, rel=0.02)
@@ -221,7 +188,7 @@ def test_jitter_counts_with_its_mean() -> None:
 def lqg(position_error: float, measurement_noise: float, **other: Any) -> Scene:
     """A regulator that is designed at the start, stable there and at the end, but not everywhere in between."""
     design = {"position_error": position_error, "measurement_noise": measurement_noise, **other}
-    return robot({"kind": "state-feedback", "pose": "start", "torque_deviation": 10.0, "sample_time": 1e-3, **design})
+    return looped({"kind": "state-feedback", "pose": "start", "torque_deviation": 10.0, "sample_time": 1e-3, **design})
 
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
@@ -247,7 +214,7 @@ def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
 @pytest.mark.slow
 def test_between_poses_the_worst_margins_are_those_of_a_sweep() -> None:
     """With a long arm outside the middle of the path, nothing is worst at an end, nor in the middle."""
-    scene = robot(
+    scene = looped(
         {**PD, "schedule": {"over": "end_effector.position.x", "at": [-0.1, 0.03, 0.05], "derivative": [1.0, 1.7, 0.9]}}
     )
     found = scene_margins(scene, poses=2).worst
@@ -261,12 +228,12 @@ def test_between_poses_the_worst_margins_are_those_of_a_sweep() -> None:
 def test_gains_are_those_of_the_motion(signal: str) -> None:
     """A gain that follows a velocity is the constant gain that it is at that velocity; the run of a too large one diverges."""
     over = {"over": signal, "at": [-3.0, -0.5, 0.5, 3.0], "derivative": [4.0, 1.0, 1.0, 4.0]}
-    fast = scene_margins(robot({**PD, "schedule": over}).replace({"trajectory.duration": 0.1}), poses=2)
+    fast = scene_margins(looped({**PD, "schedule": over}).replace({"trajectory.duration": 0.1}), poses=2)
     assert not fast.is_stable
     assert all(pose.is_stable for pose in fast.poses if pose.s in (0.0, 1.0))
-    slow = scene_margins(robot({**PD, "schedule": over}).replace({"trajectory.duration": 50.0}), poses=2)
+    slow = scene_margins(looped({**PD, "schedule": over}).replace({"trajectory.duration": 50.0}), poses=2)
     assert slow.is_stable
-    assert slow.worst.gain_margin == pytest.approx(scene_margins(robot(PD), poses=2).worst.gain_margin, rel=1e-6)
+    assert slow.worst.gain_margin == pytest.approx(scene_margins(looped(PD), poses=2).worst.gain_margin, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -279,7 +246,7 @@ def test_gains_are_those_of_the_motion(signal: str) -> None:
 )
 def test_narrow_peaks_of_schedules_are_found(signal: str, at: list[float], factors: list[float]) -> None:
     """Between the places of equal intervals a gain can peak for a hundredth of the path; an unstable loop has no largest sensitivity."""
-    found = scene_margins(robot({**PD, "schedule": {"over": signal, "at": at, "derivative": factors}}), poses=2)
+    found = scene_margins(looped({**PD, "schedule": {"over": signal, "at": at, "derivative": factors}}), poses=2)
     assert not found.is_stable
     assert all(pose.is_stable for pose in found.poses if pose.s in (0.0, 1.0))
     assert np.isnan(found.worst.sensitivity_peak)
@@ -288,10 +255,10 @@ def test_narrow_peaks_of_schedules_are_found(signal: str, at: list[float], facto
 @pytest.mark.slow
 def test_the_worst_payload_of_a_band_is_found() -> None:
     """A light payload is worst for a PD controller; what is worst over a band is worst with one of its payloads."""
-    scene = robot(PD)
+    scene = looped(PD)
     found = flexfmu.margins(scene, poses=2, payload_band=(1.0, 8.0))
     each = [
-        flexfmu.margins(robot(PD, {"kind": "payload-error", "relative": mass / 6.0 - 1.0}), poses=2).worst
+        flexfmu.margins(looped(PD, {"kind": "payload-error", "relative": mass / 6.0 - 1.0}), poses=2).worst
         for mass in (1.0, 6.0, 8.0)
     ]
     assert found.worst.gain_margin == pytest.approx(min(one.gain_margin for one in each), rel=1e-6)
