@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -87,12 +88,7 @@ def test_an_estimate_is_made_once_for_equal_runs(
     make_run: MakeRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The cache has it to the last bit; another recording, payload or damaged file is estimated anew."""
-    asked = list[Run]()
-
-    def estimate(run: Run) -> tuple[float, float]:
-        asked.append(run)
-        return 0.1 + 0.2, 1e-300
-
+    estimate = Mock(return_value=(0.1 + 0.2, 1e-300))
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
     monkeypatch.setattr(small_deflections, "path_errors", estimate)
     run = make_run()
@@ -100,8 +96,8 @@ def test_an_estimate_is_made_once_for_equal_runs(
     moved = replace(run, recording=run.recording.with_columns({"x": Column("m", run.recording.time)}))
     for each in (run, run, other, moved, moved, run):
         assert kept_path_errors(each) == (0.1 + 0.2, 1e-300)
-    assert len(asked) == 3
+    assert estimate.call_count == 3
     for file in (tmp_path / "path-errors").iterdir():
         file.write_bytes(b"damaged")
     assert kept_path_errors(run) == (0.1 + 0.2, 1e-300)
-    assert len(asked) == 4
+    assert estimate.call_count == 4

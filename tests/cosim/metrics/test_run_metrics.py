@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import math
 import pickle
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
 from copy import copy, deepcopy
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pandas
 import pytest
 
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Companion, Run
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
@@ -41,33 +41,23 @@ def test_values_and_errors_are_those_of_measure_run(run: Run, make_run: MakeRun)
 
 def test_one_metric_is_computed_alone(make_run: MakeRun) -> None:
     """One doesn't wait for all others, and is computed once."""
-    asked = []
-
-    def measure(run: Run, companions: int, names: Collection[str] | None) -> Mapping[str, Metric]:
-        asked.append(names)
-        return measure_run(run, companions, names)
-
+    measure = Mock(side_effect=measure_run)
     run = replace(make_run(), measure=measure)
     first = run.metrics.peak_torque_1
     assert run.metrics["peak_torque_1"] is first
     assert dict(run.metrics)["peak_torque_1"] is first
-    assert asked == [["peak_torque_1"], None]
+    assert [call.args[-1] for call in measure.call_args_list] == [["peak_torque_1"], None]
 
 
 def test_errors_are_estimated_only_when_asked_for(make_run: MakeRun) -> None:
     """Values cost no simulation; the first error costs one for all."""
-    runs = []
-
-    def again(progress: object) -> Run:
-        runs.append(make_run(step=5e-4))
-        return runs[-1]
-
+    again = Mock(return_value=make_run(step=5e-4))
     run = replace(make_run(), companion=Companion(5e-4, 1e-8, again))
     assert run.metrics.peak_torque_1 > 0.0
     assert "peak_torque_1" in str(run.metrics)
-    assert not runs
+    assert not again.called
     assert all(number.error is not None for number in run.metrics.values())
-    assert len(runs) == 1
+    assert again.call_count == 1
     assert " ± 1e-" in repr(run.metrics)
     assert make_run().metrics.peak_torque_1.error is None
 

@@ -8,7 +8,6 @@ Reached figures: docs/references.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import astuple
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +16,6 @@ import pytest
 from formulations import (
     FREQUENCIES,
     Beam,
-    ComputedMotion,
     compare_at_rest,
     compare_motions,
     full_scene,
@@ -25,20 +23,16 @@ from formulations import (
     shapes_motion,
 )
 
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.finite_elements.motion import element_frequencies, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import natural_frequencies
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
 WITH, WITHOUT = 1e-3, 2e-3
 """Bounds with and without foreshortening."""
-
-Reference = Callable[[Scene, MotionPlan, RealArray], ComputedMotion]
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -73,45 +67,32 @@ def test_frequencies_converge_with_a_payload_that_turns() -> None:
     assert many.max() == pytest.approx(0.5 * few.max(), rel=0.15)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
-def test_runs_agree_with_elements(name: str) -> None:
-    """Path, accelerations and torques over the whole motion and dwell, against converged co-rotational elements."""
-    assert_agreement(name, by_elements)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
-def test_runs_agree_with_exudyn(name: str) -> None:
-    """The same against somebody else's program: ANCF beams, algebraic joints, generalised-alpha."""
-    pytest.importorskip("exudyn", reason="exudyn isn't installed: pip install flexfmu[peers]")
-    assert_agreement(name, by_exudyn)
-
-
-def assert_agreement(name: str, reference: Reference) -> None:
-    """All figures of a run's agreement are below their bound, with and without foreshortening; the reference has it."""
-    scene = load_scene(name)
-    motion = plan(scene)
-    instants = sample_instants(motion)
-    theirs = reference(full_scene(scene, "euler-bernoulli", foreshortening=True), motion, instants)
-    for foreshortening, bound in ((True, WITH), (False, WITHOUT)):
-        full = full_scene(scene, "euler-bernoulli", foreshortening)
-        ours = shapes_motion(full, instants, fmu_of_shapes(foreshortening))
-        agreement = compare_motions(ours, theirs, motion, instants)
-        assert max(astuple(agreement)) < bound, (foreshortening, agreement)
-
-
 @lru_cache
 def fmu_of_shapes(foreshortening: bool) -> Path:
     """One serves all payloads."""
     return build_scene(full_scene(load_scene(SCENES[0]), "euler-bernoulli", foreshortening)).path
 
 
-def by_elements(scene: Scene, motion: MotionPlan, instants: RealArray) -> ComputedMotion:
-    return simulate(finite_element_robot(scene, 2), motion.joints, instants, 5e-4)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("reference", ["elements", "Exudyn"])
+def test_runs_agree(name: str, reference: str) -> None:
+    """Path, accelerations and torques over the whole motion and dwell, against converged co-rotational elements and against
+    somebody else's program (ANCF beams, algebraic joints, generalised-alpha): below their bounds with and without foreshortening,
+    which the references have."""
+    scene = load_scene(name)
+    motion, exact = plan(scene), full_scene(scene, "euler-bernoulli", foreshortening=True)
+    instants = sample_instants(motion)
+    if reference == "elements":
+        theirs = simulate(finite_element_robot(exact, 2), motion.joints, instants, 5e-4)
+    else:
+        pytest.importorskip("exudyn", reason="exudyn isn't installed: pip install flexfmu[peers]")
+        from flexfmu.benchmarks.peers.exudyn_peer import simulate_exudyn
 
-
-def by_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray) -> ComputedMotion:
-    from flexfmu.benchmarks.peers.exudyn_peer import simulate_exudyn
-
-    return simulate_exudyn(scene, motion, instants, step=1e-4 if scene.payload.mass > 1.0 else 5e-5, elements=4)
+        step = 1e-4 if scene.payload.mass > 1.0 else 5e-5
+        theirs = simulate_exudyn(exact, motion, instants, step=step, elements=4)
+    for foreshortening, bound in ((True, WITH), (False, WITHOUT)):
+        full = full_scene(scene, "euler-bernoulli", foreshortening)
+        ours = shapes_motion(full, instants, fmu_of_shapes(foreshortening))
+        agreement = compare_motions(ours, theirs, motion, instants)
+        assert max(astuple(agreement)) < bound, (foreshortening, agreement)

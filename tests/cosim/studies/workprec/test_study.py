@@ -252,13 +252,10 @@ def test_timing_takes_the_fastest(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_command(tmp_path: Path) -> None:
     """One family of a scene file from the command line, as JSON, with all files."""
-    scene = tmp_path / "scene.toml"
-    text = (Path(__file__).parents[4] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml").read_text(
-        encoding="utf-8"
-    )
-    short = re.sub("(proximal_bending|distal_axial) = 3", r"\1 = 1", text.replace("duration = 0.43", "duration = 0.25"))
-    scene.write_text(short, encoding="utf-8")
-    out = tmp_path / "out"
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    shipped = Path(__file__).parents[4] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
+    text = shipped.read_text(encoding="utf-8").replace("duration = 0.43", "duration = 0.25")
+    scene.write_text(re.sub("(proximal_bending|distal_axial) = 3", r"\1 = 1", text), encoding="utf-8")
     arguments = ["workprec", str(scene), "--out", str(out), "--only", "communication", "--json"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
