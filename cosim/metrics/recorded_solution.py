@@ -15,6 +15,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
 from flexfmu.cosim.metrics.signals import (
+    FIRST_BENDING,
     JOINT_POSITIONS,
     TIP_DEFLECTIONS,
     TORQUES,
@@ -22,7 +23,6 @@ from flexfmu.cosim.metrics.signals import (
     deviation_from_point,
     deviation_from_rigid,
     joint_error,
-    modal_deflection,
     position,
     position_rounding,
     segments,
@@ -223,8 +223,11 @@ class RecordedSolution:
 
     def modal_deflection(self) -> RecordedSignal:
         """First bending coordinate of proximal link 1 over the motion [m]; zero for a rigid link."""
-        modal = modal_deflection(self._recording)
-        return REST if modal is None else self._in_motion(modal)
+        if FIRST_BENDING not in self._recording.columns:
+            return REST
+        acceleration = f"der({FIRST_BENDING},2)"
+        known = [acceleration] if acceleration in self._recording.columns else ()
+        return self._in_motion(segments(self._recording, [FIRST_BENDING], known))
 
     def tip_deflection(self, leg: int) -> RecordedSignal:
         """Transverse displacement of the tip of proximal link 1 or 2 over the motion [m]; zero for a rigid link."""

@@ -66,14 +66,6 @@ def position_rounding(recording: Recording) -> float:
     return 8.0 * ROUNDING * max(float(np.abs(recording[name].values).max(initial=0.0)) for name in POSITION)
 
 
-def modal_deflection(recording: Recording) -> HermiteSegments | None:
-    """Return the first bending coordinate of proximal link 1 [m]; None if that link is rigid."""
-    if FIRST_BENDING not in recording.columns:
-        return None
-    acceleration = f"der({FIRST_BENDING},2)"
-    return segments(recording, [FIRST_BENDING], [acceleration] if acceleration in recording.columns else ())
-
-
 def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSegments:
     """Return the deviation of the end effector's position [m] from the rigid robot's, which tracks its path exactly.
 

@@ -123,6 +123,7 @@ def test_cases_share_fmus_where_they_can() -> None:
             r"`pd\.kd` and `controller\.pd\.derivative` are the same key",
         ),
         ({"effects.proximal_bending": [0, 1]}, "margin", "did you mean"),
+        ({"payload.mass": [1.0]}, "inertia_ratio_1", r"of this robot: it needs a scene with `\[motor\]`"),
     ],
 )
 def test_what_cannot_be_is_told_before_work_starts(
