@@ -1,5 +1,5 @@
-"""The documentation: its Python needs `import flexfmu` alone, its reference has every public name, its search finds what people look
-for, and its pages need nothing from elsewhere."""
+"""The documentation: its Python needs `import flexfmu` alone, its reference has every public name, and its pages need nothing from
+elsewhere."""
 
 from __future__ import annotations
 
@@ -96,21 +96,14 @@ def test_reference_has_every_public_name() -> None:
             assert made or any(getattr(each, inner) is entry for entry in entries), f"{name}.{inner}"
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built pages."""
+@pytest.mark.slow
+def test_site_is_whole_and_offline(tmp_path: Path) -> None:
+    """It builds without a warning, and its pages load nothing from elsewhere."""
     pytest.importorskip("material", reason="needs mkdocs-material")
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path)]
     outcome = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-    return folder
-
-
-@pytest.mark.slow
-def test_site_is_whole_and_offline(site: Path) -> None:
-    """It builds without a warning, and its pages load nothing from elsewhere."""
-    pages = list(site.rglob("*.html"))
+    pages = list(tmp_path.rglob("*.html"))
     assert len(pages) >= len(list(DOCS.rglob("*.md")))
     loaded = r"<(?:script|img|link|iframe)[^>]*(?:src|href)=[\"']?(?:https?:)?//[^>]*>"
     assert [page.name for page in pages if re.search(loaded, page.read_text(encoding="utf-8"))] == []

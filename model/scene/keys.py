@@ -95,8 +95,9 @@ def set_value(data: dict[str, Any], key: str, value: Any, label: str) -> None:
         place = _place(section, part, parents[:i], key, label)
         inside = section.get(place, {}) if isinstance(section, dict) else section[place]
         # plain containers are copied: they may be the caller's, and arrays may be tuples
-        copy = {dict: dict, list: list, tuple: list}.get(type(inside))
-        section[place] = inside = copy(inside) if copy else inside
+        if type(inside) in (dict, list, tuple):
+            inside = dict(inside) if isinstance(inside, dict) else list(inside)
+        section[place] = inside
         section = inside
     section[_place(section, last, parents, key, label)] = value
 
