@@ -165,7 +165,7 @@ class VariantTask(Generic[T]):
         for members in self._bands(variants):
             found |= self._in_lockstep({i: variants[i] for i in members}, done)
         left = {i: variant for i, variant in enumerate(variants) if i not in found}
-        for members in _groups(left, lambda variant: variant.scene):
+        for members in bands(left, lambda i: variants[i].scene):
             ready = _attempt(self._ready, variants[members[0]].scene)
             for i in members:
                 found[i] = ready if isinstance(ready, Exception) else _attempt(self._single, ready, variants[i])
@@ -193,20 +193,13 @@ class VariantTask(Generic[T]):
         measure = self.measure
         if not isinstance(measure, PeakMeasure | SignalMeasure):
             return
-        # shapers, pauses and vibrations last as long in motions of other durations
-        rigid = not self.scene.shaper and self.scene.trajectory.references is None
-        scales = isinstance(measure, PeakMeasure) and rigid and self._is_single(variants)
-        for members in _groups(dict(enumerate(variants)), _shape if scales else lambda variant: variant.scene):
-            parts: Iterable[list[int]] = [members]
-            if scales:
-                lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)]
-                parts = duration_bands(lasting, lambda i: self._duration(variants[i]))
-            yield from (part for part in parts if len(part) >= FEW)
-
-    def _is_single(self, variants: Sequence[Variant]) -> bool:
-        """Whether all variants are one motion without a way back."""
-        usual = self.scene.trajectory.way_back
-        return all(each.scene.get(WAY_BACK, usual) == "none" for each in variants)
+        # shapers, pauses, vibrations and ways back last as long in motions of other durations
+        trajectory = self.scene.trajectory
+        is_single = all(each.scene.get(WAY_BACK, trajectory.way_back) == "none" for each in variants)
+        rigid = not self.scene.shaper and trajectory.references is None and is_single
+        duration = (lambda i: self._duration(variants[i])) if isinstance(measure, PeakMeasure) and rigid else None
+        found = bands(range(len(variants)), lambda i: variants[i].scene, duration)
+        yield from (members for members in found if len(members) >= FEW)
 
     def _duration(self, variant: Variant) -> Any:
         """Duration of a variant's motion [s]."""
@@ -258,26 +251,32 @@ class VariantTask(Generic[T]):
         return outcome
 
 
-def duration_bands(members: Iterable[int], duration: Callable[[int], float]) -> Iterator[list[int]]:
-    """Yield members of similar durations, which can be simulated side by side, the longest first."""
-    ordered, first = sorted(members, key=lambda i: -duration(i)), 0
-    for k in range(1, len(ordered) + 1):
-        if k == len(ordered) or duration(ordered[first]) > BAND * duration(ordered[k]):
-            yield ordered[first:k]
-            first = k
+def bands(
+    members: Iterable[int], motion: Callable[[int], Changes], duration: Callable[[int], Any] | None = None
+) -> Iterator[list[int]]:
+    """Yield members that can be simulated side by side, in their order.
 
-
-def _groups(variants: Mapping[int, Variant], key: Callable[[Variant], Changes]) -> Iterable[list[int]]:
-    """Keys of variants of which ``key`` gives the same changes, in the order of the variants."""
+    Args:
+        members: numbers of variants.
+        motion: number → changes of the scene, which members have in common.
+        duration: number → the motion's duration, which may then differ, in bands of similar ones, the longest first; None where
+            it must be the same.
+    """
     groups: dict[str, list[int]] = {}
-    for i, variant in variants.items():
-        groups.setdefault(repr(sorted(key(variant).items())), []).append(i)
-    return groups.values()
-
-
-def _shape(variant: Variant) -> Changes:
-    """The changes of the scene but the motion's duration."""
-    return {key: value for key, value in variant.scene.items() if key != DURATION}
+    for i in members:
+        shape = sorted((key, value) for key, value in motion(i).items() if duration is None or key != DURATION)
+        groups.setdefault(repr(shape), []).append(i)
+    if duration is None:
+        yield from groups.values()
+        return
+    for group in groups.values():
+        # a duration that is no number is wrong, as the run of the FMU says
+        lasting = {i: float(value) if isinstance(value := duration(i), Real) else 0.0 for i in group}
+        ordered, first = sorted(group, key=lambda i: -lasting[i]), 0
+        for k in range(1, len(ordered) + 1):
+            if k == len(ordered) or lasting[ordered[first]] > BAND * lasting[ordered[k]]:
+                yield ordered[first:k]
+                first = k
 
 
 def _part(changes: Changes, *, motion: bool) -> Changes:

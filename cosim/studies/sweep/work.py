@@ -5,11 +5,10 @@ what a process does for them: it finds or builds the FMU of a group of cases onc
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import ceil
-from numbers import Real
 from textwrap import shorten
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ from flexfmu.cosim.experiment.recorded_instants import DERIVATIVES
 from flexfmu.cosim.experiment.scene_build import build_scene, depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.lockstep import PeakMeasure
-from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, duration_bands
+from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, bands
 from flexfmu.cosim.metrics.metrics import ChosenMetrics
 from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
@@ -164,8 +163,7 @@ def shares_of(groups: Sequence[Group], cases: Cases, measure: Any, *, together: 
     peaks = isinstance(measure, PeakMeasure)
     largest = MOST_PEAKS if peaks else MOST_RECORDED
     for index, group in enumerate(groups):
-        bands = _bands(group, cases, peaks) if together and group.parameters is not None else [group.numbers]
-        for band in bands:
+        for band in _bands(group, cases, peaks) if together and group.parameters is not None else [group.numbers]:
             if len(band) < FEW or not together or group.parameters is None:
                 yield from (Share(index, (number,)) for number in band)
                 continue
@@ -175,23 +173,20 @@ def shares_of(groups: Sequence[Group], cases: Cases, measure: Any, *, together: 
                 yield Share(index, band[i * len(band) // parts : (i + 1) * len(band) // parts])
 
 
-def _bands(group: Group, cases: Cases, peaks: bool) -> list[Sequence[int]]:
+def _bands(group: Group, cases: Cases, peaks: bool) -> Iterable[Sequence[int]]:
     """The cases of a group by motion; for peaks motions of one shape are together, in bands of similar durations."""
-    places = [i for i, key in enumerate(cases.keys) if not depends_on(key)]
+    places = {key: i for i, key in enumerate(cases.keys) if not depends_on(key)}
     if not places:
         return [group.numbers]
-    lasting = next((i for i in places if peaks and cases.keys[i] == DURATION), None)
-    shapes: dict[str, list[int]] = {}
-    duration: dict[int, float] = {}
-    for number in group.numbers:
-        values = cases.rows[number]
-        shapes.setdefault(repr([values[i] for i in places if i != lasting]), []).append(number)
-        if lasting is not None:
-            value = group.scene.trajectory.duration if values[lasting] is None else values[lasting]
-            duration[number] = float(value) if isinstance(value, Real) else 0.0
-    if lasting is None:
-        return [*shapes.values()]
-    return [band for numbers in shapes.values() for band in duration_bands(numbers, duration.__getitem__)]
+
+    def duration(number: int) -> Any:
+        value = cases.rows[number][places[DURATION]]
+        return group.scene.trajectory.duration if value is None else value
+
+    def motion(number: int) -> dict[str, Any]:
+        return {key: cases.rows[number][i] for key, i in places.items()}
+
+    return bands(group.numbers, motion, duration if peaks and DURATION in places else None)
 
 
 LONGEST = 400
