@@ -95,7 +95,7 @@ def test_every_kind_of_block(name: str, tmp_path: Path) -> None:
     preparation takes long, gets blocks with memory of each kind of sampling: of states, of sums, of past samples, drawn."""
     blocks = {kind: make() for kind, make in KINDS.items()}
     if name == "Maestro":
-        blocks = {kind: blocks[kind] for kind in ("pid", "lqg", "shaper_block", "delay", "gaussian_noise")}
+        blocks = {kind: blocks[kind] for kind in ("pid", "state-feedback", "shaper", "delay", "noise")}
     shared = side_by_side(blocks, tmp_path)
     found = tool(name).simulate(shared, SAMPLE_TIME, stop=SAMPLES * SAMPLE_TIME)[:SAMPLES]
     assert len(found) >= SAMPLES - 1

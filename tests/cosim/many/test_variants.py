@@ -12,7 +12,7 @@ from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
-from flexfmu.cosim.many.variants import VariantError, run_variants
+from flexfmu.cosim.many.variants import DURATION, VariantError, bands, run_variants
 from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -101,3 +101,12 @@ def test_what_cannot_be_recorded(name: str) -> None:
     (found,) = run_variants(SCENE, [{}], torque, record=Selection([name]))
     assert isinstance(found.error, InputError)
     assert name in str(found.error)
+
+
+def test_bands() -> None:
+    """Side by side is what has one motion; where durations may differ, those within a quarter, and one that is none alone."""
+    motions = [{DURATION: time, "trajectory.height": height} for time in (0.4, 0.5, 0.51, "long") for height in (1, 2)]
+    found = bands(range(8), motions.__getitem__, lambda i: motions[i][DURATION])
+    assert [*found] == [[4, 2], [0], [6], [5, 3], [1], [7]]
+    assert [*bands(range(8), motions.__getitem__)] == [[i] for i in range(8)]
+    assert [*bands([3, 0, 1], lambda i: {})] == [[3, 0, 1]]

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-import blocks as made
+from export_support.kinds import KINDS
 
-from flexfmu.cosim.control.shapers import shaper_block
 from flexfmu.fmu_build.block_build import block_description, regular_block
 from flexfmu.fmu_build.description import Description, description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -16,12 +15,10 @@ from flexfmu.fmu_build.sources import plant_description
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import SymbolicBlock
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")
 DRAWN = 14
-SAMPLE_TIME = 1e-3
+BLOCKS = ("pd", "pid", "computed-torque", "learning", "shaper", "delay", "encoder", "lag", "noise")
 
 CHOICES: dict[str, tuple[Any, ...]] = {
     "cosimulation.drive": ("motion", "torque"),
@@ -51,8 +48,8 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 def descriptions() -> dict[str, str]:
     """Name → text of modelDescription.xml."""
     plants = {scene.name: plant_description(build_model(scene)) for scene in scenes()}
-    blocks_ = {name: block_description(regular_block(block)) for name, block in blocks().items()}
-    return {name: _text(description) for name, description in (plants | blocks_).items()}
+    blocks = {name: block_description(regular_block(KINDS[name]())) for name in BLOCKS}
+    return {name: _text(description) for name, description in (plants | blocks).items()}
 
 
 def scenes() -> Iterator[Scene]:
@@ -64,24 +61,6 @@ def scenes() -> Iterator[Scene]:
         drawn = {key: random.choice(values) for key, values in CHOICES.items()}
         chosen = {key: value for key, value in drawn.items() if value is not None}
         yield base.replace({"name": f"drawn-{number}"} | chosen)
-
-
-def blocks() -> dict[str, SymbolicBlock]:
-    """Controllers, a shaper and imperfections."""
-    sequence = ImpulseSequence((0.0, 0.0081, 0.0163), (0.3, 0.45, 0.25))
-    time: Any = {"sample_time": SAMPLE_TIME}
-    start: Any = {"signal": "position", "initial": (0.4, -0.6)}
-    return {
-        "pd": made.pd((900.0, 800.0), 12.0, **time),
-        "pid": made.pid(900.0, 4e4, 12.0, filter_time=3e-3, **time),
-        "computed-torque": made.computed_torque(4e3, 90.0, **time),
-        "learning": made.learning(gain=100.0, cycles=2, period=300 * SAMPLE_TIME, **time),
-        "shaper": shaper_block(sequence, SAMPLE_TIME),
-        "delay": made.delay(2.3 * SAMPLE_TIME, **start, **time),
-        "encoder": made.encoder(4000, window=3, **time),
-        "lag": made.lag(2e-3, **start, **time),
-        "noise": made.noise([0.1, 0.2], seed=5, **time),
-    }
 
 
 def _text(description: Description) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -125,39 +125,25 @@ def opened(path: Path, tmp_path: Path) -> Iterator[Any]:
 
 
 def run(
-    instance: Instance, inputs: NDArray[np.float64], sample_time: float, **values: Mapping[str, float]
+    instance: Instance, inputs: NDArray[np.float64], sample_time: float, rollback: int = 0, **values: float
 ) -> NDArray[np.float64]:
-    """Outputs (N, outputs) at the sample instants, the inputs (N, inputs) being set there."""
-    instance.start(**values)  # type: ignore[arg-type]
+    """Outputs (N, outputs) at the sample instants, the inputs (N, inputs) being set there.
+
+    Before every ``rollback``-th sample the instance makes three others, in the middle of a step too, and is restored, which leaves
+    no trace; not at all where it is 0.
+    """
+    instance.start(**values)
     rows = []
     for k, u in enumerate(inputs):
+        if rollback and k % rollback == rollback // 2:
+            state, time = instance.call("getFMUstate"), instance.time
+            for other in inputs[::-1][k : k + 3]:
+                instance.set_inputs(other)
+                instance.step(1.5 * sample_time)
+            instance.call("setFMUstate", state)
+            instance.call("freeFMUstate", state)
+            instance.time = time
         instance.set_inputs(u)
         rows.append(instance.get_outputs())
         instance.step(sample_time, until=(k + 1) * sample_time)
     return np.array(rows)
-
-
-def run_with_rollback(
-    instance: Instance, inputs: NDArray[np.float64], sample_time: float, every: int = 40
-) -> NDArray[np.float64]:
-    """Outputs as of `run`; before every 40th sample the instance makes three others, in the middle of a step too, and is restored."""
-    instance.start()
-    rows = []
-    for k, u in enumerate(inputs):
-        if k % every == every // 2:
-            _make_and_undo(instance, inputs[::-1][k : k + 3], sample_time)
-        instance.set_inputs(u)
-        rows.append(instance.get_outputs())
-        instance.step(sample_time, until=(k + 1) * sample_time)
-    return np.array(rows)
-
-
-def _make_and_undo(instance: Instance, inputs: NDArray[np.float64], sample_time: float) -> None:
-    """Steps of one and a half samples, of which a restored state leaves no trace."""
-    state, time = instance.call("getFMUstate"), instance.time
-    for u in inputs:
-        instance.set_inputs(u)
-        instance.step(1.5 * sample_time)
-    instance.call("setFMUstate", state)
-    instance.call("freeFMUstate", state)
-    instance.time = time
