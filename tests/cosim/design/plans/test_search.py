@@ -63,6 +63,10 @@ def test_references_are_those_of_the_scene_that_is_written(place: str) -> None:
     exact = planned.evaluate(found.time, 2, "left")
     for values, expected in zip(found.values, exact, strict=True):
         assert np.abs(values - expected).max() < 1e-5 * np.abs(expected).max()
+    # the quintic of each step ends where the next one begins
+    taylor = found.time[1] ** np.arange(6) / np.cumprod([1, 1, 2, 3, 4, 5])
+    ends = np.einsum("j,nji->ni", taylor, found.polynomials)
+    assert ends == pytest.approx(found.values[0, 1:], abs=1e-12)
 
 
 @pytest.mark.slow
