@@ -250,53 +250,33 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
   return fmi2OK;
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer value[]) {
-  for (size_t i = 0; i < n; i++) {
-    if (r[i] > 0 && !is(c, M_any_reference)) return refuse(c, "no such variable");
-    value[i] = now(c)->material;
+#define GETTER(kind, last, result)                                                                                          \
+  fmi2Status fmi2Get##kind(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2##kind value[]) {                   \
+    for (size_t i = 0; i < n; i++) {                                                                                        \
+      if (r[i] > last && !is(c, M_any_reference)) return refuse(c, "no such variable");                                     \
+      value[i] = result;                                                                                                    \
+    }                                                                                                                       \
+    return fmi2OK;                                                                                                          \
   }
-  return fmi2OK;
+#define SETTER(kind, fits, change)                                                                                          \
+  fmi2Status fmi2Set##kind(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2##kind value[]) {             \
+    for (size_t i = 0; i < n; i++) {                                                                                        \
+      if (r[i] > 0 || !legal(c, STARTED | INITIALIZING) || !(fits)) return refuse(c, "this can't be set now");              \
+      change;                                                                                                               \
+    }                                                                                                                       \
+    return fmi2OK;                                                                                                          \
+  }
+
+static int truth(Spring *s, unsigned which) {
+  return which == 1 ? (now(s)->x[0] > 0.0) * (is(s, M_not_boolean) ? 7 : 1) : now(s)->locked * (is(s, M_boolean_42) ? 42 : 1);
 }
 
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer value[]) {
-  for (size_t i = 0; i < n; i++) {
-    if (r[i] > 0 || !legal(c, STARTED | INITIALIZING)) return refuse(c, "this can't be set now");
-    now(c)->material = value[i];
-  }
-  return fmi2OK;
-}
-
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean value[]) {
-  for (size_t i = 0; i < n; i++) {
-    if (r[i] > 1 && !is(c, M_any_reference)) return refuse(c, "no such variable");
-    value[i] = r[i] == 1 ? (now(c)->x[0] > 0.0) * (is(c, M_not_boolean) ? 7 : 1) : now(c)->locked * (is(c, M_boolean_42) ? 42 : 1);
-  }
-  return fmi2OK;
-}
-
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Boolean value[]) {
-  for (size_t i = 0; i < n; i++) {
-    if (r[i] > 0 || !legal(c, STARTED | INITIALIZING)) return refuse(c, "this can't be set now");
-    now(c)->locked = value[i];
-  }
-  return fmi2OK;
-}
-
-fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String value[]) {
-  for (size_t i = 0; i < n; i++) {
-    if (r[i] > 0) return refuse(c, "no such variable");
-    value[i] = now(c)->label;
-  }
-  return fmi2OK;
-}
-
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String value[]) {
-  for (size_t i = 0; i < n; i++) {
-    if (r[i] > 0 || !legal(c, STARTED | INITIALIZING) || strlen(value[i]) >= BUFFER) return refuse(c, "this can't be set");
-    strcpy(now(c)->label, value[i]);
-  }
-  return fmi2OK;
-}
+GETTER(Integer, 0, now(c)->material)
+SETTER(Integer, 1, now(c)->material = value[i])
+GETTER(Boolean, 1, truth(c, r[i]))
+SETTER(Boolean, 1, now(c)->locked = value[i])
+GETTER(String, 0, now(c)->label)
+SETTER(String, strlen(value[i]) < BUFFER, strcpy(now(c)->label, value[i]))
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
   if (*state && is(c, M_reused_state)) return fmi2OK;
