@@ -106,6 +106,7 @@ def test_a_held_output_arrives_at_once() -> None:
     assert result.recording["controller.y"].values[times == 0.2].tolist() == [5.0, 1.0]
     assert result.recording["plant.x"].values[last].tolist() == [1.0, 6.0, 11.0, 12.0, 13.0, 24.0, 35.0]
     assert [each.seconds for each in result.delays] == [0.0, 0.0]
+    assert [each.average for each in result.delays] == pytest.approx([0.1, 0.0])
     assert result.delay_report.splitlines() == [
         "controller.y -> plant.u: 0.1 s late on average, held for 0.2 s between the samples of its source",
         "plant.x -> controller.u: no delay, read at the sample instants",
