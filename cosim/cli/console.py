@@ -279,16 +279,29 @@ def _exit_status(error: Exception) -> int | None:
     return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
 
 
+CODE = (".py", ".c", ".so", ".dylib", ".dll", ".fmu")
+"""Endings of files that a scene may run."""
+
+
 def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
     """A scene from its file or by its name, changed by ``KEY=VALUE`` of the option --set; a note says if its effects are too poor.
 
     Raises:
         SceneError: as for `flexfmu.model.scene.file.load_scene`; a setting has another form.
     """
-    from flexfmu.model.scene.file import basis_hint, load_scene
+    from flexfmu.model.scene.file import basis_hint, file_digests, load_scene
     from flexfmu.model.scene.keys import parse_setting
 
     scene = load_scene(source, dict(map(parse_setting, settings or ())))
+    # a scene may come from a stranger, and what it names from anywhere
+    near = Path(source).resolve().parent
+    named = [
+        each for each in file_digests(scene) if Path(each).suffix in CODE and near not in Path(each).resolve().parents
+    ]
+    if named:
+        show_note(
+            f"note: the scene runs code from outside its folder: {', '.join(named)} (--sandbox of flexfmu run confines it)"
+        )
     if hint := basis_hint(scene):
         _hints.append(f"{hint} ({source})")
     return scene

@@ -1,0 +1,113 @@
+"""What a stranger's scene may do: `flexfmu run --sandbox` takes the rights away, and code from elsewhere is named before it runs."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tomlkit
+
+from flexfmu.cosim.cli.sandbox import _confine, _landlock
+from flexfmu.model.scene.file import load_scene
+
+CONTROLLER = """
+import os, socket
+from pathlib import Path
+import flexfmu
+
+def attempt(what, action):
+    try:
+        action()
+        print(what, "done")
+    except (OSError, MemoryError):
+        print(what, "refused")
+
+@flexfmu.controller(sample_time=1e-3, symbolic=False)
+def mine(t, reference, measurement, state):
+    if t == 0.0:
+        attempt("write", lambda: Path({elsewhere!r}, "written").write_text("x"))
+        attempt("remove", lambda: (os.remove(Path({elsewhere!r}, "there")), Path({elsewhere!r}, "there").touch()))
+        attempt("network", lambda: socket.create_connection(("127.0.0.1", {port}), 1.0))
+        attempt("memory", lambda: bytearray(1 << 40))
+    return [0.0, 0.0], state
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A scene whose controller tries what it shouldn't, with a server that would answer it and a folder to write into."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "there").touch()
+    robot = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.3, "trajectory.dwell": 0.0})
+    robot = robot.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    folder = tmp_path / "strange"
+    folder.mkdir()
+    path = folder / "scene.toml"
+    about = robot.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    path.write_text(tomlkit.dumps(about) + '\n[[controller]]\nkind = "python"\nsource = "mine:mine"\n')
+    return path
+
+
+@pytest.mark.skipif(not _landlock(), reason="a sandbox on Linux with Landlock")
+def test_a_confined_process_writes_into_its_folder_alone(tmp_path: Path) -> None:
+    """Also what it starts: neither a file beside the folder nor a datagram, and no more memory than its limit."""
+    own, other = tmp_path / "own", tmp_path / "other"
+    own.mkdir(), other.mkdir()
+    code = f"""
+import socket, subprocess
+from pathlib import Path
+def refused(action):
+    try:
+        action()
+    except (OSError, MemoryError):
+        return True
+    return False
+datagram = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+print(
+    refused(lambda: Path({str(own)!r}, "x").write_text("x")),
+    refused(lambda: Path({str(other)!r}, "x").write_text("x")),
+    refused(lambda: datagram.sendto(b"x", ("127.0.0.1", 9))),
+    refused(lambda: bytearray(1 << 40)),
+    subprocess.run(["touch", {str(other / "y")!r}], stderr=subprocess.DEVNULL).returncode,
+)
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", code], preexec_fn=lambda: _confine([str(own)]), stdout=subprocess.PIPE, text=True
+    )
+    assert ran.stdout == "False True True True 1\n"
+    assert list(other.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not _landlock(), reason="a sandbox on Linux with Landlock")
+@pytest.mark.parametrize("confined", [True, False])
+def test_a_sandbox_takes_rights_away(scene: Path, tmp_path: Path, confined: bool) -> None:
+    """Without it the same scene does it all, which is what a scene may do; the results are the same."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        code = CONTROLLER.format(elsewhere=str(tmp_path / "elsewhere"), port=server.getsockname()[1])
+        (scene.parent / "mine.py").write_text(code)
+        out = tmp_path / "out"
+        options = ["run", str(scene), "--out", str(out), "--no-verify", "--no-report", *["--sandbox"] * confined]
+        ran = subprocess.run([sys.executable, "-m", "flexfmu", *options], capture_output=True, text=True, timeout=600)
+    assert ran.returncode == 0, ran.stderr
+    told = {line for line in ran.stderr.splitlines() if line.endswith((" done", " refused"))}
+    kinds = ("write", "remove", "network")
+    assert told == {f"{kind} {'refused' if confined else 'done'}" for kind in kinds} | {"memory refused"}
+    assert {"results.csv", "summary.json"} <= {path.name for path in out.iterdir()}
+    assert (tmp_path / "elsewhere" / "written").exists() is not confined
+
+
+def test_code_from_outside_the_scenes_folder_is_named(scene: Path, tmp_path: Path) -> None:
+    """A line before anything runs; code beside the scene needs none."""
+    for place, named in ((tmp_path, True), (scene.parent, False)):
+        (place / "gain.fmu").write_text("no archive")
+        text = scene.read_text().partition("[[controller]]")[0]
+        path = f"{place / 'gain.fmu'}"
+        scene.write_text(f"{text}[[controller]]\nkind = \"fmu\"\npath = '{path}'\nsample_time = 1e-3\n")
+        ran = subprocess.run(
+            [sys.executable, "-m", "flexfmu", "run", str(scene)], capture_output=True, text=True, timeout=600
+        )
+        assert (f"the scene runs code from outside its folder: {path}" in ran.stderr) is named, ran.stderr
