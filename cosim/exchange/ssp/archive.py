@@ -179,16 +179,13 @@ class SspArchive:
             SspError: as for `read`.
         """
         content = self.read(file, where, LARGEST_FMU)
-        path = _folder() / hashlib.sha256(content).hexdigest()[:16] / f"{_safe(PurePosixPath(file).stem)}.fmu"
+        # a name without characters that an operating system could misread
+        stem = "".join(c if c.isalnum() else "_" for c in PurePosixPath(file).stem)[:80] or "fmu"
+        path = _folder() / hashlib.sha256(content).hexdigest()[:16] / f"{stem}.fmu"
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
         return path
-
-
-def _safe(name: str) -> str:
-    """Return the name with all characters but letters and digits replaced by underscores, at most 80 characters."""
-    return "".join(c if c.isalnum() else "_" for c in name)[:80] or "fmu"
 
 
 @cache

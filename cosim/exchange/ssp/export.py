@@ -98,7 +98,9 @@ def describe(name: str, system: ExportedSystem) -> Structure:
         name: name of the system.
         system: the slaves and their connections.
     """
-    connections = tuple(SspConnection(_ends(source), _ends(target)) for source, target in system.connections)
+    # both ends are ``slave.variable``
+    ends = ([end.partition(".")[::2] for end in pair] for pair in system.connections)
+    connections = tuple(SspConnection(source, target) for source, target in ends)
     fed = {each.end for each in connections}
     components: list[Component] = []
     parameters: list[SspParameter] = []
@@ -168,9 +170,3 @@ def describe(name: str, system: ExportedSystem) -> Structure:
 def _source(slave: ExportedSlave) -> str:
     """Return the path of the slave's FMU within the archive."""
     return f"resources/{slave.name}.fmu"
-
-
-def _ends(full_name: str) -> tuple[str, str]:
-    """Split ``slave.variable`` into both names."""
-    slave, _, variable = full_name.partition(".")
-    return slave, variable
