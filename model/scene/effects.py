@@ -124,7 +124,7 @@ class StictionSection(EffectSection):
     def _holds_more_than_it_brakes(self) -> Self:
         if self.holding < self.coulomb:
             raise ValueError(
-                f"`breakaway` must be at least `coulomb` = {self.coulomb} N.m, got {self.breakaway} N.m: "
+                f"`breakaway` must be at least `coulomb` = {self.coulomb} N·m, got {self.breakaway} N·m: "
                 "a motor at rest is held by no less friction than one that turns"
             )
         return self

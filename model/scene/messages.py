@@ -57,7 +57,7 @@ def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
     keys, model, unit, _ = _locate(error["loc"], root)
     key, annotation = ".".join(keys), _annotation(model, keys)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
-    unit = "" if unit == "1" else unit
+    unit = "" if unit == "1" else unit.replace(".", "·")  # as people write it
     # a key that is missing
     if kind == "missing":
         words = get_args(annotation) if get_origin(annotation) is Literal else ()

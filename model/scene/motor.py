@@ -63,7 +63,7 @@ class MotorSection(Section):
         for peak, continuous in zip(self.peak_torque, self.continuous_torque, strict=True):
             if peak < continuous:
                 raise ValueError(
-                    f"`peak_torque` must be at least `continuous_torque` = {continuous} N.m, got {peak} N.m"
+                    f"`peak_torque` must be at least `continuous_torque` = {continuous} N·m, got {peak} N·m"
                 )
         if self.winding_resistance is not None and self.torque_constant is None:
             raise ValueError("`winding_resistance` needs `torque_constant` [N.m/A]: losses are those of the current")

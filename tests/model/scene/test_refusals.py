@@ -165,7 +165,7 @@ REFUSED: list[tuple[Changes, str]] = [
     # effects, and their choice
     ({"effects.quasi_static": ["distal_axial"] * 2}, "`quasi_static` names distal_axial twice"),
     ({"effects.quasi_static": ["distal_bending"]}, "`quasi_static` names distal_bending, which has no modes: give"),
-    (friction(breakaway=1.0), "`breakaway` must be at least `coulomb` = 2.0 N.m"),
+    (friction(breakaway=1.0), "`breakaway` must be at least `coulomb` = 2.0 N·m"),
     (friction(velocity=0.1), "velocity` is not a known key"),
     (friction(kind="sticky"), "`effects.joint_friction.kind` must be one of 'smooth', 'stiction'"),
     (
@@ -193,7 +193,7 @@ REFUSED: list[tuple[Changes, str]] = [
     ),
     ({"cosimulation.loop_solver": {"kind": "newton"}}, "must be one of 'fixed-point', 'anderson', got 'newton'"),
     # controllers
-    (controller(**PD | {"proportional": -1.0}), "`controller[0].proportional[0]` must be at least 0.0 N.m/rad"),
+    (controller(**PD | {"proportional": -1.0}), "`controller[0].proportional[0]` must be at least 0.0 N·m/rad"),
     (controller(**PD | {"derivative": [1.0, 2.0, 3.0]}), "one number for both joints, or a list of two"),
     (controller(kind="pd", proportional=1.0, derivative=1.0), "sample_time` is missing: add it (in s)"),
     (controller(kind="pdd"), "`controller[0].kind` must be one of 'pd', 'pid'"),
@@ -228,7 +228,7 @@ REFUSED: list[tuple[Changes, str]] = [
     (imperfection("delay", time=1e-3, interpolation="cubic"), "'linear', 'lagrange', 'thiran', got 'cubic'"),
     (imperfection("delay", time=1e-3, signal="volume"), "'torque', 'position'"),
     # motors
-    (motor(peak_torque=0.5), "`peak_torque` must be at least `continuous_torque` = 1.0 N.m, got 0.5 N.m"),
+    (motor(peak_torque=0.5), "`peak_torque` must be at least `continuous_torque` = 1.0 N·m, got 0.5 N·m"),
     (motor(gear_efficiency=[0.9, 1.2]), "`motor.gear_efficiency[1]` must be at most 1.0, got 1.2"),
     (motor(winding_resistance=1.0), "`winding_resistance` needs `torque_constant` [N.m/A]"),
     (
