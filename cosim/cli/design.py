@@ -97,6 +97,7 @@ def tune(
             folder=folder,
             restart=restart,
             show=show,
+            note=show_note,
         )
     target = output or folder / "tuned.toml"
     files = [write_tuned(result, target, scene, changes), *write_tuning(result, folder)]

@@ -13,9 +13,10 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.design.gains.goals import Condition
-from flexfmu.cosim.design.gains.trial import Study, Trial, TrialJournal
+from flexfmu.cosim.design.gains.trial import Study, Trial
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.many.journal import WorkJournal
 
 STARTS = 3
 """Number of the best trials of the first points that are improved, one after the other, as long as trials are left."""
@@ -70,9 +71,7 @@ class Search:
         done: the trials in their order.
     """
 
-    def __init__(
-        self, study: Study, tried: Tried, total: int, journal: TrialJournal | None, show: ShowProgress
-    ) -> None:
+    def __init__(self, study: Study, tried: Tried, total: int, journal: WorkJournal, show: ShowProgress) -> None:
         self.study, self.total, self.done = study, total, list[Trial]()
         self._tried, self._journal, self._show = tried, journal, show
         self._known: dict[tuple[float, ...], Trial] = {}
@@ -87,14 +86,10 @@ class Search:
         left = self.total - len(self.done)
         spent, new = len(new) > left, new[:left]
         # those of an earlier tuning, and those that must be run, in their order
-        before = {} if self._journal is None else self._journal.trials
-        missing = [each for each in new if each not in before]
+        missing = [each for each in new if each not in self._journal]
         runs = map(self.study.tried, missing) if len(missing) == 1 else self._tried(missing)
         for each in new:
-            trial = before[each] if each in before else next(runs)
-            if self._journal is not None and each not in before:
-                self._journal.add(trial)
-            self._known[each] = trial
+            self._known[each] = trial = self._journal.kept(each, Trial, lambda: next(runs))
             self.done.append(trial)
             self._tell()
         if spent:

@@ -5,8 +5,7 @@ Each is kept at once: what interrupts a tuning loses at most those that are bein
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite, log10
 from pathlib import Path
@@ -17,12 +16,11 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, fail
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.many.journal import Journal
+from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
-from flexfmu.model.scene.file import file_digests
 from flexfmu.model.scene.keys import full_key, value_at
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -217,62 +215,15 @@ def check_keys(scene: Scene, over: Sequence[Interval]) -> None:
             scene.replace({each.key: value})
 
 
-FILE = "journal.jsonl"
-"""Journal of a tuning: what is tuned in its first line, a trial in each other one."""
-
-
-class TrialJournal:
-    """The trials of a tuning in a folder.
-
-    Args:
-        folder: the folder; created if it doesn't exist.
-        study: what is tuned.
-        restart: whether the trials of another tuning are discarded; otherwise they are an error.
-
-    Attributes:
-        trials: values → trial, of earlier calls.
-
-    Raises:
-        InputError: the folder has another tuning.
-        ResultsError: the folder can't be read or written.
-    """
-
-    def __init__(self, folder: Path, study: Study, *, restart: bool = False) -> None:
-        self._lines, self.trials = Journal(folder / FILE, restart=restart), dict[tuple[float, ...], Trial]()
-        # what determines the trials of equal values
-        about = {
-            "scene": study.scene.model_dump(mode="json", exclude_none=True),
-            **({"files": files} if (files := file_digests(study.scene)) else {}),
-            "keys": [each.key for each in study.over],
-            "figures": sorted({part for goal in study.goals for part in goal.parts}),
-            "payload band": study.band,
-        }
-        head, found = json.loads(json.dumps(about)), [_read(line) for _, line in self._lines.read()]
-        if not found:
-            self._lines.append(f"{json.dumps(head)}\n")
-        elif found[0] != head:
-            part = next((key for key in head if (found[0] or {}).get(key) != head[key]), "file")
-            raise InputError(
-                f"{folder} has another tuning (other {part}): give another folder with --out, or --restart to discard it"
-            )
-        for each in filter(None, found[1:]):
-            trial = Trial(tuple(each["values"]), each["figures"], each["message"])
-            self.trials[trial.values] = trial
-
-    def add(self, trial: Trial) -> None:
-        """Keep a trial.
-
-        Raises:
-            ResultsError: the file can't be written.
-        """
-        line = {"values": trial.values, "figures": dict(trial.figures), "message": trial.message}
-        self._lines.append(f"{json.dumps(line)}\n")
-
-
-def _read(line: bytes) -> dict[str, Any] | None:
-    """A line of the file; None for a torn one."""
-    try:
-        found = json.loads(line)
-    except ValueError:
-        return None
-    return found if isinstance(found, dict) else None
+def trial_journal(
+    folder: Path, study: Study, *, restart: bool = False, note: Callable[[str], object] = lambda text: None
+) -> WorkJournal:
+    """The trials of a tuning in a folder, by their values; arguments and errors as for `WorkJournal`."""
+    # what determines the trials of equal values
+    about = {
+        **about_scene(study.scene),
+        "keys": [each.key for each in study.over],
+        "figures": sorted({part for goal in study.goals for part in goal.parts}),
+        "payload band": study.band,
+    }
+    return WorkJournal(folder, "tuning", about, restart=restart, note=note)

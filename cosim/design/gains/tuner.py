@@ -8,7 +8,7 @@ that an interrupted tuning continues from its journal.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from pathlib import Path
@@ -20,13 +20,14 @@ import tomlkit
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
-from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, TrialJournal, check_keys
+from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys, trial_journal
 from flexfmu.cosim.design.scene_files import changed_document, toml_item
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder, to_json, write_whole
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.many.executor import mapping
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
 from flexfmu.model.one_thread import one_blas_thread
@@ -176,6 +177,7 @@ def tune_scene(
     folder: Path | None = None,
     restart: bool = False,
     show: ShowProgress = quiet,
+    note: Callable[[str], object] = lambda text: None,
 ) -> TuneResult:
     """Tune keys of a scene; arguments and errors as for `flexfmu.tune`.
 
@@ -186,6 +188,7 @@ def tune_scene(
         folder: where trials are kept; None for memory.
         restart: whether the trials of another tuning in the folder are discarded.
         show: is called with what is being done, and the finished fraction.
+        note: is called with a sentence if it continues.
     """
     intervals = _intervals(over)
     if not intervals:
@@ -203,10 +206,11 @@ def tune_scene(
         band_masses(scene, payload_band)
     _check_figures(study)
     with contextlib.ExitStack() as stack:
-        journal = None
+        journal = NOWHERE
         if folder is not None:
-            journal = TrialJournal(folder, study, restart=restart)
+            OutputFolder(folder).prepare()
             stack.enter_context(OutputFolder(folder).claimed())
+            journal = trial_journal(folder, study, restart=restart, note=note)
         return tune_study(
             study, method=method, trials=trials, seed=seed, processes=processes, journal=journal, show=show
         )
@@ -265,7 +269,7 @@ def tune_study(
     trials: int | None = None,
     seed: int = 0,
     processes: int = 1,
-    journal: TrialJournal | None = None,
+    journal: WorkJournal = NOWHERE,
     show: ShowProgress = quiet,
 ) -> TuneResult:
     """Try values and return the best ones; after Ctrl-C the best so far.

@@ -15,9 +15,10 @@ from typer.testing import CliRunner, Result
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
-from flexfmu.cosim.design.gains.trial import FILE, Interval, Study, Trial, TrialJournal
+from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, trial_journal
 from flexfmu.cosim.design.gains.tuner import summary, tune_scene, tune_study, write_tuned, write_tuning
 from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.many.journal import FILE
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -97,7 +98,7 @@ def test_limits_that_none_keeps_are_missed_least() -> None:
 def test_an_interrupted_tuning_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The journal has every trial; the same command makes the others alone and ends with the same trials, torn lines or not."""
     whole = tune_study(study(), trials=40)
-    begun = TrialJournal(tmp_path, study())
+    begun = trial_journal(tmp_path, study())
     made: list[tuple[float, ...]] = []
 
     def interrupted(_: Known, values: tuple[float, ...]) -> Trial:
@@ -113,15 +114,17 @@ def test_an_interrupted_tuning_continues(tmp_path: Path, monkeypatch: pytest.Mon
     assert first.trials == whole.trials[:22]
     with (tmp_path / FILE).open("a") as file:
         file.write('{"values": [1')
-    again = TrialJournal(tmp_path, study())
-    assert len(again.trials) == 22
+    said = list[str]()
+    again = trial_journal(tmp_path, study(), note=said.append)
+    assert said == ["continuing: 22 done"]
     made.clear()
     second = tune_study(study(), trials=40, journal=again)
     assert (second.trials, len(made)) == (whole.trials, 18)
     other = replace(study(), over=(KEYS[0], Interval("pd.kd", 20.0, 500.0), Interval("payload.mass", 1.0, 2.0)))
     with pytest.raises(InputError, match=r"has another tuning \(other keys\)"):
-        TrialJournal(tmp_path, other)
-    assert TrialJournal(tmp_path, other, restart=True).trials == {}
+        trial_journal(tmp_path, other)
+    assert whole.trials[0].values in again
+    assert whole.trials[0].values not in trial_journal(tmp_path, other, restart=True)
 
 
 def test_infinite_margins_keep_limits_and_are_null_in_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,13 +138,12 @@ def test_infinite_margins_keep_limits_and_are_null_in_json(tmp_path: Path, monke
 
     wish = study("delay_margin>1ms")
     monkeypatch.setattr(Known, "tried", robust)
-    result = tune_study(wish, trials=30, journal=TrialJournal(tmp_path, wish))
+    result = tune_study(wish, trials=30, journal=trial_journal(tmp_path, wish))
     assert result.is_feasible
     assert summary(result)["conditions"][0]["tuned"] is None
     assert len(write_tuning(result, tmp_path)) == 2
-    known = TrialJournal(tmp_path, wish).trials
-    assert {*known} == {each.values for each in result.trials}
-    assert all(each.figures["delay_margin"] == math.inf for each in known.values() if each.figures)
+    known = trial_journal(tmp_path, wish)
+    assert all(known.kept(each.values, Trial, pytest.fail) == each for each in result.trials)
 
 
 def test_all_trials_that_fail_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
