@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -96,14 +97,55 @@ def test_reference_has_every_public_name() -> None:
             assert made or any(getattr(each, inner) is entry for entry in entries), f"{name}.{inner}"
 
 
-@pytest.mark.slow
-def test_site_is_whole_and_offline(tmp_path: Path) -> None:
-    """It builds without a warning, and its pages load nothing from elsewhere."""
+SEARCHED = {
+    "install": "install.html",
+    "first frequency": "how-to.html",
+    "natural frequency": "how-to.html",
+    "Bode": "margins.html",
+    "peak torque": "how-to.html",
+    "encoder": "control-loop.html",
+    "python-control": "reference/python.html",
+    "MATLAB": "how-to.html",
+}
+"""What people look for → a page among the first seven that the search shows."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built without a warning."""
     pytest.importorskip("material", reason="needs mkdocs-material")
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path)]
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
     outcome = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-    pages = list(tmp_path.rglob("*.html"))
+    return folder
+
+
+@pytest.mark.slow
+def test_site_is_whole_and_offline(site: Path) -> None:
+    """Its pages load nothing from elsewhere."""
+    pages = list(site.rglob("*.html"))
     assert len(pages) >= len(list(DOCS.rglob("*.md")))
     loaded = r"<(?:script|img|link|iframe)[^>]*(?:src|href)=[\"']?(?:https?:)?//[^>]*>"
     assert [page.name for page in pages if re.search(loaded, page.read_text(encoding="utf-8"))] == []
+
+
+@pytest.mark.slow
+def test_search_finds_what_people_look_for(site: Path) -> None:
+    """Typed into the search of the site in Chromium, opened from its file, without a network."""
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.skip("needs Chromium")
+    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=program, args=["--headless", "--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page()
+        for query, wanted in SEARCHED.items():
+            page.goto((site / "index.html").as_uri())
+            page.locator("[data-md-component=search-query]").fill(query)
+            page.locator(".md-search-result__link").first.wait_for(state="attached", timeout=60_000)
+            links = page.locator(".md-search-result__link").evaluate_all("found => found.map(each => each.href)")
+            shown = list(dict.fromkeys(re.sub(r"[?#].*", "", link).removeprefix(f"{site.as_uri()}/") for link in links))
+            assert wanted in shown[:7], (query, shown)
+        browser.close()
