@@ -14,10 +14,8 @@ from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
 from flexfmu.fmu_build.cache import (
     cache_folder,
     content_hash,
-    digest,
-    digest_name,
     package_fingerprint,
-    read_intact,
+    read_cached,
     store,
 )
 from flexfmu.fmu_build.compilation import compile_library
@@ -135,7 +133,7 @@ def build_fmu(
     parts = (key, package_fingerprint(), *versions, os.environ.get("CC", ""), repr(targets), repr(experiment))
     name = f"{content_hash(part.encode() for part in parts)}.fmu"
     stored = cache_folder() / name
-    content = read_intact(stored) if cache else None
+    content = read_cached(name) if cache else None
     is_cached = content is not None
     if content is None:
         content = _build(make, targets, cache, progress)
@@ -151,7 +149,6 @@ def build_fmu(
 def _keep(name: str, content: bytes, is_needed: bool) -> Path:
     """Write a built FMU into the cache and return its path; unless ``is_needed``, a failure to write is ignored."""
     try:
-        store(digest_name(name), digest(content))
         return store(name, content)
     except ArchiveError as error:
         if is_needed:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexfmu.fmu_build.cache import cache_folder, content_hash, store
+from flexfmu.fmu_build.cache import content_hash, read_cached, store
 from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.toolchain import (
     FIRST_HEADER,
     GENERATED_FLAGS,
@@ -22,8 +22,6 @@ from flexfmu.fmu_build.toolchain import (
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.sources import Sources
-
-_DIGEST_BYTES = 64
 
 _SMALL_FILE, _SMALL_SIZE = "model_small_functions.c", 10_000
 """Name of the file that holds all small generated files for the compiler, and their length [characters]."""
@@ -106,7 +104,7 @@ def _with_small_ones_joined(sources: Sources) -> dict[str, str]:
 def _work_folder() -> Iterator[Path]:
     """A temporary folder; errors of the file system become an `ArchiveError`."""
     try:
-        with tempfile.TemporaryDirectory(prefix="flexfmu-") as name:
+        with temporary_folder("build") as name:
             yield Path(name)
     except OSError as error:
         remedy = "free some space, or name another folder in the variable TMPDIR"
@@ -122,22 +120,14 @@ def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> 
 
 
 def _keep(object_file: Path, name: str) -> None:
-    """Cache an object file, preceded by its hash to detect damage; errors are ignored, since the build doesn't need it."""
-    content = object_file.read_bytes()
-    try:
-        store(name, content_hash([content]).encode() + content)
-    except ArchiveError:
-        return
+    """Cache an object file; errors are ignored, since the build doesn't need it."""
+    with suppress(ArchiveError):
+        store(name, object_file.read_bytes())
 
 
 def _fetch(name: str, target: Path) -> bool:
     """Copy an intact object file from the cache to ``target``; False if there is none."""
-    try:
-        stored = (cache_folder() / name).read_bytes()
-    except OSError:
-        return False
-    digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
-    is_intact = digest == content_hash([content]).encode()
-    if is_intact:
+    content = read_cached(name)
+    if content is not None:
         target.write_bytes(content)
-    return is_intact
+    return content is not None

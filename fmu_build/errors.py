@@ -42,4 +42,4 @@ class ArchiveError(BuildError):
 
 
 class CacheWarning(UserWarning):
-    """The cache's folder can't be written; issued once for each folder."""
+    """The cache's folder can't be written, or isn't its user's alone; issued once for each folder."""

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from flexfmu.cosim.cli.analysis import effects, margins, modes
+from flexfmu.cosim.cli.cache import cache
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
@@ -116,5 +117,6 @@ for _command in (
     workprec,
     validate,
     schema,
+    cache,
 ):
     app.command(short_help=(_command.__doc__ or "").partition("\n")[0])(_reporting(_command))

@@ -16,9 +16,9 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.fmu_build.temporary import temporary_folder
 
 WITHIN = "FLEXFMU_SANDBOX"
 """Environment variable of a process that is confined."""
@@ -53,7 +53,7 @@ def run_in_sandbox(folder: Path) -> int | None:
             "--sandbox needs Linux 5.13 with Landlock, or bubblewrap (bwrap) on the path: run what you don't trust in a "
             "container or a virtual machine"
         )
-    with TemporaryDirectory(prefix="flexfmu-sandbox-", ignore_cleanup_errors=True) as temporary:
+    with temporary_folder("sandbox") as temporary:
         command = [sys.executable, "-m", "flexfmu", *sys.argv[1:]]
         writable = [str(folder.resolve()), temporary]
         environment = {**os.environ, WITHIN: "1", "TMPDIR": temporary}

@@ -23,12 +23,12 @@ from itertools import islice
 from math import inf
 from multiprocessing.connection import Connection, wait
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from time import monotonic
 from typing import Any, Generic, TypeVar
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
+from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.model.one_thread import keep_one_blas_thread
 
 S = TypeVar("S")
@@ -164,7 +164,7 @@ class Processes(Generic[S, T]):
 
     def __enter__(self) -> Processes[S, T]:
         # what processes unpack is removed at the end, also if they are killed
-        self._unpacked = TemporaryDirectory(prefix="flexfmu-many-", ignore_cleanup_errors=True)
+        self._unpacked = temporary_folder("many")
         # a thread for each process waits for its results
         self._threads = ThreadPoolExecutor(self._count)
         return self

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store
+from flexfmu.fmu_build.cache import content_hash, package_fingerprint, read_cached, store
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene.choice import DEFAULT_TOLERANCE
 from flexfmu.model.selection.response import ElasticMotion, MotionGrid
@@ -119,11 +119,9 @@ def kept_path_errors(run: Run) -> tuple[float, float]:
     key = content_hash((*map(str.encode, sources), recording.time.tobytes(), *values))
     name = f"path-errors/{key}"
     # eight bytes for each number
-    known = cached(name)
-    with suppress(OSError, struct.error):  # a file that is damaged or just being removed
-        if known is not None:
-            error, remaining = _PAIR.unpack(known.read_bytes())
-            return float(error), float(remaining)
+    if (known := read_cached(name)) is not None:
+        error, remaining = _PAIR.unpack(known)
+        return float(error), float(remaining)
     errors = path_errors(run)
     with suppress(ArchiveError):
         store(name, _PAIR.pack(*errors))

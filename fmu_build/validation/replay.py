@@ -11,12 +11,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from fmpy.model_description import read_model_description
 
+from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
@@ -254,7 +254,7 @@ def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArra
     Raises:
         RuntimeError: the process fails or writes no result.
     """
-    with TemporaryDirectory(prefix="flexfmu-replay-") as home:
+    with temporary_folder("replay") as home:
         state, result = Path(home) / "state", Path(home) / "rows.npy"
         state.write_bytes(data)
         module = "flexfmu.fmu_build.validation.replay"

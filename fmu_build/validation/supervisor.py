@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 from typing import Any
 
+from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.instance import TRY
 
@@ -114,7 +114,7 @@ def _run(folder: Path, jobs: list[str], step_seconds: float, timeout: float, cal
     Raises:
         RuntimeError: the worker fails before its first check.
     """
-    with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
+    with temporary_folder("validate", folder.parent) as home:
         # run the process and read its report
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.validation.worker"

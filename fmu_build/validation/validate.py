@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import fmpy
 
+from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.archive import check_archive, check_entries, read_archive, unpack
 from flexfmu.fmu_build.validation.binaries import check_binaries, library_name
 from flexfmu.fmu_build.validation.description import (
@@ -82,7 +82,7 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
     offered = {kind: element for kind, element in elements.items() if element is not None}
     single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
     jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS]
-    with TemporaryDirectory(prefix="flexfmu-validate-", ignore_cleanup_errors=True) as home:
+    with temporary_folder("validate") as home:
         folder = Path(home) / "fmu"
         unpack(files, folder)
         reported = run_checks(folder, jobs, not single, limit)

@@ -35,7 +35,7 @@ def object_folder(shared_cache: Path) -> Path:
 def cache_folder(tmp_path: Path, object_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Every test has a cache of its own, but for the object files."""
     folder = tmp_path / "cache"
-    folder.mkdir()
+    folder.mkdir(mode=0o700)
     (folder / "objects").symlink_to(object_folder, target_is_directory=True)
     monkeypatch.setenv("FLEXFMU_CACHE", str(folder))
     return folder

@@ -28,7 +28,7 @@ def _never() -> SymbolicModel:
     raise AssertionError("the model must not be made")
 
 
-def _no_space(**options: object) -> None:
+def _no_space(*arguments: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
@@ -162,8 +162,8 @@ def test_useless_cache_folder_is_said_once(
     assert again.path.read_bytes() == output.read_bytes()
 
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "file"))
-    monkeypatch.setattr(cache, "TemporaryDirectory", _no_space)
-    with pytest.raises(ArchiveError, match=r"file/\w+\.sha256: .*FLEXFMU_CACHE"):
+    monkeypatch.setattr(cache, "temporary_folder", _no_space)
+    with pytest.raises(ArchiveError, match=r"file/\w+\.fmu: .*FLEXFMU_CACHE"):
         build_fmu(make_oscillators(mass=3.0))
     assert build_fmu(make_oscillators(mass=3.0), output=output).path.is_file()
 

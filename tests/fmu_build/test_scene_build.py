@@ -102,6 +102,6 @@ def test_builds_cost_what_is_new(scene: Scene, cache_folder: Path, object_folder
     own = cache_folder / "objects"
     own.unlink()
     shutil.copytree(object_folder, own)
-    before = set(own.iterdir())
+    before = set(own.glob("*.o"))
     assert not build_scene(scene.replace({"payload.mass": 5.4321})).cached
-    assert len(set(own.iterdir()) - before) == 1
+    assert len(set(own.glob("*.o")) - before) == 1

@@ -17,7 +17,7 @@ import casadi
 from flexfmu.cosim.engine.binding import Evaluation
 from flexfmu.cosim.engine.slave import Call, RealArray
 from flexfmu.fmu_build.block_build import sample_function
-from flexfmu.fmu_build.cache import cached, content_hash, store
+from flexfmu.fmu_build.cache import cache_folder, content_hash, read_cached, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.sources import Sources, runtime_sources
@@ -172,5 +172,4 @@ def library(
     for beside, each in libraries:
         store(f"blocks/{beside}", each.content)
     file = f"blocks/{content_hash([content])}{platform.suffix}"
-    path = cached(file)
-    return path if path is not None and path.read_bytes() == content else store(file, content)
+    return cache_folder() / file if read_cached(file) == content else store(file, content)

@@ -23,7 +23,7 @@ from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 from flexfmu.cosim.experiment.wiring import wire
-from flexfmu.fmu_build.cache import cached, content_hash, package_fingerprint, store
+from flexfmu.fmu_build.cache import content_hash, package_fingerprint, read_cached, store
 from flexfmu.model.linear import LinearPlant, linear_plant, without_coulomb_friction
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.schema import Scene
@@ -315,8 +315,8 @@ def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[st
     robot = scene.model_dump_json(include={"mechanism", "payload", "effects"})
     key = content_hash(text.encode() for text in (package_fingerprint(), robot, repr(position), *outputs))
     file = f"plants/{key}.json"
-    if (known := cached(file)) is not None:
-        data = json.loads(known.read_text(encoding="utf-8"))
+    if (known := read_cached(file)) is not None:
+        data = json.loads(known)
         rest = (np.array(data["rest"][0]), np.array(data["rest"][1]))
         a, b, c, d = (np.array(each) for each in data["matrices"])
         return LinearPlant(a, b, c, d, tuple(data["inputs"]), tuple(outputs), rest)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import hashlib
 import os
-import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -26,6 +25,7 @@ from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.cosim.engine.fmu.variables import flattened, structural_sizes
 from flexfmu.fmu_build.choices import ANNOTATION
 from flexfmu.fmu_build.naming import NAMES
+from flexfmu.fmu_build.temporary import temporary_folder
 
 Result = TypeVar("Result")
 
@@ -170,7 +170,7 @@ def resized(fmu: UnpackedFmu, parameters: Mapping[str, Any]) -> UnpackedFmu:
 @cache
 def _root() -> Path:
     """Return the folder of all unpacked FMUs of this process, deleted at its end."""
-    folder = tempfile.TemporaryDirectory(prefix="flexfmu-", ignore_cleanup_errors=True)
+    folder = temporary_folder("fmus")
     atexit.register(folder.cleanup)
     return Path(folder.name)
 

@@ -10,7 +10,6 @@ import atexit
 import hashlib
 import lzma
 import re
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ from lxml import etree
 
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.exchange.ssp.structure import SspError
+from flexfmu.fmu_build.temporary import temporary_folder
 
 DESCRIPTION = "SystemStructure.ssd"
 """Path of the default SSD in an SSP file."""
@@ -191,7 +191,7 @@ class SspArchive:
 @cache
 def _folder() -> Path:
     """Return the folder of all FMUs that this process extracts, removed at its end."""
-    folder = tempfile.TemporaryDirectory(prefix="flexfmu-ssp-", ignore_cleanup_errors=True)
+    folder = temporary_folder("ssp")
     atexit.register(folder.cleanup)
     return Path(folder.name)
 

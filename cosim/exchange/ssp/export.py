@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Iterable
 from dataclasses import replace
 from importlib.metadata import version
@@ -31,6 +30,7 @@ from flexfmu.cosim.exchange.ssp.xml import ssd_xml, ssv_xml
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.fmu_build.archive import pack, write_atomically
+from flexfmu.fmu_build.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_loop import Loop
@@ -80,7 +80,7 @@ def export_ssp(
     holds = scene.cosimulation.drive == "torque" and not loop.controllers
     robot = scene if holds else scene_with_parameters(scene, loop.parameters)
     # build all FMUs, then describe the system from their descriptions
-    with tempfile.TemporaryDirectory(prefix="flexfmu-") as folder:
+    with temporary_folder("export") as folder:
         system = export_slaves(robot, Path(folder), loop=loop, platforms=platforms, cache=cache, progress=progress)
         files = {_source(slave): slave.path.read_bytes() for slave in system.slaves}
         structure = describe(scene.name, system)

@@ -27,7 +27,7 @@ from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, ban
 from flexfmu.cosim.metrics.metrics import ChosenMetrics
 from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
-from flexfmu.fmu_build.cache import cache_folder, content_hash
+from flexfmu.fmu_build.cache import cache_folder, content_hash, make_private
 from flexfmu.fmu_build.errors import BuildError, MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.keys import full_key
@@ -346,6 +346,6 @@ def _one_builder(key: str) -> Iterator[None]:
     path = cache_folder() / f"building-{content_hash([key.encode()])[:1]}.lock"
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_private(path.parent)
             stack.enter_context(locked(path, wait=True))
         yield
