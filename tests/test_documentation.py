@@ -143,7 +143,9 @@ def test_search_finds_what_people_look_for(site: Path) -> None:
         page = browser.new_page()
         for query, wanted in SEARCHED.items():
             page.goto((site / "index.html").as_uri())
-            page.locator("[data-md-component=search-query]").fill(query)
+            page.keyboard.press("/")
+            page.locator("[data-md-component=search-query]:focus").wait_for(timeout=60_000)
+            page.keyboard.type(query)
             page.locator(".md-search-result__link").first.wait_for(state="attached", timeout=60_000)
             links = page.locator(".md-search-result__link").evaluate_all("found => found.map(each => each.href)")
             shown = list(dict.fromkeys(re.sub(r"[?#].*", "", link).removeprefix(f"{site.as_uri()}/") for link in links))
