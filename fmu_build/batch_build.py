@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from ctypes import CDLL
 from functools import cache
 from pathlib import Path
-from zipfile import BadZipFile, ZipFile
 
+from flexfmu.fmu_build.archive import DAMAGED, open_archive
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.errors import BuildError, ModelError
+from flexfmu.fmu_build.errors import ArchiveError, BuildError, ModelError
 from flexfmu.fmu_build.sources import Sources, runtime_sources
 from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, find_compiler, native_platform
 
@@ -63,10 +63,10 @@ def batch_library(fmu: Path, lanes: int) -> Path:
 def _generated_code(fmu: Path) -> dict[str, str]:
     """The generated C files of an FMU, name → text."""
     try:
-        with ZipFile(fmu) as archive:
+        with open_archive(fmu) as archive:
             names = [name for name in archive.namelist() if name.startswith("sources/model_")]
             texts = {name.removeprefix("sources/"): archive.read(name).decode() for name in names}
-    except (OSError, BadZipFile, UnicodeDecodeError) as error:
+    except (ArchiveError, *DAMAGED) as error:
         raise BuildError(f"can't read the sources of {fmu}: {error}") from error
     return {name: text for name, text in texts.items() if name not in runtime_sources()}
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import platform
 import re
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -27,6 +26,8 @@ from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.metrics.stress import link_stresses
+from flexfmu.fmu_build.archive import DAMAGED, open_archive
+from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene.choice import NAMED_FLOOR
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene
@@ -335,10 +336,10 @@ def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
 def compiler_of(fmu: Path) -> str | None:
     """Return the compilers of the FMU's binaries by their signatures; None if there are none or the FMU can't be read."""
     try:
-        with zipfile.ZipFile(fmu) as archive:
+        with open_archive(fmu) as archive:
             names = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]
             signatures = {found for name in names for found in _COMPILER.findall(archive.read(name))}
-    except (OSError, zipfile.BadZipFile):
+    except (ArchiveError, *DAMAGED):
         return None
     return ", ".join(sorted(each.decode("ascii", "replace") for each in signatures)) or None
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
+from flexfmu.fmu_build.archive import DAMAGED, open_archive, read_member, repeated, unsafe
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
@@ -19,7 +18,6 @@ FOLDERS = {"binaries", "documentation", "extra", "licenses", "resources", "sourc
 FILES = {"modelDescription.xml", "model.png"}
 
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
-_LINK = 0o120000
 _FLAGS, _ENCRYPTED = 6, 1
 """Offset of the flags in a local file header, and the flag for encryption (PKWARE APPNOTE, 4.3.7 and 4.4.4)."""
 
@@ -34,22 +32,16 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
-    try:
-        content = path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        raise ArchiveError(
-            f"no FMU at {path}; build one with: flexfmu build SCENE -o {path.name or 'NAME.fmu'}"
-        ) from error
-    except OSError as error:
-        raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
-    try:
-        # read each entry in full: the central directory alone doesn't reveal damage
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            entries = archive.infolist()
-            files = {entry.filename: archive.read(entry) for entry in entries if not entry.is_dir()}
-            encrypted = [entry.filename for entry in entries if content[entry.header_offset + _FLAGS] & _ENCRYPTED]
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
+    if not path.exists() or path.is_dir():
+        raise ArchiveError(f"no FMU at {path}; build one with: flexfmu build SCENE -o {path.name or 'NAME.fmu'}")
+    # read each member in full: the central directory alone doesn't reveal damage
+    with open_archive(path, judged=True) as archive:
+        entries = archive.infolist()
+        try:
+            files = {entry.filename: read_member(archive, entry) for entry in entries if not entry.is_dir()}
+            encrypted = [entry.filename for entry in entries if _flags(archive, entry) & _ENCRYPTED]
+        except DAMAGED as error:
+            raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
     if "modelDescription.xml" not in files:
         # usual mistakes: an extra folder level, or another spelling
         nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
@@ -58,6 +50,13 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
         where = f": it is called {other}, rename it" if other else where
         raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing{where}")
     return entries, files, encrypted
+
+
+def _flags(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> int:
+    """The first byte of the flags in a member's local header."""
+    assert archive.fp is not None
+    archive.fp.seek(entry.header_offset + _FLAGS)
+    return archive.fp.read(1)[0]
 
 
 def unpack(files: dict[str, bytes], folder: Path) -> None:
@@ -81,22 +80,19 @@ def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ())
     # encrypted files and repeated paths
     for name in encrypted:
         yield _archive(f"{name} is marked as encrypted in its own header", "pack it without a password", name)
-    for name, count in Counter(entry.filename for entry in entries).items():
-        if count > 1:
-            yield _archive(f"{name} is there {count} times", "keep one: tools take any of them", name)
-    # paths, compression methods, symbolic links
+    for name, count in repeated(entries).items():
+        yield _archive(f"{name} is there {count} times", "keep one: tools take any of them", name)
+    # paths, symbolic links, compression methods
     for entry in entries:
         name = entry.filename
-        if "\\" in entry.orig_filename or name.startswith("/") or ".." in PurePosixPath(name).parts or name[1:2] == ":":
-            yield _archive(
-                f"{entry.orig_filename} leaves the folder or has a backslash", "use a/b/c paths", entry.orig_filename
-            )
+        if problem := unsafe(entry):
+            yield _archive(f"the archive {problem}", "use a/b/c paths and whole files", entry.orig_filename)
+        elif "\\" in entry.orig_filename:
+            yield _archive(f"{entry.orig_filename} has a backslash", "use a/b/c paths", entry.orig_filename)
         if entry.compress_type not in _METHODS:
             yield _archive(
                 f"{name} is packed by method {entry.compress_type}", "use deflate, most tools know no other", name
             )
-        if entry.external_attr >> 16 & 0o170000 == _LINK:
-            yield _archive(f"{name} is a symbolic link", "put the file there: most tools unpack its path as text", name)
     # names that differ only by case
     alike = Counter(entry.filename.rstrip("/").lower() for entry in entries)
     for entry in entries:

@@ -7,9 +7,10 @@ names of numbered choices.
 from __future__ import annotations
 
 import atexit
+import errno
 import hashlib
 import os
-import zipfile
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -23,7 +24,9 @@ from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.cosim.engine.fmu.variables import flattened, structural_sizes
+from flexfmu.fmu_build.archive import open_archive
 from flexfmu.fmu_build.choices import ANNOTATION
+from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import NAMES
 from flexfmu.fmu_build.temporary import temporary_folder
 
@@ -31,6 +34,9 @@ Result = TypeVar("Result")
 
 INTERPOLATION_ORDER = 1
 """Highest input derivative of an FMU that states only canInterpolateInputs; FMI 2.0 has no attribute for the order."""
+
+SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.EROFS, errno.EACCES, errno.EIO)
+"""Errors of the system while an FMU is unpacked: no space, no file descriptors, no right to write."""
 
 NEEDLESS = ("sources/", "documentation/")
 """Folders of an FMU that stay packed."""
@@ -145,10 +151,15 @@ def open_fmu(path: Path) -> UnpackedFmu:
         FmuFileError: the FMU is missing, broken, of another kind, or has no binary for this platform.
     """
     try:
-        content = path.read_bytes()
+        # sizes and names first, for each file: nothing of an archive is believed before
+        open_archive(path).close()
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except ArchiveError as error:
+        raise FmuFileError(str(error)) from None
     except OSError as error:
         raise FmuFileError(f"can't read the FMU {path}: {error.strerror}; check the path") from error
-    folder, description = _unpack(hashlib.sha256(content).hexdigest(), path)
+    folder, description = _unpack(digest, path)
     fmu = UnpackedFmu(path, folder, description)
     _check(fmu)
     return fmu
@@ -190,7 +201,10 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         FmuFileError: the FMU is broken or has clocks.
     """
     if digest not in _unpacked:
-        folder = _root() / digest
+        try:
+            folder = _root() / digest
+        except OSError as error:
+            raise _cannot_unpack(path, error) from error
         # without what no run needs, most of the files
         attempt(path, lambda: fmpy.extract(str(path), str(folder), lambda name: not name.startswith(NEEDLESS)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
@@ -224,13 +238,20 @@ def attempt(path: Path, action: Callable[[], Any]) -> Any:
     """Return the result of an action with fmpy; any exception becomes an `FmuFileError`."""
     try:
         return action()
-    except zipfile.BadZipFile:
-        raise FmuFileError(f"{path} is no FMU: not a zip file; build it again or check the path") from None
     except FmuFileError:
         raise
     except Exception as error:
+        # full disks and the like aren't the FMU's fault
+        if isinstance(error, OSError) and error.errno in SYSTEM:
+            raise _cannot_unpack(path, error) from error
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FmuFileError(f"{path} is a broken FMU: {reason}; `flexfmu validate` tells more") from error
+
+
+def _cannot_unpack(path: Path, error: OSError) -> FmuFileError:
+    folder, files = tempfile.tempdir or "a temporary folder", error.errno in (errno.EMFILE, errno.ENFILE)
+    remedy = "close files or raise `ulimit -n`" if files else "make room there, or set TMPDIR to another folder"
+    return FmuFileError(f"can't unpack {path} into {folder}: {error.strerror}; {remedy}")
 
 
 def _check(fmu: UnpackedFmu) -> None:

@@ -8,14 +8,10 @@ from __future__ import annotations
 
 import atexit
 import hashlib
-import lzma
 import re
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from io import BytesIO
 from math import isfinite
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -25,6 +21,8 @@ from lxml import etree
 
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.exchange.ssp.structure import SspError
+from flexfmu.fmu_build.archive import DAMAGED, LARGEST_CONTENT, open_archive, read_member
+from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.temporary import temporary_folder
 
 DESCRIPTION = "SystemStructure.ssd"
@@ -32,12 +30,6 @@ DESCRIPTION = "SystemStructure.ssd"
 
 LARGEST_XML = 64_000_000
 """Largest XML file [bytes], unpacked: a thousand times the size of an SSD with a thousand connections."""
-
-LARGEST_FMU = 4_000_000_000
-"""Largest FMU within the archive [bytes]."""
-
-DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, EOFError, OSError, ValueError)
-"""Exceptions of Python's zip reader for an entry that is damaged, encrypted or compressed by an unknown method."""
 
 NAMESPACE = "http://ssp-standard.org/SSP1/"
 """How the names of all namespaces of SSP 1 begin."""
@@ -79,12 +71,9 @@ class SspArchive:
     def __init__(self, path: Path, description: str = DESCRIPTION) -> None:
         self.path, self.description = path, description
         try:
-            self._content = path.read_bytes()
-            self._archive = zipfile.ZipFile(BytesIO(self._content))
-        except OSError as error:
-            raise SspError(f"can't read {path}: {error.strerror}; check the path") from error
-        except (zipfile.BadZipFile, NotImplementedError):
-            raise SspError(f"{path} is no SSP: not a zip file; check the path or export it again") from None
+            self._archive = open_archive(path, "SSP")
+        except ArchiveError as error:
+            raise SspError(str(error)) from None
         # the SSD must exist; other SSDs are its variants
         self._entries = {entry.filename: entry for entry in self._archive.infolist()}
         self.variants = sorted({each for each in self._entries if each.endswith(".ssd")} - {description})
@@ -111,8 +100,7 @@ class SspArchive:
         if self._entries[file].file_size > largest:
             raise SspError(f"{prefix} is {self._entries[file].file_size} bytes large; at most {largest} are read")
         try:
-            with self._archive.open(file) as stream:
-                return stream.read(largest)
+            return read_member(self._archive, self._entries[file])
         except DAMAGED as error:
             raise SspError(f"{prefix} can't be unpacked: {error}; export it again") from None
 
@@ -178,7 +166,7 @@ class SspArchive:
         Raises:
             SspError: as for `read`.
         """
-        content = self.read(file, where, LARGEST_FMU)
+        content = self.read(file, where, LARGEST_CONTENT)
         # a name without characters that an operating system could misread
         stem = "".join(c if c.isalnum() else "_" for c in PurePosixPath(file).stem)[:80] or "fmu"
         path = _folder() / hashlib.sha256(content).hexdigest()[:16] / f"{stem}.fmu"

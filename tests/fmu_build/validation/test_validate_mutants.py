@@ -128,7 +128,7 @@ def test_mutants_that_run_are_found(found: Found, part: int) -> None:
         "function missing": "does not export fmi2CancelStep",
         "nan_late": "simulation: ",
         "cut off": "build it again",
-        "no archive": "no intact FMU",
+        "no archive": "is no FMU: not a zip file",
         "description in a folder": "modelDescription.xml is missing",
         "value reference of two parameters": "value reference: stiffness and damping share the value reference 6",
         "unit's exponent": "units: N/m is defined with m=1",
