@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.engine.shared_library import LIBRARIES, library_file
+from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
+from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.model.scene.disturbances import disturbance_inputs
 from flexfmu.model.scene.motion import TrajectorySection
 
@@ -51,6 +54,30 @@ def scene_key(scene: Scene) -> str:
     )
 
 
+def shared_key(scene: Scene) -> str:
+    """Text that determines the scene's model but for the values of its parameters, which a run sets: whether each is zero.
+
+    The shapes of Timoshenko's beams and of the basis of Craig and Bampton are calculated from the values; there it is `scene_key`.
+    """
+    if scene.effects.beam != "euler-bernoulli" or scene.effects.basis != "assumed-modes":
+        return scene_key(scene)
+    zeros = {name: known.value == 0.0 for name, known in scene_values(scene).items()}
+    without: dict[str, Any] = {"mechanism": True}
+    kept = scene.model_dump(mode="json", exclude={**_WITHOUT_INFLUENCE, **without, "trajectory": True})
+    modes = scene.mechanism.working_mode, scene.mechanism.assembly_mode
+    kept |= {name: _without_numbers(kept[name]) for name in ("payload", "effects")}
+    return f"shared {json.dumps(kept)} {modes} {zeros} disturbed in {disturbance_inputs(scene.disturbance)}"
+
+
+def _without_numbers(section: Any) -> Any:
+    """A section without its values of parameters, which are floats."""
+    if isinstance(section, dict):
+        return {key: _without_numbers(value) for key, value in section.items()}
+    if isinstance(section, list) and all(isinstance(each, float) for each in section):
+        return len(section)
+    return None if isinstance(section, float) else section
+
+
 def depends_on(key: str) -> bool:
     """Whether the model may depend on a dotted key of the scene, or on a part of what it names."""
     section, _, rest = key.partition(".")
@@ -73,6 +100,7 @@ def build_scene(
     naming: Naming = "structured",
     enumerations: bool = False,
     cache: bool = True,
+    shared: bool = False,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
     """Build the FMU of ``scene``, or take it from the cache without importing CasADi.
@@ -82,6 +110,8 @@ def build_scene(
     Args:
         scene: the scene.
         output, platforms, naming, enumerations, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        shared: whether the FMU may be that of another scene with other values of its parameters and another motion, for runs that
+            set all of them; its start values and default experiment are those of the first such scene, or usual ones.
 
     Raises:
         BuildError: as for `build_fmu`.
@@ -95,14 +125,17 @@ def build_scene(
 
     # end of motion and dwell, rounded: 0.43 + 0.25 = 0.68
     stop_time = float(f"{scene.trajectory.moving_time + scene.trajectory.dwell:.12g}")
+    section, usual = scene.cosimulation, DefaultExperiment()
+    own = DefaultExperiment(stop_time, section.communication_step, section.tolerance)
+    experiment = usual if shared else own
     built = build_fmu(
         make_model,
-        key=scene_key(scene),
+        key=shared_key(scene) if shared else scene_key(scene),
         output=output,
         platforms=platforms,
-        step=scene.cosimulation.communication_step,
-        tolerance=scene.cosimulation.tolerance,
-        stop_time=stop_time,
+        step=experiment.step,
+        tolerance=experiment.tolerance,
+        stop_time=experiment.stop_time,
         naming=naming,
         enumerations=enumerations,
         cache=cache,

@@ -163,7 +163,7 @@ class PreparedScene:
         self._plans = loop is None and motion is None
         planning = watch.lap()
         # build the FMU, or take it from the cache
-        self._fmu_path = options.get("fmu_path") or build_scene(scene).path
+        self._fmu_path = options.get("fmu_path") or build_scene(scene, shared=True).path
         building = watch.lap()
         # load the FMU and connect the system
         self._parts = scene_system(

@@ -1,0 +1,78 @@
+"""One FMU serves all scenes that differ in values of its parameters and in the motion, and gives what their own FMUs give, to the last bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu import load_scene
+from flexfmu.cosim.experiment.scene_build import build_scene, shared_key
+from flexfmu.cosim.many.prepared_scene import run_scene
+from flexfmu.fmu_build import build
+
+ROBOT = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.02, "cosimulation.step": 1e-3})
+DRIVEN = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.01}
+OTHER = {
+    "payload.mass": 2.5,
+    "trajectory.duration": 0.5,
+    "trajectory.start": [-0.17, 0.33],
+    "mechanism.distal.length": 0.4,
+    "mechanism.material.density": 2800.0,
+    "effects.gravity": [0.0, -3.0],
+    "effects.damping.ratio": 0.1,
+}
+
+
+@pytest.mark.parametrize("drive", [{}, DRIVEN], ids=["motion", "torque"])
+def test_results_are_those_of_the_own_fmu(drive: dict[str, Any]) -> None:
+    """Signals and metrics, by the FMU that the first scene of its kind has built."""
+    first = run_scene(ROBOT.replace(drive))
+    scene = ROBOT.replace({**drive, **OTHER})
+    shared, own = run_scene(scene), run_scene(scene, fmu_path=build_scene(scene).path)
+    assert shared.fmu_path == first.fmu_path != own.fmu_path
+    assert shared.message == own.message
+    for name, column in own.recording.columns.items():
+        np.testing.assert_array_equal(shared.recording.columns[name].values, column.values)
+    assert {name: each.value for name, each in shared.metrics.items()} == {
+        name: each.value for name, each in own.metrics.items()
+    }
+
+
+def test_other_values_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forty scenes of other payloads, lengths and durations are planned, and none builds."""
+    path = build_scene(ROBOT, shared=True).path
+
+    def refuse(*arguments: object) -> bytes:
+        raise AssertionError("an FMU was built")
+
+    monkeypatch.setattr(build, "_build", refuse)
+    for i in range(1, 41):
+        changes = {
+            "payload.mass": 0.1 * i,
+            "trajectory.duration": 0.4 + 0.01 * i,
+            "mechanism.proximal.length": 0.24 + 1e-4 * i,
+        }
+        assert build_scene(ROBOT.replace(changes), shared=True).path == path
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"payload.mass": 0.0},
+        {"effects.gravity": [0.0, 0.0]},
+        {"effects.proximal_bending": 2},
+        {"name": "another"},
+        DRIVEN,
+    ],
+)
+def test_other_structures_have_their_own(changes: dict[str, Any]) -> None:
+    """What a value of zero leaves out, modes, name and drive are in the generated C."""
+    assert shared_key(ROBOT.replace(changes)) != shared_key(ROBOT)
+
+
+def test_shapes_that_depend_on_values_are_not_shared() -> None:
+    """The shapes of Timoshenko's beams are numbers in the generated C."""
+    beams = ROBOT.replace({"effects.beam": "timoshenko"})
+    assert shared_key(beams) != shared_key(beams.replace({"mechanism.proximal.diameter": 0.036}))
