@@ -48,13 +48,15 @@ def plan(
     seed: int | None = None,
     processes: ProcessesOption = None,
     robust: bool = True,
+    restart: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
     """Plan the fastest motion that leaves no vibration, within limits that hold over a band of payloads.
 
     Writes planned.toml, which every command takes, the Pareto front as front.csv, and plan.html, which
-    compares the planned with the given motion. After Ctrl-C the best motion so far is written.
+    compares the planned with the given motion. After Ctrl-C the best motion so far is written. All that is found is kept at once:
+    whatever ends the command, the same command continues.
 
     Args:
         output (-o, --output FILE.toml): Also write the planned scene here. Default: only into --out.
@@ -78,6 +80,7 @@ def plan(
         budget (SECONDS): Start no further method or candidate after this time. Default: no limit.
         seed (N): Seed of the search. Default: the scene's, or 0.
         robust: Evaluate the chosen motion in richer models too.
+        restart: Discard what an interrupted plan for another scene or other limits has left in the folder. Default: refuse.
     """
     import os
 
@@ -85,6 +88,7 @@ def plan(
     from flexfmu.cosim.design.plans.assessment import file_candidate
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
+    from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
     check_scene_file(output)
     robot = load_changed(scene, settings)
@@ -96,6 +100,7 @@ def plan(
     robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
     folder = out or usual_folder(robot.name, settings, "-plan")
     prepared_folder(folder)
+    journal = WorkJournal(folder, "plan", about_scene(robot), restart=restart, note=show_note)
     with progress() as show:
         result = plan_scene(
             robot,
@@ -105,9 +110,12 @@ def plan(
             budget=budget,
             robust=robust,
             show=show,
+            journal=journal,
         )
         show("writing the results", None)
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
+    if not result.interrupted:
+        journal.remove()
     for message in result.failures:
         show_note(message)
     if result.interrupted:

@@ -119,9 +119,8 @@ class WorkJournal:
             self._lines.append(f"{_text(head)}\n")
         elif found[0] != head:
             before = found[0] if isinstance(found[0], dict) else {}
-            part = next((key for key in head if before.get(key) != head[key]), "file")
             raise InputError(
-                f"{folder} has another {work} (other {part}): give another folder with --out, or --restart to discard it"
+                f"{folder} has another {work}: {difference(before, head)}; choose another --out, or discard it with --restart"
             )
         self._known = {each[0]: each[1] for each in found[1:] if isinstance(each, list) and len(each) == 2}
         if self._known:
@@ -130,7 +129,7 @@ class WorkJournal:
     def __contains__(self, key: Any) -> bool:
         return _name(key) in self._known
 
-    def kept(self, key: Any, kind: type[Found], compute: Callable[[], Found]) -> Found:
+    def kept(self, key: Any, kind: Any, compute: Callable[[], Found]) -> Found:
         """The result of a unit: from the file, or computed and kept.
 
         Args:
@@ -144,7 +143,8 @@ class WorkJournal:
         name = _name(key)
         if name in self._known:
             try:
-                return TypeAdapter(kind).validate_python(self._known[name])
+                there: Found = TypeAdapter(kind).validate_python(self._known[name])
+                return there
             except ValidationError:
                 place = "the journal" if self._lines is None else self._lines.path
                 raise ResultsError(f"{place} has no result of this work: begin anew with --restart") from None
@@ -167,6 +167,28 @@ def about_scene(scene: Scene) -> dict[str, Any]:
     """What a scene determines results by: its keys, and the files that it names."""
     keys = {"scene": scene.model_dump(mode="json", exclude_none=True)}
     return keys | ({"files": files} if (files := file_digests(scene)) else {})
+
+
+def difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """What differs between what two results are of, the first few differences."""
+
+    def flat(data: Any, key: str) -> dict[str, Any]:
+        # dotted keys of nested tables
+        if not isinstance(data, Mapping):
+            return {key: data}
+        return {name: value for part, each in data.items() for name, value in flat(each, f"{key}.{part}").items()}
+
+    def short(value: Any) -> str:
+        text = "not there" if value is None else json.dumps(value, ensure_ascii=False)
+        return text if len(text) <= 60 else f"{text[:57]}..."
+
+    one, two = flat(before, ""), flat(after, "")
+    found = [
+        f"{key[1:]} was {short(one.get(key))}, now {short(two.get(key))}"
+        for key in {**one, **two}
+        if one.get(key) != two.get(key)
+    ]
+    return ", ".join(found[:3]) + (f" and {len(found) - 3} more" if len(found) > 3 else "")
 
 
 def _name(key: Any) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,6 +21,7 @@ from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.planning import plan, plan_own
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.scene.schema import Scene
@@ -41,6 +42,9 @@ SAME_PLACE = 1e-5
 INSTANTS = 4001
 """Instants at which references are examined."""
 
+SAMPLES = 65
+"""Instants at which references are compared with those in a journal."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -57,6 +61,16 @@ class Candidate:
     method: Method
     scene: Scene
     trajectory: Trajectory | None = None
+
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """What tells the motion from others: keys of the scene, and samples of its own references."""
+        own = self.trajectory
+        return {
+            **about_scene(self.scene),
+            "method": self.method,
+            "references": None if own is None else own.evaluate(np.linspace(0.0, own.duration, SAMPLES), 2, "left"),
+        }
 
     def prepared(self, *, tolerance: float = TOLERANCE, step: float = STEP) -> PreparedScene:
         """The candidate, ready for runs.
@@ -218,16 +232,21 @@ class Assessment:
         }
 
 
+Judged = tuple[float, tuple[Peaks, ...], tuple[float, float, float], tuple[Limit, ...]]
+"""What a journal has of an assessment."""
+
+
 class Judge:
     """Assesses candidates of the same goals by runs of the FMU.
 
     Args:
         goals: limits, bands and clearance.
         payloads: number of payloads within their band.
+        journal: where assessments are kept.
     """
 
-    def __init__(self, goals: Goals, payloads: int = 7) -> None:
-        self.goals, self.variations = goals, goals.variations(payloads)
+    def __init__(self, goals: Goals, payloads: int = 7, journal: WorkJournal = NOWHERE) -> None:
+        self.goals, self.variations, self._journal = goals, goals.variations(payloads), journal
         self._path = goals.trace
         self._tree = cKDTree(self._path)
 
@@ -244,6 +263,11 @@ class Judge:
             ResultsError: a run failed.
         KeyboardInterrupt: after Ctrl-C, which ends a run early.
         """
+        key = ["judged", len(self.variations), candidate.content]
+        found = self._journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
+        return Assessment(candidate, *found)
+
+    def _judged(self, candidate: Candidate, *, given: bool) -> Judged:
         prepared = candidate.prepared()
         found = []
         for variation in self.variations:
@@ -256,7 +280,8 @@ class Judge:
         joints = run.plan.joints
         speed, acceleration, jerk = peak_rates(joints, INSTANTS).tolist()
         assessment = Assessment(candidate, joints.duration, tuple(found), (speed, acceleration, jerk))
-        return replace(assessment, uses=tuple(self._uses(assessment, assessment if given else self.given)))
+        uses = tuple(self._uses(assessment, assessment if given else self.given))
+        return assessment.time, assessment.peaks, assessment.references, uses
 
     def _peaks(self, run: Run, variation: Variation) -> Peaks:
         metrics, recording, end = run.metrics, run.recording, run.plan.duration

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,9 @@ from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
-from flexfmu.model.reference_design.joint_spline import fitted
+from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import (
     DEPTH,
     LOOSE,
@@ -64,7 +66,13 @@ WITH_TORQUE = ("rms_torque", "power", "reaction", "stress")
 """Limits that the programmes don't know, which fall with the torques."""
 
 
-def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
+Kept = tuple[list[tuple[float, float]], float, int, float] | None
+"""What a journal has of a motion: the spline's coefficients, duration and degree, and its worst violation; None where there is none."""
+
+
+def optimal(
+    goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress, journal: WorkJournal = NOWHERE
+) -> Iterator[Candidate]:
     """The best motions within the bands, from the given one on, each corrected until the FMU finds all limits kept.
 
     Arguments as for `planner.Stage`.
@@ -81,31 +89,40 @@ def optimal(goals: Goals, found: Sequence[Assessment], processes: int, show: Sho
         nodes += [len(own) + k for k in _nodes(fuller, FULLER_NODES)]
     robots = [[RobotVariant(scene, each.changes(scene)) for each in variations] for scene, variations in groups]
     limits, joints = _limits(goals, found[0], robots), goals.given.once.joints
-    judge, wishes = Judge(goals, PAYLOADS[0]), goals.wishes
+    judge, wishes = Judge(goals, PAYLOADS[0], journal), goals.wishes
     durations = [share * joints.duration for share in STARTS] if wishes.duration is None else [wishes.duration]
     for duration in durations:
         start = fitted(joints, INTERVALS, side="left").with_duration(duration)
         tight, loose, tried = limits, LOOSE, False
-        for _ in range(TRIES):
-            last: Improvement | None = None
-            try:
-                for last in optimal_motion([*chain(*robots)], tight, start, nodes, loose=loose, aim=wishes.minimise):
-                    show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
-            except EquilibriumError:
-                # too fast for the links: a slower start may do
+        for number in range(TRIES):
+
+            def best(tight: MotionLimits = tight, start: JointSpline = start, loose: float = loose) -> Any:
+                last: Improvement | None = None
+                try:
+                    for last in optimal_motion(
+                        [*chain(*robots)], tight, start, nodes, loose=loose, aim=wishes.minimise
+                    ):
+                        show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
+                except EquilibriumError:
+                    # too fast for the links: a slower start may do
+                    return None
+                return last and (*vars(last.motion).values(), max(last.violations.values()))
+
+            found_motion = journal.kept(("optimal", duration, number), Kept, best)
+            if found_motion is None or found_motion[-1] >= NEARLY:
                 break
-            if last is None or max(last.violations.values()) >= NEARLY:
-                break
+            coefficients, time, degree, _ = found_motion
+            motion = JointSpline(np.array(coefficients), time, degree)
             aim = "robust" if wishes.minimise == "time" else wishes.minimise
-            label, tried = f"optimal control, {aim}, {last.motion.duration:.4g} s", True
-            candidate = Candidate(label, "optimal control", goals.scene, last.motion.trajectory())
+            label, tried = f"optimal control, {aim}, {time:.4g} s", True
+            candidate = Candidate(label, "optimal control", goals.scene, motion.trajectory())
             yield candidate
             excess = excesses(judge.assess(candidate))
             if not excess:
                 return
             # what the FMU finds beyond the limits is taken off them, from this motion on
             tight, loose = tightened(tight, excess), 0.0
-            start = last.motion.with_duration(wishes.duration or SLOWER * last.motion.duration)
+            start = motion.with_duration(wishes.duration or SLOWER * time)
         if tried:
             return
 

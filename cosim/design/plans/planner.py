@@ -19,6 +19,7 @@ from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.timing import processor_time
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -29,8 +30,9 @@ from flexfmu.trajectories.errors import TrajectoryError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Stage = Callable[[Goals, Sequence[Assessment], int, ShowProgress], Iterator[Candidate]]
-"""A method: from the goals, what was assessed before, the number of processes and where to show progress to ever better candidates."""
+Stage = Callable[[Goals, Sequence[Assessment], int, ShowProgress, WorkJournal], Iterator[Candidate]]
+"""A method: from the goals, what was assessed before, the number of processes, where to show progress and where to keep what is
+found to ever better candidates."""
 
 METHODS = ("search", "flexible", "optimal")
 """Names of the methods, in the order in which they run: what one finds, the next can start from."""
@@ -210,6 +212,7 @@ def plan_scene(
     budget: float | None = None,
     robust: bool = True,
     show: ShowProgress = quiet,
+    journal: WorkJournal = NOWHERE,
 ) -> PlanResult:
     """Plan a motion for the wishes of a scene's section `plan`.
 
@@ -221,6 +224,7 @@ def plan_scene(
         budget: time [s] after which nothing new is started; None for no limit.
         robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
         show: is called with what is being done.
+        journal: where all that is found is kept, also from an earlier call for the same scene.
 
     Returns:
         The result; after Ctrl-C that of what was assessed so far.
@@ -235,13 +239,13 @@ def plan_scene(
     goals = checked_goals(scene)
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
-    judge = Judge(goals, SCREENED)
+    judge = Judge(goals, SCREENED, journal)
     check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
     found, failures = [judge.given], list(_notes(scene, goals))
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
     interrupted = False
     try:
-        for candidate in _candidates(goals, found, methods, candidates, processes, show, failures):
+        for candidate in _candidates(goals, found, methods, candidates, processes, show, journal, failures):
             try:
                 found.append(judge.assess(candidate))
             except FAILURES as error:
@@ -254,11 +258,11 @@ def plan_scene(
     except KeyboardInterrupt:
         interrupted = True
     show("the chosen motion, with all payloads", None)
-    final = Judge(goals, JUDGED)
+    final = Judge(goals, JUDGED, journal)
     chosen = _chosen(found, goals, final)
     lines = list[RobustnessLine]()
     try:
-        for line in robustness(chosen.candidate, goals) if robust and not interrupted else ():
+        for line in robustness(chosen.candidate, goals, journal=journal) if robust and not interrupted else ():
             show(f"the chosen motion in other models: {line.model}", None)
             lines.append(line)
     except KeyboardInterrupt:
@@ -285,13 +289,14 @@ def _candidates(
     given: Sequence[Candidate],
     processes: int,
     show: ShowProgress,
+    journal: WorkJournal,
     failures: list[str],
 ) -> Iterator[Candidate]:
     """The candidates of all methods; a method that fails doesn't end the plan."""
     yield from given
     for name in (each for each in METHODS if each in methods):
         try:
-            yield from _stage(name)(goals, found, processes, show)
+            yield from _stage(name)(goals, found, processes, show, journal)
         except FAILURES as error:
             failures.append(f"{name}: {error}")
 

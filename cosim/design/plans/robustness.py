@@ -7,8 +7,9 @@ in the same model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, Variation, goals_of
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
 from flexfmu.cosim.experiment.scene_loop import own_loop
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
@@ -134,30 +136,39 @@ def frozen(candidate: Candidate) -> Candidate:
     )
 
 
-def robustness(candidate: Candidate, goals: Goals, *, slow: bool = True) -> Iterator[RobustnessLine]:
+def robustness(
+    candidate: Candidate, goals: Goals, *, slow: bool = True, journal: WorkJournal = NOWHERE
+) -> Iterator[RobustnessLine]:
     """What remains of the candidate's figures in richer models, beyond the bands, and in a loop.
 
     Args:
         candidate: the motion.
         goals: what it was planned for.
         slow: whether the finite elements judge too: some ten seconds.
+        journal: where lines are kept.
 
     Raises:
         BuildError: a model's FMU can't be built.
     """
-    fixed = frozen(candidate)
-    yield _assessed("planned model", fixed, goals, {})
-    for name, changes in RICHER.items():
-        yield _assessed(name, fixed, goals, changes)
-    richest = {**richest_effects(goals.scene)}
-    yield _assessed(RICHEST, fixed, goals, richest)
+    fixed, richest = frozen(candidate), {**richest_effects(goals.scene)}
+    lines: dict[str, Callable[[str], RobustnessLine]] = {
+        "planned model": partial(_assessed, fixed, goals, {}, 1.0, 1.0)
+    }
+    lines |= {name: partial(_assessed, fixed, goals, changes, 1.0, 1.0) for name, changes in RICHER.items()}
+    lines[RICHEST] = partial(_assessed, fixed, goals, richest, 1.0, 1.0)
     for name, (stiffness, damping) in BANDS.items():
         if damping == 1.0 or not isinstance(goals.scene.effects.damping, NoDampingSection):
-            yield _assessed(f"{RICHEST}, {name}", fixed, goals, richest, stiffness, damping)
+            lines[f"{RICHEST}, {name}"] = partial(_assessed, fixed, goals, richest, stiffness, damping)
     if slow:
-        yield _attempted("finite elements", lambda: _by_elements(fixed, goals))
-    for name, controllers in LOOPS.items():
-        yield _attempted(name, lambda name=name, controllers=controllers: _in_a_loop(name, controllers, fixed, goals))
+        lines["finite elements"] = partial(_by_elements, fixed, goals)
+    lines |= {name: partial(_in_a_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
+    # each of them, or that there is none and why
+    content = fixed.content
+    for name, line in lines.items():
+        try:
+            yield journal.kept(("robustness", name, content), RobustnessLine, partial(line, name))
+        except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
+            yield RobustnessLine(name, float("nan"), "", note=str(error))
 
 
 def richest_effects(scene: Scene) -> Mapping[str, Any]:
@@ -168,33 +179,20 @@ def richest_effects(scene: Scene) -> Mapping[str, Any]:
 
 
 def _assessed(
-    name: str, fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float = 1.0, damping: float = 1.0
+    fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float, damping: float, name: str
 ) -> RobustnessLine:
     """The line of another model of the robot."""
-
-    def line() -> RobustnessLine:
-        scene = goals.scene.replace({**changes}) if changes else goals.scene
-        judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
-        robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
-        found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
-        worst, ratio = max(found.peaks, key=lambda each: each.residual), found.torque_ratio
-        return RobustnessLine(
-            name, found.residual, str(worst.variation), None if np.isnan(ratio) else ratio, found.off_path, found.uses
-        )
-
-    return _attempted(name, line)
+    scene = goals.scene.replace({**changes}) if changes else goals.scene
+    judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
+    robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
+    found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
+    worst, ratio = max(found.peaks, key=lambda each: each.residual), found.torque_ratio
+    return RobustnessLine(
+        name, found.residual, str(worst.variation), None if np.isnan(ratio) else ratio, found.off_path, found.uses
+    )
 
 
-def _attempted(name: str, line: Any) -> RobustnessLine:
-    """The line, or that there is none and why."""
-    try:
-        found: RobustnessLine = line()
-        return found
-    except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
-        return RobustnessLine(name, float("nan"), "", note=str(error))
-
-
-def _by_elements(fixed: Candidate, goals: Goals) -> RobustnessLine:
+def _by_elements(fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
     """The finite elements with the planned payload: as damped, at their lowest frequency, as the planned model."""
     assert fixed.trajectory is not None
     scene, motion = goals.scene, fixed.trajectory
@@ -210,14 +208,14 @@ def _by_elements(fixed: Candidate, goals: Goals) -> RobustnessLine:
     rest = equilibrium(robot, end).position
     residual = float(np.hypot(*(found.position[after] - rest).T).max())
     return RobustnessLine(
-        "finite elements",
+        name,
         residual,
         f"{scene.payload.mass:g} kg",
         note=f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N·m",
     )
 
 
-def _in_a_loop(name: str, controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals) -> RobustnessLine:
+def _in_a_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
     """Motors that follow by a loop with encoders."""
     assert fixed.trajectory is not None
     scene = goals.scene.replace(

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidate
+from flexfmu.cosim.design.plans.designs import Design
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
 from flexfmu.cosim.design.plans.motion_families import BLENDS, LAWS, MotionFamily, Space, motion_families, shaper_uses
 from flexfmu.cosim.design.plans.quick_runs import JointMotion, QuickRobot
@@ -35,6 +36,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import RestPositions
 from flexfmu.cosim.many.executor import mapping
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.statics import damped_modes
 from flexfmu.trajectories.jets import RealArray
@@ -89,7 +91,13 @@ LOWEST, HIGHEST = 0.6, 2.0
 """Range of the path's height, as multiples of the given one, where the given motion's way doesn't bound it."""
 
 
-def search(goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
+Kept = tuple[MotionFamily, list[float], Design | None, float, tuple[FrontMember, ...], dict[str, float]]
+"""What a journal has of an iterate: its best motion by its design."""
+
+
+def search(
+    goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress, journal: WorkJournal = NOWHERE
+) -> Iterator[Candidate]:
     """Yield ever better motions, then slower ones with less vibration.
 
     Args:
@@ -97,6 +105,7 @@ def search(goals: Goals, found: Sequence[Assessment], processes: int, show: Show
         found: assessed before; plays no part.
         processes: number of processes; the motions don't depend on it.
         show: is called with what is being done, and the finished fraction.
+        journal: where iterates are kept.
 
     Raises:
         InputError: the scene's motion has no path.
@@ -104,7 +113,7 @@ def search(goals: Goals, found: Sequence[Assessment], processes: int, show: Show
     """
     show("search: modes and limits", 0.0)
     study, judge = (study_of(goals, *each) for each in (QUICK, CONFIRMED))
-    motions = MotionSearch(study, judge, goals.wishes.seed, processes)
+    motions = MotionSearch(study, judge, goals.wishes.seed, processes, journal)
     for each in motions.found(lambda fraction, text: show(f"search: {text}", fraction)):
         yield Candidate(each.design.label, "search", goals.scene.replace(each.design.changes))
 
@@ -175,17 +184,27 @@ class MotionSearch:
         judge: the same with more variants and shorter steps, which confirms what is reported.
         seed: of the second starts.
         processes: number of processes.
+        journal: where iterates are kept.
     """
 
-    def __init__(self, study: MotionStudy, judge: MotionStudy, seed: int = 0, processes: int = 1) -> None:
+    def __init__(
+        self,
+        study: MotionStudy,
+        judge: MotionStudy,
+        seed: int = 0,
+        processes: int = 1,
+        journal: WorkJournal = NOWHERE,
+    ) -> None:
         self._study, self._judge, self._processes = study, judge, processes
+        self._journal, self._asked = journal, 0
         self._random = np.random.default_rng(seed)
         self._tighter: Mapping[str, float] = {}
         self._reported, self._within = inf, False
 
     def found(self, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Iterator[MotionTrial]:
         """Yield ever better motions, then the rest of the front."""
-        with mapping(partial(_iterate_of, self._study), self._processes) as iterating:
+        with mapping(partial(_iterate_of, self._study), self._processes) as work:
+            iterating = partial(self._kept, work)
             # shapers first, then corners and time laws
             iterates, starts = list[Iterate](), shaper_uses(len(self._study.space.modes))
             for iterate in self._first_iterates(iterating, [replace(FIRST, shapers=uses) for uses in starts]):
@@ -203,6 +222,22 @@ class MotionSearch:
                 progress(0.15 + 0.85 * done, "the best families")
                 yield from self._confirmed(last)
             yield from self._front([member for iterate in last for member in iterate.front])
+
+    def _kept(self, work: Iterating, tasks: Sequence[tuple[Any, ...]]) -> Iterator[Iterate]:
+        """Iterates in the order of their tasks, which is always the same: those of the journal, and the others once they are made."""
+        keys = [("search", self._asked + k) for k in range(len(tasks))]
+        self._asked += len(tasks)
+        made = work([task for key, task in zip(keys, tasks, strict=True) if key not in self._journal])
+        for key in keys:
+            if key in self._journal:
+                found: Kept = self._journal.kept(key, Kept, _never)
+                family, point, design, radius, front, tighter = found
+                best = None if design is None else self._study.tried(design)
+                yield Iterate(family, np.array(point), best, radius, front, tighter)
+                continue
+            iterate = next(made)
+            self._journal.kept(key, Kept, partial(_data, iterate))
+            yield iterate
 
     def _first_iterates(
         self, iterating: Iterating, chosen: Sequence[MotionFamily], *, near: bool = False
@@ -262,6 +297,15 @@ class MotionSearch:
             judged = self._judge.tried(design)
             if judged is not None and judged.score.feasible:
                 yield judged
+
+
+def _never() -> Kept:
+    raise AssertionError  # only what is in the journal is asked for
+
+
+def _data(iterate: Iterate) -> tuple[Any, ...]:
+    best = None if iterate.best is None else iterate.best.design
+    return iterate.family, iterate.point, best, iterate.radius, iterate.front, iterate.tighter
 
 
 def _cost_without_clearance(iterate: Iterate) -> float:

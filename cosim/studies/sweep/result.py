@@ -24,7 +24,7 @@ from flexfmu.cosim.engine.files import OutputFolder, replacing, write_pieces
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.many.journal import Journal
+from flexfmu.cosim.many.journal import Journal, difference
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.studies.sweep.cases import Cases, text_of
 from flexfmu.cosim.studies.sweep.work import Row
@@ -247,7 +247,7 @@ class Results:
                 raise ResultsError(f"can't read {path}: {error}; use --restart, or another --out") from error
             if before != manifest:
                 raise InputError(
-                    f"{folder} has the results of another sweep: {_difference(before or {}, manifest)}; choose another --out, "
+                    f"{folder} has the results of another sweep: {difference(before or {}, manifest)}; choose another --out, "
                     f"or discard them with --restart"
                 )
         if before is None:
@@ -313,28 +313,6 @@ class Results:
 
     def __exit__(self, *_: object) -> None:
         self._lock.close()
-
-
-def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """What differs between two sweeps, the first few differences."""
-
-    def flat(data: Any, key: str) -> dict[str, Any]:
-        # dotted keys of nested tables
-        if not isinstance(data, Mapping):
-            return {key: data}
-        return {name: value for part, each in data.items() for name, value in flat(each, f"{key}.{part}").items()}
-
-    def short(value: Any) -> str:
-        text = "not there" if value is None else json.dumps(value, ensure_ascii=False)
-        return text if len(text) <= 60 else f"{text[:57]}..."
-
-    one, two = flat(before, ""), flat(after, "")
-    found = [
-        f"{key[1:]} was {short(one.get(key))}, now {short(two.get(key))}"
-        for key in {**one, **two}
-        if one.get(key) != two.get(key)
-    ]
-    return ", ".join(found[:3]) + (f" and {len(found) - 3} more" if len(found) > 3 else "")
 
 
 def signal_file(folder: Path, number: int) -> Path:

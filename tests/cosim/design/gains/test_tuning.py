@@ -121,7 +121,7 @@ def test_an_interrupted_tuning_continues(tmp_path: Path, monkeypatch: pytest.Mon
     second = tune_study(study(), trials=40, journal=again)
     assert (second.trials, len(made)) == (whole.trials, 18)
     other = replace(study(), over=(KEYS[0], Interval("pd.kd", 20.0, 500.0), Interval("payload.mass", 1.0, 2.0)))
-    with pytest.raises(InputError, match=r"has another tuning \(other keys\)"):
+    with pytest.raises(InputError, match="has another tuning: keys was"):
         trial_journal(tmp_path, other)
     assert whole.trials[0].values in again
     assert whole.trials[0].values not in trial_journal(tmp_path, other, restart=True)
