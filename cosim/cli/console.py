@@ -147,6 +147,9 @@ FAILURE, USAGE = 1, 2
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
 """Signals that end the program in good order; the status is 128 + the signal's number. SIGHUP tells of a lost terminal."""
 
+BY_TYPER = 130
+"""Typer's status, without a word, for an interruption before the command begins."""
+
 TERMINATION_GRACE = 5.0
 """How long a call of a library, an FMU's for example, may keep the program from ending after one of `ENDING` [s]."""
 
@@ -183,9 +186,12 @@ def orderly_termination() -> Iterator[None]:
         Thread(target=watch, args=(reading,), daemon=True).start()
     try:
         yield
-    except SystemExit:
-        if asked:
-            sys.exit(128 + asked[0])
+    except SystemExit as ended:
+        early = ended.code == BY_TYPER
+        if early:
+            show_note("interrupted")
+        if asked or early:
+            sys.exit(128 + asked[0] if asked else FAILURE)
         raise
 
 
