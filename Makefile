@@ -4,6 +4,7 @@
 # make slow      the slow tests, against the built wheel: examples, other people's tools, whole studies, every variant
 # make test-lowest  the tests of make test with the oldest dependencies that pyproject.toml allows
 # make fuzz      100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
+# make licences  the licences of flexfmu and of what is installed with it
 # make bench     how fast everything is, against its targets and against the figures of the last release
 # make check     make lint and make test side by side: before a commit
 # make lint      formatting, linting, types, and where the lines are
@@ -24,7 +25,7 @@ install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(BIN)/py
 # tests run against the installed wheel, never against the source tree
 install_wheel = rm -rf build/lib && { $(call install,--force-reinstall --no-deps .); }
 
-.PHONY: demo test test-all test-lowest slow check fuzz bench lint docs dist format clean
+.PHONY: demo test test-all test-lowest slow check fuzz licences bench lint docs dist format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -60,6 +61,10 @@ check: $(VENV)/.lint $(VENV)/.test
 fuzz: $(VENV)/.slow
 	$(call install,--editable ".$(EXTRAS)")
 	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 tests/fmu_boundary/test_fuzzing.py
+
+licences: $(VENV)/bin/python
+	$(call install,--editable ".$(EXTRAS)")
+	$(BIN)/python generators/licences.py
 
 bench: $(VENV)/.slow
 	$(call install,--editable ".$(EXTRAS)")

@@ -154,6 +154,10 @@ TERMINATION_GRACE = 5.0
 """How long a call of a library, an FMU's for example, may keep the program from ending after one of `ENDING` [s]."""
 
 
+NO_MEMORY = ("failed to map segment", "annot allocate memory", "returned NULL without setting")
+"""How the loader of libraries and Python itself say that there is no more memory."""
+
+
 @contextmanager
 def orderly_termination() -> Iterator[None]:
     """Signals of `ENDING` end the program like Ctrl-C: results so far are written, temporary folders removed.
@@ -233,6 +237,12 @@ def one_line_errors() -> Iterator[None]:
     except KeyboardInterrupt:
         show_note("interrupted")
         raise typer.Exit(FAILURE) from None
+    except (MemoryError, ImportError, SystemError) as error:
+        # libraries that can't be loaded for want of memory are told as such by Python's importer
+        if not isinstance(error, MemoryError) and not any(each in str(error) for each in NO_MEMORY):
+            raise
+        show_note("out of memory: raise the limit (ulimit -v), end other programs, or choose fewer processes with -j")
+        raise typer.Exit(FAILURE) from error
     except Exception as error:
         status = _exit_status(error)
         if status is None:
