@@ -67,8 +67,10 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("run", SCENE, "--out", "out"),
     "run-ssp": ("run", "../given/a.ssp", "--out", "out"),
     "sweep": ("sweep", SCENE, "--vary", "payload.mass=1,2,3,4,5,6", "-j", "2", "--out", "out"),
-    "tune": ("tune", "../given/loop.toml", "--over", "pd.proportional=4e3:6e3", "--minimise", "rms_tracking_error")
-    + ("--trials", "6", "-j", "2", "--out", "out"),
+    "tune": (
+        *("tune", "../given/loop.toml", "--over", "pd.proportional=4e3:6e3", "--minimise", "rms_tracking_error"),
+        *("--trials", "6", "-j", "2", "--out", "out"),
+    ),
     "plan": ("plan", SCENE, "--method", "search", "--budget", "600", "--no-robust", "-j", "2", "--out", "out"),
     "margins": ("margins", "../given/loop.toml", "--poses", "1", "--out", "out"),
     "effects": ("effects", SCENE, "--tolerance", "0.5"),
