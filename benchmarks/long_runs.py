@@ -1,6 +1,6 @@
-"""The predicted and the measured cost of long runs: a closed loop at 4 kHz.
+"""The predicted and the measured cost of long runs: a closed loop at 4 kHz; and what many different scenes cost in one process.
 
-python benchmarks/long_runs.py [--seconds 75] [--csv]
+python benchmarks/long_runs.py [--seconds 75] [--csv] | --scenes 500
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import resource
 import tempfile
 import warnings
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
-from flexfmu import load_scene
+from flexfmu import load_scene, run
 from flexfmu.cosim.engine.errors import CostWarning
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 
@@ -33,12 +33,35 @@ def peak() -> float:
     return 1024e-9 * int(line.split()[1])
 
 
+def many_scenes(count: int) -> None:
+    """Run scenes that differ in payload and duration, and print what grows after the first twenty."""
+    scene = load_scene("barnard2012-6kg").replace({"cosimulation.step": 1e-3, "trajectory.dwell": 0.02})
+    status, maps, opened = (Path("/proc/self", name) for name in ("status", "maps", "fd"))
+
+    def held() -> tuple[float, int, int]:
+        line = next(each for each in status.read_text().splitlines() if each.startswith("VmRSS"))
+        return 1.024e-3 * int(line.split()[1]), maps.read_text().count("\n"), len([*opened.iterdir()])
+
+    before, begin = held(), process_time()
+    for i in range(20 + count):
+        if i == 20:
+            before, begin = held(), process_time()
+        run(scene.replace({"payload.mass": 1.0 + 5.0 * i / count, "trajectory.duration": 0.4 + 0.2 * i / count}))
+    seconds = (process_time() - begin) / count
+    memory, mappings, files = (b - a for a, b in zip(before, held(), strict=True))
+    print(f"{count} scenes: {1e3 * seconds:.3g} ms each; {memory:+.3g} MB, {mappings:+d} mappings, {files:+d} files")
+
+
 def main() -> None:
     """Run, and compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=75.0, help="motion and dwell [s]")
     parser.add_argument("--csv", action="store_true", help="write results.csv too")
+    parser.add_argument("--scenes", type=int, help="run so many different scenes instead (Linux)")
     options = parser.parse_args()
+    if options.scenes:
+        many_scenes(options.scenes)
+        return
     scene = load_scene("barnard2012-0.1kg")
     prepared = PreparedScene(scene.replace(LOOP | {"trajectory.dwell": options.seconds - scene.trajectory.duration}))
     before, begin = peak(), perf_counter()

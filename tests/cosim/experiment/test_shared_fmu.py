@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from flexfmu import load_scene
+from flexfmu.cosim.engine.fmu.file import _unpacked
+from flexfmu.cosim.engine.fmu.instance import load_calls
 from flexfmu.cosim.experiment.scene_build import build_scene, shared_key
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build import build
@@ -25,7 +27,9 @@ OTHER = {
 }
 
 
-@pytest.mark.parametrize("drive", [{}, DRIVEN], ids=["motion", "torque"])
+@pytest.mark.parametrize(
+    "drive", [pytest.param({}, id="motion"), pytest.param(DRIVEN, id="torque", marks=pytest.mark.slow)]
+)
 def test_results_are_those_of_the_own_fmu(drive: dict[str, Any]) -> None:
     """Signals and metrics, by the FMU that the first scene of its kind has built."""
     first = run_scene(ROBOT.replace(drive))
@@ -41,8 +45,9 @@ def test_results_are_those_of_the_own_fmu(drive: dict[str, Any]) -> None:
 
 
 def test_other_values_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forty scenes of other payloads, lengths and durations are planned, and none builds."""
-    path = build_scene(ROBOT, shared=True).path
+    """Forty scenes of other payloads, lengths and durations run by one FMU: none builds, loads or unpacks another one."""
+    path = run_scene(ROBOT).fmu_path
+    unpacked, loaded = len(_unpacked), load_calls.cache_info().currsize
 
     def refuse(*arguments: object) -> bytes:
         raise AssertionError("an FMU was built")
@@ -54,7 +59,8 @@ def test_other_values_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
             "trajectory.duration": 0.4 + 0.01 * i,
             "mechanism.proximal.length": 0.24 + 1e-4 * i,
         }
-        assert build_scene(ROBOT.replace(changes), shared=True).path == path
+        assert run_scene(ROBOT.replace(changes)).fmu_path == path
+    assert (len(_unpacked), load_calls.cache_info().currsize) == (unpacked, loaded)
 
 
 @pytest.mark.parametrize(
