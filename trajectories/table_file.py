@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flexfmu.errors import read_text
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates
@@ -92,8 +93,7 @@ def read_table(path: str | Path, coordinates: Coordinates | None = None) -> Moti
 @lru_cache(maxsize=32)
 def _read(file: Path, coordinates: Coordinates | None, changed: int, size: int) -> MotionTable:
     """The table of a file, cached as long as the file isn't changed."""
-    with file.open(encoding="utf-8-sig", newline="") as stream:
-        rows = _rows(stream.read())
+    rows = _rows(read_text(file))
     line, header = next(rows, (1, []))
     where = f"{file}, line {line}"
     names = [_column(name, _UNITS, where) for name in header]
@@ -138,7 +138,7 @@ def read_signal(path: str | Path, column: str, unit: str) -> tuple[RealArray, Re
     """
     file = Path(path)
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        text = read_text(file)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise TrajectoryError(f"can't read {file}: {reason}") from None

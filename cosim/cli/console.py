@@ -25,6 +25,7 @@ import typer
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
+from flexfmu.errors import shortened
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -250,7 +251,7 @@ def one_line_errors() -> Iterator[None]:
         message = str(error)
         if isinstance(error, OSError):
             message = f"{error.strerror or error}" + (f" ({error.filename})" if error.filename else "")
-        show_note(message)
+        show_note(shortened(message))
         raise typer.Exit(status) from error
 
 
@@ -264,12 +265,12 @@ def show_note(message: str) -> None:
 
 def _showing(others: Callable[..., None]) -> Callable[..., None]:
     """Shows a warning that concerns the user without the line of code that it comes from; others as before."""
-    from flexfmu.cosim.engine.errors import CostWarning, LearningWarning, LoopWarning, SlaveWarning
+    from flexfmu.cosim.engine.errors import CostWarning, DataWarning, LearningWarning, LoopWarning, SlaveWarning
     from flexfmu.fmu_build.errors import CacheWarning
     from flexfmu.model.scene.errors import SceneWarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-        shown = CacheWarning | CostWarning | LearningWarning | LoopWarning | SceneWarning | SlaveWarning
+        shown = CacheWarning | CostWarning | DataWarning | LearningWarning | LoopWarning | SceneWarning | SlaveWarning
         if issubclass(category, shown):
             show_note(f"warning: {message}")
         else:

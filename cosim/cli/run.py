@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -77,7 +78,7 @@ def run(
     from zipfile import is_zipfile
 
     # options that go with the other kind of file
-    is_ssp = scene.lower().endswith(".ssp") or is_zipfile(scene)
+    is_ssp = scene.lower().endswith(".ssp") or (os.path.isfile(scene) and is_zipfile(scene))
     recorded = bool(record) or record_step is not None or record_order is not None
     wrong = {
         "--report goes with a scene; an SSP file has no report": is_ssp and report,

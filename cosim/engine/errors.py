@@ -74,6 +74,10 @@ class WorkError(CosimError):
     """Step control takes far more steps than steps of the first step's length would need."""
 
 
+class DataWarning(UserWarning):
+    """A file of signals has values that are left out."""
+
+
 class CostWarning(UserWarning):
     """A run will take a long time or much memory."""
 

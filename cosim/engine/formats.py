@@ -17,11 +17,13 @@ import csv
 import io
 import itertools
 import json
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any, cast
 
 import numpy as np
@@ -31,6 +33,7 @@ from flexfmu.cosim.engine.columns import TWICE, Column, coded, csv_cells
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.cosim.engine.files import replacing, write_pieces
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.errors import read_text
 
 About = Mapping[str, str]
 """Key → text for the metadata of a file."""
@@ -41,12 +44,16 @@ LINES = 96
 """Number of lines of a CSV file that are written at once: few enough for memory that is used again instead of new pages."""
 
 
+_LIKE_FORMULA, _FORMULA = re.compile(r"^(?='*[=+\-@])"), re.compile(r"^'(?='*[=+\-@])")
+"""Beginning of a name that a spreadsheet would run as a formula, which gets an apostrophe; and that apostrophe."""
+
+
 def write_csv(path: Path, time: RealArray, columns: Mapping[str, Column], about: About = NOTHING) -> Path:
     """Write time and values; see `flexfmu.cosim.engine.results.Recording.write_csv`."""
     for name in columns:
         if any(character in name for character in ';"\n'):
             raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
-    names = [name.replace(",", ";") for name in ("time", *columns)]
+    names = [_LIKE_FORMULA.sub("'", name.replace(",", ";")) for name in ("time", *columns)]
     head = ",".join(f'"{name}"' for name in names) + "\n"
     return write_pieces(path, itertools.chain([head], _lines([Column("s", time), *columns.values()])))
 
@@ -67,19 +74,36 @@ def _lines(columns: list[Column]) -> Iterator[str]:
 def read_csv(path: Path) -> tuple[RealArray, dict[str, Column]]:
     """Return times (N,) [s] and signals; see `flexfmu.cosim.engine.results.Recording.read_csv`."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            names = [name.strip().strip('"').replace(";", ",") for name in file.readline().split(",")]
-            body = file.read()
+        head, _, body = read_text(path).partition("\n")
+        names = [_FORMULA.sub("", name.strip().strip('"')).replace(";", ",") for name in head.split(",")]
+        if not body.strip():
+            raise ResultsError(f"{path} is no table of signals: it has no rows")
         # numpy reads tables of numbers alone many times faster
         table, texts, known = (
             _with_texts(body) if '"' in body else (np.loadtxt(body.splitlines(), delimiter=",", ndmin=2), set(), [])
         )
-    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
+    except OSError as error:
+        raise ResultsError(f"can't read {path}: {error.strerror}") from error
+    except (ValueError, IndexError, csv.Error) as error:
         raise ResultsError(f"can't read {path}: {error}") from error
     if names[0] != "time" or table.shape[1] != len(names):
         raise ResultsError(f"{path} is no table of signals: its first column must be named time")
     columns = {name: Column("", table[:, i], texts=known if i in texts else None) for i, name in enumerate(names) if i}
-    return table[:, 0], columns
+    return _ascending(table[:, 0], path, 2), columns
+
+
+def _ascending(time: RealArray, path: Path, first: int) -> RealArray:
+    """Return times (N,) [s] as they are; ``first`` is the number of the first one's line or row.
+
+    Raises:
+        ResultsError: one isn't finite, or lies before the one above it; the message names its line.
+    """
+    wrong = ~np.isfinite(time) | (np.diff(time, prepend=time[:1]) < 0.0)
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        before = f"comes after {time[i - 1]:.9g} s" if i and np.isfinite(time[i]) else "is no time"
+        raise ResultsError(f"{path}, line {i + first}: {time[i]:.9g} s {before}; times must be finite and not decrease")
+    return time
 
 
 def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
@@ -190,22 +214,28 @@ def read_mat(path: Path) -> tuple[RealArray, dict[str, Column]]:
         ResultsError: the file can't be read, or has no vector ``time``.
     """
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     try:
-        found = loadmat(path, simplify_cells=True)
-    except (OSError, ValueError, IndexError, NotImplementedError, MatReadError) as error:
+        with path.open("rb") as file:
+            # a device may never end
+            if not S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise OSError("it is no regular file")
+            found = loadmat(file, simplify_cells=True)
+        time = np.ravel(found.get("time", ())).astype(np.float64)
+    except Exception as error:  # SciPy's reader raises errors of any kind where a file is damaged
         hint = "; save it in MATLAB with -v7" if isinstance(error, NotImplementedError) else ""
         raise ResultsError(f"can't read {path}: {' '.join(str(error).split())}{hint}") from error
-    if "time" not in found:
+    if not time.size:
         raise ResultsError(f"{path} is no file of signals: it has no variable `time`")
-    time = np.ravel(found["time"]).astype(np.float64)
+    _ascending(time, path, 1)
     names, units = (each if isinstance(each := found.get(key), dict) else {} for key in ("names", "units"))
     columns = {}
     for variable, values in found.items():
         if variable in ("time", "names", "units", "about") or variable.startswith("__") or np.size(values) != time.size:
             continue
         name, unit, values = _text(names.get(variable)) or variable, _text(units.get(variable)), np.ravel(values)
+        if values.dtype.kind not in "OUbiuf":  # a struct, a complex number
+            continue
         texts = values.dtype.kind in "OU"
         columns[name] = coded(unit, map(_text, values)) if texts else Column(unit, values.astype(np.float64))
     return time, columns

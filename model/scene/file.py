@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 import warnings
 from collections.abc import Iterator, Mapping
 from hashlib import sha256
@@ -10,13 +9,17 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from flexfmu.errors import read_text
 from flexfmu.model.scene.errors import SceneError, SceneWarning
-from flexfmu.model.scene.keys import set_value
+from flexfmu.model.scene.keys import parse_toml, set_value
 from flexfmu.model.scene.messages import listed
 from flexfmu.model.scene.schema import Scene, parse_scene
 
 PAPER = ("barnard2012-0.1kg", "barnard2012-6kg")
 """The shipped scenes of the paper, whose effects are those of its model."""
+
+LARGEST_SCENE = 4_000_000
+"""Largest scene file [bytes]: a thousand times the usual size."""
 
 PAPER_KEYS = (
     *(f"mechanism.{key}" for key in ("base_half_distance", "working_mode", "assembly_mode", "proximal", "distal")),
@@ -95,9 +98,9 @@ def load_scene(source: str | Path, changes: Mapping[str, Any] | None = None) -> 
     """
     text, label, folder = read_scene_text(source)
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"not a TOML file: {error} ({label})") from error
+        data = parse_toml(text)
+    except SceneError as error:
+        raise SceneError(f"{error} ({label})") from error
     for key, value in (changes or {}).items():
         set_value(data, key, value, label)
     scene = parse_scene(data, f"{label}, changed: {', '.join(changes)}" if changes else label, folder)
@@ -113,7 +116,7 @@ def basis_hint(scene: Scene) -> str:
     elastic = effects.proximal_bending or effects.proximal_axial or effects.distal_axial
     if effects.select or effects.basis != "assumed-modes" or effects.distal_bending or not elastic:
         return ""
-    papers = [parse_scene(tomllib.loads(read_scene_text(name)[0]), name) for name in PAPER]
+    papers = [parse_scene(parse_toml(read_scene_text(name)[0]), name) for name in PAPER]
     # keys in which it differs from the nearest of the paper's scenes
     keys = min(([key for key in PAPER_KEYS if _at(scene, key) != _at(each, key)] for each in papers), key=len)
     if not keys:
@@ -154,7 +157,7 @@ def read_scene_text(source: str | Path) -> tuple[str, str, Path | None]:
         return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}", None
     # a file
     try:
-        return path.read_text(encoding="utf-8"), str(path), path.resolve().parent
+        return read_text(path, LARGEST_SCENE), str(path), path.resolve().parent
     except FileNotFoundError:
         raise SceneError(
             f"no scene file '{source}': give a path, or one of the shipped scenes {listed(shipped_scenes())}"

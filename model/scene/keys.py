@@ -31,6 +31,35 @@ def parse_setting(text: str) -> tuple[str, Any]:
     return key, parse_value(value, key)
 
 
+DEEPEST = 50
+"""Largest number of tables and arrays within each other: scenes have six."""
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        SceneError: it is none, has a number of thousands of digits, or is nested deeper than `DEEPEST`; without the file's name.
+    """
+    try:
+        data = tomllib.loads(text)
+        level: list[Any] = [data]
+        for _ in range(DEEPEST):
+            tables = [
+                each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)
+            ]
+            level = [value for values in tables for value in values]
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"not a TOML file: {error}") from error
+    except ValueError:  # of Python's conversion
+        raise SceneError("not a TOML file: a number has thousands of digits; write it as 1e3") from None
+    except RecursionError:
+        level = [text]
+    if level:
+        raise SceneError(f"not a scene: arrays or tables are nested deeper than {DEEPEST} levels")
+    return data
+
+
 def parse_value(text: str, key: str) -> Any:
     """A value as TOML has it (number, true, false, array, table, text), or a text without quotes.
 
@@ -38,8 +67,8 @@ def parse_value(text: str, key: str) -> Any:
         SceneError: it is neither; the message names the key.
     """
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}")["value"]
+    except SceneError:
         pass
     # numbers that TOML writes otherwise: 01, .5, 1.
     for number in (int, float):

@@ -31,6 +31,9 @@ from flexfmu.model.scene.shapers import ShaperSection
 if TYPE_CHECKING:
     from flexfmu.trajectories.curves import Point
 
+MOST_ERRORS = 20
+"""Largest number of errors that a message names."""
+
 PATH_POINTS = 200
 """Pieces of a path in a picture."""
 
@@ -289,4 +292,6 @@ def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -
     try:
         return Scene.model_validate(data, context={FOLDER: folder})
     except ValidationError as error:
-        raise SceneError(f"{'; '.join(sentences(error.errors(), Scene))} ({source})") from None
+        found = error.errors()
+        more = f"; and {len(found) - MOST_ERRORS} more" if len(found) > MOST_ERRORS else ""
+        raise SceneError(f"{'; '.join(sentences(found[:MOST_ERRORS], Scene))}{more} ({source})") from None

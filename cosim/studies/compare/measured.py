@@ -12,6 +12,8 @@ from __future__ import annotations
 import csv
 import math
 import re
+import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +21,11 @@ from typing import TYPE_CHECKING, Union
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
+from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import UNITS
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.errors import read_text
 
 if TYPE_CHECKING:
     import pandas
@@ -101,16 +104,31 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
         InputError: it has no time, no signal, a column or signal doesn't exist, the time decreases, or a unit is unknown.
     """
     source = Path(log) if isinstance(log, str | Path) else "the measurement"
-    table, units = _table(Path(log)) if isinstance(log, str | Path) else (_in_memory(log), {})
+    found = _table(Path(log)) if isinstance(log, str | Path) else _Log(_in_memory(log))
+    table, units = found.table, found.units
     meaning = _meaning(source, table, mapping, signals)
     # the time first, which every signal needs
     (time_name,) = (name for name, each in meaning.items() if each.signal == "time")
     time = _converted(table, units, time_name, meaning[time_name])
     known = np.isfinite(time)
-    time = time[known]
-    if time.size == 0 or np.any(np.diff(time) < 0.0):
-        row = int(np.argmax(np.diff(time) < 0.0)) + 2 if time.size else 1
-        raise InputError(f"{source}: the time in column {time_name!r} must not decrease, but it does in row {row}")
+    places, time = np.flatnonzero(known), time[known]
+    if time.size == 0:
+        raise InputError(f"{source}: the time in column {time_name!r} has no number")
+    if np.any(back := np.diff(time) < 0.0):
+        line = found.places[places[int(np.argmax(back)) + 1]]
+        raise InputError(
+            f"{source}, line {line}: the time in column {time_name!r} must not decrease, but it does there"
+        )
+    # what is left out
+    odd = [(line, name, cell) for name in meaning for line, cell in found.odd.get(name, ())]
+    if odd:
+        line, name, cell = min(odd)
+        warnings.warn(
+            f"{source}: {len(odd)} values are no finite numbers and are left out; the first is {cell[:20]!r} in line {line}, "
+            f"column {name[:40]!r}",
+            DataWarning,
+            stacklevel=2,
+        )
     columns = {
         each.signal: Column(signals[each.signal], _converted(table, units, name, each)[known])
         for name, each in meaning.items()
@@ -128,22 +146,35 @@ def _in_memory(log: Recording | pandas.DataFrame) -> dict[str, np.ndarray]:
     return columns if usual else {"time": np.asarray(log.index, dtype=np.float64), **columns}
 
 
-def _table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Return the columns of a file by name without their units, and these units."""
+@dataclass(frozen=True)
+class _Log:
+    """The columns of a log by name without their units, these units, the lines of the rows, and column → lines and cells of what is
+    no finite number though it isn't empty."""
+
+    table: dict[str, np.ndarray]
+    units: dict[str, str] = field(default_factory=dict)
+    places: Sequence[int] = range(1, sys.maxsize)
+    odd: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
+
+
+def _table(path: Path) -> _Log:
+    """Return the columns of a file."""
     if path.suffix in (".parquet", ".mat"):
-        return _in_memory(Recording.read(path)), {}
+        return _Log(_in_memory(Recording.read(path)))
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise ResultsError(f"can't read {path}: {getattr(error, 'strerror', None) or error}") from error
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    numbered = [each for each in enumerate(text.splitlines(), 1) if each[1].strip() and not each[1].startswith("#")]
+    lines = [line for _, line in numbered]
     separator = max(",;\t", key="".join(lines[:1]).count)
     header, *rows = csv.reader(lines, delimiter=separator) if lines else [[]]
     # a second line of units
     has_units = bool(rows) and all(math.isnan(_number_in(cell.replace(",", "."))) for cell in rows[0])
     own = [cell.strip().strip("[]") for cell in rows.pop(0)] if has_units else []
-    if not rows:
+    if not rows or not any(cell.strip() for cell in header):
         raise ResultsError(f"{path} has no rows: it must have a header and at least one row of numbers")
+    places = [number for number, _ in numbered[-len(rows) :]]
     names, units = list[str](), dict[str, str]()
     for i, cell in enumerate(header):
         # brackets with a number belong to the name: link11.bending[1]
@@ -151,12 +182,18 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         name, unit = found.groups() if found else (cell.strip(), own[i] if i < len(own) else "")
         names.append(name.replace(";", ","))  # as `Recording.write_csv` has it
         units[names[-1]] = unit.strip()
-    for number, row in enumerate(rows, start=1):
+    for number, row in zip(places, rows, strict=False):
         if len(row) != len(header):
-            raise ResultsError(f"{path}, row {number}: {len(row)} cells for the {len(header)} columns of the header")
+            raise ResultsError(f"{path}, line {number}: {len(row)} cells for the {len(header)} columns of the header")
     # NaN for empty cells and texts
     values = [[_number_in(cell if separator == "," else cell.replace(",", ".")) for cell in row] for row in rows]
-    return dict(zip(names, np.array(values, dtype=np.float64).T, strict=True)), units
+    table = np.array(values, dtype=np.float64)
+    # cells that aren't empty and yet no finite numbers
+    odd = dict[str, list[tuple[int, str]]]()
+    for i, j in np.argwhere(~np.isfinite(table)):
+        if cell := rows[i][j].strip():
+            odd.setdefault(names[j], []).append((places[i], cell))
+    return _Log(dict(zip(names, table.T, strict=True)), units, places, odd)
 
 
 def _number_in(cell: str) -> float:

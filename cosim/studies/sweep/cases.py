@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import re
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.errors import read_text
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.keys import parse_value, split_values, value_at
 from flexfmu.model.scene.schema import Scene
@@ -208,8 +210,8 @@ def read_cases(path: str | Path) -> tuple[Cases, list[str]]:
         InputError: the file can't be read or isn't such a table.
     """
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            lines = [line for line in csv.reader(file, skipinitialspace=True, strict=True) if any(line)]
+        text = io.StringIO(read_text(path), newline="")
+        lines = [line for line in csv.reader(text, skipinitialspace=True, strict=True) if any(line)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"can't read the cases in {path}: {reason}") from error

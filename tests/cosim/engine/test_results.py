@@ -7,11 +7,15 @@ import json
 import os
 import pickle
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import fmpy.util
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
 
 from flexfmu.cosim.engine.columns import coded
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -291,3 +295,54 @@ def test_reprs_are_short(foreign: Recording) -> None:
         assert max(map(len, lines)) <= 80
     assert "… 49" in repr(many)
     assert "<td>joint1.torque</td><td>N·m</td>" in foreign._repr_html_()
+
+
+def test_names_do_not_become_formulas(tmp_path: Path) -> None:
+    """Names that a spreadsheet would run have an apostrophe in CSV files and come back as they were; a byte-order mark is read."""
+    names = ("=1+1", "+a", "-b", "@c", "'=d", "''@e", "f-g", "'h")
+    recording = Recording(np.arange(2.0), {name: Column("", np.arange(2.0)) for name in names})
+    path = recording.write(tmp_path / "x.csv")
+    head = path.read_text(encoding="utf-8").splitlines()[0]
+    assert not any(cell.startswith(('"=', '"+', '"-', '"@')) for cell in head.split(","))
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert list(Recording.read(path)) == list(names)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("0,1\n2,1\n1,1\n", "line 4: 1 s comes after 2 s"),
+        ("0,1\nnan,1\n", "line 3: nan s is no time"),
+        ("", "it has no rows"),
+    ],
+)
+def test_times_that_run_backwards_are_refused(tmp_path: Path, rows: str, message: str) -> None:
+    """The line is named; times that repeat are jumps."""
+    path = tmp_path / "x.csv"
+    path.write_text(f'"time","a"\n{rows}')
+    with pytest.raises(ResultsError, match=message):
+        Recording.read(path)
+
+
+@pytest.mark.parametrize("time", [{"a": 1.0}, ["a", {"b": 1.0}], "text", [2.0, 1.0]])
+def test_mat_files_with_another_time(tmp_path: Path, time: object) -> None:
+    """Structs, cells and texts are no time."""
+    savemat(tmp_path / "x.mat", {"time": time, "a": [1.0, 2.0]})
+    with pytest.raises(ResultsError):
+        Recording.read(tmp_path / "x.mat")
+
+
+@settings(max_examples=60, derandomize=True, deadline=None, database=None)
+@given(
+    st.binary(max_size=200),
+    st.sampled_from([".csv", ".mat"]),
+    st.sampled_from([b"", b'"time","a"\n', b"MATLAB 5.0".ljust(124) + b"\0\1IM"]),
+)
+def test_drawn_files_are_one_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: str, head: bytes
+) -> None:
+    """Whatever is in a file, it is read or refused in one short line."""
+    path = tmp_path_factory.getbasetemp() / f"drawn{suffix}"
+    path.write_bytes(head + content)
+    with suppress(ResultsError):
+        Recording.read(path)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.studies.compare.measured import Mapped, as_mapped, parse_mapping, read_log
 
@@ -66,10 +66,10 @@ def test_logs(tmp_path: Path, text: str, mapping: list[str], expected: dict[str,
         ("time,x\n0,1\n", {"x": "joint1.torqe"}, "no such signal; did you mean 'joint1.torque'"),
         ("time,x,y\n0,1,2\n", {"x": "joint1.torque", "y": "joint1.torque"}, "two columns of .* are mapped to"),
         ("time,joint1.torque [V]\n0,1\n", {}, "unknown unit 'V'; give the factor .*joint1.torque=joint1.torque"),
-        ("time,joint1.torque\n1,1\n0,2\n", {}, "must not decrease, but it does in row 2"),
+        ("time,joint1.torque\n1,1\n0,2\n", {}, r"line 3: the time in column .time. must not decrease"),
         ("time,joint1.torque\n", {}, "has no rows"),
         ("time,joint1.torque\ns,N.m\n", {}, "has no rows"),
-        ("time,joint1.torque\n0,1\n1\n", {}, "row 2: 1 cells for the 2 columns"),
+        ("time,joint1.torque\n0,1\n1\n", {}, "line 3: 1 cells for the 2 columns"),
         ("", {}, r"can't read .*nothing\.csv: No such file"),
     ],
 )
@@ -102,3 +102,10 @@ def test_our_own_results_are_logs_too(tmp_path: Path) -> None:
     for file in ("results.csv", "results.parquet"):
         found = read_log(recording.write(tmp_path / file), {}, {name: "m/s2"})
         np.testing.assert_array_equal(found[name].values, [1.0, -2.0, 3.0])
+
+
+def test_what_is_no_number_is_told_by_line(tmp_path: Path) -> None:
+    """Samples that are infinite or no numbers are left out with a warning, empty cells without; a byte-order mark is read."""
+    path = log(tmp_path, "\ufeff# drive 1\ntime,joint1.torque,other\n0,1,x\n1,inf,x\n2,,x\n3,nan,x\n")
+    with pytest.warns(DataWarning, match=r"2 values are no finite numbers .* 'inf' in line 4, column 'joint1.torque'"):
+        read_log(path, {}, SIGNALS)
