@@ -136,12 +136,14 @@ def workprec(
     out: Path | None = None,
     only: list[str] | None = None,
     hard: bool = False,
+    restart: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
     """Measure what accuracy costs in time: by integrator, communication step, coupling, effects, formulation and tool.
 
-    Writes workprec.json, workprec.md, workprec.html and pictures. Takes some minutes.
+    Writes workprec.json, workprec.md, workprec.html and pictures. Takes some minutes; every trial is kept at once, and
+    whatever ends the command, the same command continues.
 
     With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
     hard-cases.json and hard-cases.md.
@@ -151,15 +153,19 @@ def workprec(
         only (FAMILY): integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's
             name; may be repeated. Default: all.
         hard: Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.
+        restart: Discard what an interrupted study of another scene has left in the folder. Default: refuse.
     """
-    return (_hard_cases if hard else _study)(scene, out, only or [], settings or [], json)
+    if hard:
+        return _hard_cases(scene, out, only or [], settings or [], json)
+    return _study(scene, out, only or [], settings or [], json, restart)
 
 
 def _study(
-    source: str | None, out: Path | None, families: Sequence[str], settings: Sequence[str], as_json: bool
+    source: str | None, out: Path | None, families: Sequence[str], settings: Sequence[str], as_json: bool, restart: bool
 ) -> int:
     """Measure, write the results, and print them; the exit status."""
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
+    from flexfmu.cosim.many.journal import WorkJournal, about_scene
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
 
@@ -172,13 +178,17 @@ def _study(
     # measure, and write each file as soon as it is known
     scene = load_resolved(source, settings)
     folder = prepared_folder(out or usual_folder(scene.name, settings) / "workprec")
+    journal = WorkJournal(folder.path, "study", about_scene(scene), restart=restart, note=show_note)
     with progress() as show:
-        study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=(exudyn_trials,))
+        study = run_study(
+            scene, families or FAMILIES, lambda text: show(text, None), peers=(exudyn_trials,), journal=journal
+        )
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))
         show("pictures", None)
         save_figures(study, folder.path)
         folder.write("workprec.html", html(study))
+        journal.remove()
     where = f"workprec.json, workprec.md, workprec.html and pictures are in {folder.path}"
     print_result(as_json, data(study), terminal_table(study), *notes(study), where)
     return 0

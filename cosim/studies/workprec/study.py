@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
 from flexfmu.cosim.studies.workprec import solver_trials
@@ -76,7 +77,12 @@ Peer = Callable[[SceneUnderTest, WorkCurve], Iterator[WorkPrecisionTrial]]
 
 
 def run_study(
-    scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP, peers: Sequence[Peer] = ()
+    scene: Scene,
+    families: Sequence[str],
+    announce: Announce,
+    step: float = STEP,
+    peers: Sequence[Peer] = (),
+    journal: WorkJournal = NOWHERE,
 ) -> WorkPrecisionStudy:
     """Measure a scene.
 
@@ -86,19 +92,21 @@ def run_study(
         announce: called with what is being tried.
         step: communication step of the comparisons [s].
         peers: other programs for the same robot, which stand among the tools.
+        journal: where trials are kept, also from an earlier call for the same scene and step.
 
     Raises:
         RunError: the reference can't be calculated.
         TrajectoryError, InputError, BuildError: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
     """
-    subject = subject_of(scene, announce)
+    subject = subject_of(scene, announce, journal)
     # the reference, compared with one that shares neither integrator nor master where the scene has one
     announce("reference")
     _ = subject.reference
     agreement, references = None, "our FMU, Gauss collocation at 1e-12, 0.25 ms steps"
     if is_differential_equation(scene):
         announce("second reference")
-        agreement = subject.error(solver_trials.independent_reference(subject))
+        second = solver_trials.independent_reference
+        agreement = journal.kept(("second reference",), float, lambda: subject.error(second(subject)))
         references += "; SciPy's DOP853 at 1e-11"
     # families in their order, since later ones use the trials of earlier ones; some need one smooth equation
     has_equations = is_differential_equation(scene)
@@ -111,7 +119,12 @@ def run_study(
         elif name == "algorithms" and scene.controller:
             trials += fmu_trials(subject, name, algorithm_settings(scene))
         elif name == "effects":
-            trials += effect_trials(subject, step, LADDER_TOLERANCE)
+            # one unit: their times are measured in turns
+            trials += journal.kept(
+                ("effects",),
+                list[WorkPrecisionTrial],
+                lambda: list(effect_trials(subject, step, LADDER_TOLERANCE)),
+            )
         elif name == "formulations" and has_equations:
             trials += solver_trials.formulation_trials(subject)
         elif name == "tools" and has_equations:

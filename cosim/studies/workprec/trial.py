@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.timing import fastest, fastest_in_turns
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.loop import SampledSection
@@ -30,6 +31,9 @@ SAMPLING = 1e-3
 REFERENCE_TOLERANCE = 1e-12
 REFERENCE_STEP = 2.5e-4
 
+
+Measured = tuple[float, float | None, str]
+"""Error, processor time [s] and note of a trial."""
 
 Announce = Callable[[str], None]
 """Function of a sentence on the current trial."""
@@ -43,11 +47,13 @@ class SceneUnderTest:
         scene: the scene.
         motion: its planned motion.
         announce: called with a sentence on each trial that begins.
+        journal: where trials are kept.
     """
 
     scene: Scene
     motion: MotionPlan
     announce: Announce = lambda text: None
+    journal: WorkJournal = NOWHERE
 
     @property
     def stop(self) -> float:
@@ -101,15 +107,18 @@ class SceneUnderTest:
         """
         self.announce(f"{line}, {label}")
         known: tuple[type[Exception], ...] = (CosimError, BuildError, *failures)
+        key, measured = (family, line, label), cast(Measured, ())
         try:
-            return WorkPrecisionTrial(family, line, label, *measure())
+            # a failure to keep it is no failure of the trial
+            measured = measured if key in self.journal else measure()
         except known as failure:
             return WorkPrecisionTrial(family, line, label, None, None, " ".join(str(failure).split()))
+        return WorkPrecisionTrial(*key, *self.journal.kept(key, Measured, lambda: measured))
 
 
-def subject_of(scene: Scene, announce: Announce = lambda text: None) -> SceneUnderTest:
+def subject_of(scene: Scene, announce: Announce = lambda text: None, journal: WorkJournal = NOWHERE) -> SceneUnderTest:
     """A scene with its planned motion, shapers included."""
-    return SceneUnderTest(scene, loop_of(scene).motion, announce)
+    return SceneUnderTest(scene, loop_of(scene).motion, announce, journal)
 
 
 def completed(run: Run) -> Run:
@@ -325,7 +334,7 @@ def effect_trials(subject: SceneUnderTest, step: float, tolerance: float) -> Ite
     subject.announce("richest set of effects")
     options: dict[str, Any] = {"communication_step": step, "tolerance": tolerance, "motion": subject.motion}
     # errors are relative to the richest set instead of the scene's own model
-    truth = replace(subject)
+    truth, subject = replace(subject), replace(subject, journal=NOWHERE)
     rich = PreparedScene(subject.scene.replace(dict(RICH)), **options)
     truth.__dict__["reference"] = subject.positions(completed(rich.run()))
     # errors first

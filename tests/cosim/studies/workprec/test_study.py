@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
+from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec.equations import BoundFunction
 from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
@@ -31,6 +32,7 @@ from flexfmu.cosim.studies.workprec.study import (
 )
 from flexfmu.cosim.studies.workprec.trial import (
     LADDER,
+    RunError,
     SceneUnderTest,
     WorkCurve,
     WorkPrecisionTrial,
@@ -264,3 +266,23 @@ def test_command(tmp_path: Path) -> None:
     assert {trial["family"] for trial in found["trials"]} == {"communication"}
     assert np.isfinite([trial["error"] for trial in found["trials"]]).all()
     assert {path.name for path in out.iterdir()} >= {"workprec.json", "workprec.md", "workprec.html", "workprec.png"}
+
+
+def test_measured_trials_are_kept_and_failed_ones_tried_again(tmp_path: Path) -> None:
+    """The next study of the scene has the figures of the first one bit for bit; what has failed is measured anew."""
+    asked = list[str]()
+
+    def measured(value: float) -> tuple[float, float, str]:
+        asked.append("measured")
+        return value, 0.1, "3 steps"
+
+    def failing() -> tuple[float, float, str]:
+        asked.append("failing")
+        raise RunError("no")
+
+    def trials() -> list[WorkPrecisionTrial]:
+        found = replace(subject_of(SCENE), journal=WorkJournal(tmp_path, "study", about_scene(SCENE)))
+        return [found.trial("tools", "a", "1", lambda: measured(0.1 + 0.2)), found.trial("tools", "a", "2", failing)]
+
+    assert trials() == trials()
+    assert asked == ["measured", "failing", "failing"]
