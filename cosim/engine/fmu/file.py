@@ -208,6 +208,13 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         # without what no run needs, most of the files
         attempt(path, lambda: fmpy.extract(str(path), str(folder), lambda name: not name.startswith(NEEDLESS)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
+        # value references of 32 bits without sign, as the functions of FMI take them
+        for variable in description.modelVariables:
+            if not 0 <= int(variable.valueReference) < 1 << 32:
+                raise FmuFileError(
+                    f"{path} is a broken FMU: the value reference of {variable.name[:80]} is {variable.valueReference}; it must be "
+                    "0 to 4294967295"
+                )
         # annotations of our own FMUs
         if str(description.generationTool).startswith("flexfmu "):
             # structured names instead of flat ones, as in scenes and connections

@@ -330,3 +330,10 @@ def test_libraries_that_lack_functions(make_decay: Make, tmp_path: Path) -> None
             target.writestr(name, source.read(name) if name.endswith(".xml") else "no library")
     with pytest.raises(FmuFileError, match=r"other\.fmu can't be loaded on this machine: .*; install what is missing"):
         FmuSlave(other)
+
+
+def test_value_references_have_32_bits(make_decay: Make) -> None:
+    """A reference that no function of FMI takes is named with its variable."""
+    for reference in ("4294967296", "-1"):
+        with pytest.raises(FmuFileError, match=f"the value reference of .* is {reference}; it must be"):
+            FmuSlave(make_decay(('valueReference="1"', f'valueReference="{reference}"')))
