@@ -159,10 +159,6 @@ NO_MEMORY = ("failed to map segment", "annot allocate memory", "returned NULL wi
 """How the loader of libraries and Python itself say that there is no more memory."""
 
 
-LONGEST_NOTE, REMEDY = 1500, 300
-"""Most characters of an error, and those kept of its end."""
-
-
 @contextmanager
 def orderly_termination() -> Iterator[None]:
     """Signals of `ENDING` end the program like Ctrl-C: results so far are written, temporary folders removed.
@@ -263,11 +259,8 @@ def show_note(message: str) -> None:
     """Write an error, a warning or a note as one line to standard error, if there is one: a terminal may be lost."""
     stderr: TextIO | None = sys.stderr
     if stderr is not None:
-        text = " ".join(message.split())
-        if len(text) > LONGEST_NOTE:  # a name out of a damaged file, for example; the remedy stands at the end
-            text = f"{text[: LONGEST_NOTE - REMEDY]} ... {text[-REMEDY:]}"
         with suppress(OSError):
-            print(f"flexfmu: {text}", file=stderr)
+            print(f"flexfmu: {' '.join(message.split())}", file=stderr)
 
 
 def _showing(others: Callable[..., None]) -> Callable[..., None]:

@@ -22,7 +22,6 @@ from hypothesis import Phase, given, seed, settings
 from hypothesis import strategies as st
 
 import flexfmu
-from flexfmu.cosim.cli.console import LONGEST_NOTE, show_note
 from flexfmu.cosim.engine.fmu.file import _root, _unpacked, open_fmu
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
@@ -237,12 +236,3 @@ def test_a_file_is_read_or_refused_in_a_sentence(kind: str, tmp_path: Path) -> N
         seed(number)(strict(given(changed(corpus))(holds)))()
     if batches >= 20:
         assert memory() - before < GROWTH
-
-
-def test_a_sentence_is_short(capsys: pytest.CaptureFixture[str]) -> None:
-    """A damaged name of 10 MB doesn't fill the terminal; what is said before and after it stays."""
-    show_note(f"can't read {'x' * 10_000_000}: rename it")
-    said = capsys.readouterr().err
-    assert len(said) < LONGEST_NOTE + 20
-    assert said.startswith("flexfmu: can't read x")
-    assert said.endswith("x: rename it\n")
