@@ -17,7 +17,6 @@ import csv
 import io
 import itertools
 import json
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -216,11 +215,10 @@ def read_mat(path: Path) -> tuple[RealArray, dict[str, Column]]:
     from scipy.io import loadmat
 
     try:
-        with path.open("rb") as file:
-            # a device may never end
-            if not S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise OSError("it is no regular file")
-            found = loadmat(file, simplify_cells=True)
+        # a device may never end
+        if not S_ISREG(path.stat().st_mode):
+            raise OSError("it is no regular file")
+        found = loadmat(path, simplify_cells=True)
         time = np.ravel(found.get("time", ())).astype(np.float64)
     except Exception as error:  # SciPy's reader raises errors of any kind where a file is damaged
         hint = "; save it in MATLAB with -v7" if isinstance(error, NotImplementedError) else ""
