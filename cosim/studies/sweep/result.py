@@ -11,6 +11,7 @@ import contextlib
 import csv
 import io
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -306,6 +307,9 @@ class Results:
         """Write the table of a folder in the order of the cases, and remove the journal."""
         if self._folder is not None and not (self._folder / TABLE).exists():
             write_pieces(self._folder / TABLE, chain([self._head], map(self._case, range(len(self._cases)))))
+            # the table is on the disk before the journal goes
+            with (self._folder / TABLE).open("rb") as table:
+                os.fsync(table.fileno())
             self._journal.path.unlink()
 
     def __enter__(self) -> Results:
