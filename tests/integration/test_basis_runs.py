@@ -25,7 +25,6 @@ def metrics(scene: Scene) -> dict[str, float]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "duration"), [(0.1, 0.30), (2.0, 0.35)])
 def test_the_starter_scene_is_close_to_the_converged_robot(mass: float, duration: float) -> None:
     """Whoever starts from it gets a residual vibration within 1 %, as with the paper's light payload, where its own basis is 37 % off."""
@@ -36,7 +35,6 @@ def test_the_starter_scene_is_close_to_the_converged_robot(mass: float, duration
         assert found[key] == pytest.approx(reference[key], rel=0.01), key
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["barnard2012-6kg", "barnard2012-0.1kg"])
 def test_six_coordinates_beat_the_papers_twelve(name: str) -> None:
     """1 + 1 + 1 shapes a leg are nearer to the converged robot in every metric; with damping that knows no basis."""

@@ -100,7 +100,7 @@ def peaks(run: Run) -> Mapping[str, float]:
     return found
 
 
-@pytest.mark.parametrize("name", [SHIPPED[0], pytest.param(SHIPPED[1], marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_achieves_the_tolerance(name: str, method: str) -> None:
     """Whoever asks for 1e-5 gets 1e-5, on the whole way, at the end and in the metrics, whatever integrates."""

@@ -25,14 +25,10 @@ SCENES: dict[str, dict[str, Any]] = {
     "odd count": {"effects.distal_bending": 1, "effects.proximal_axial": 2, "effects.gravity": [0.0, 0.0]},
     "torques": {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05},
 }
-FEW = ("odd count",)
-"""Those that aren't slow: Radau with lanes that aren't all full."""
 
 
 @pytest.mark.skipif(not HAS_LANES or COMPILER is None, reason="the reference is linux64: lanes need its registers")
-@pytest.mark.parametrize(
-    "changes", [pytest.param(each, marks=[] if id in FEW else pytest.mark.slow, id=id) for id, each in SCENES.items()]
-)
+@pytest.mark.parametrize("changes", SCENES.values(), ids=SCENES)
 def test_lanes_give_the_same_bits(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers that depend on the processor's registers couldn't be compared between machines."""
     scene = flexfmu.load_scene("barnard2012-6kg").replace(SHORT | changes)
@@ -47,7 +43,6 @@ def test_lanes_give_the_same_bits(changes: dict[str, Any], monkeypatch: pytest.M
         np.testing.assert_array_equal(plain.recording[name].values, with_lanes.recording[name].values, err_msg=name)
 
 
-@pytest.mark.slow
 def test_equations_that_branch_have_no_lanes() -> None:
     """Friction chooses between formulas: a processor that follows one lane would give the others wrong numbers."""
     scene = flexfmu.load_scene("barnard2012-6kg").replace(

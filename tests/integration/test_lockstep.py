@@ -38,7 +38,6 @@ NAMES = ("payload.mass", "proximal.diameter", "material.youngs_modulus", "dampin
 BASE = (6.0, 0.035, 70e9, 0.1357, 0.38079)
 OUTPUTS = ("joint1.torque", "joint2.torque", "end_effector.position.x", "link11.tip_deflection", "joint1.torque")
 LANES = [lanes for lanes in (1, 4, 8) if lanes <= lanes_of_processor()]
-LIBRARIES = [pytest.param(lanes, marks=[] if lanes == LANES[-1] else pytest.mark.slow) for lanes in LANES]
 
 factors = st.tuples(
     st.floats(0.02, 1.5), st.floats(0.9, 1.2), st.floats(0.8, 1.2), st.floats(0.5, 2.0), st.floats(0.97, 1.1)
@@ -77,7 +76,7 @@ def sizes(recording: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return largest
 
 
-@pytest.mark.parametrize("lanes", LIBRARIES)
+@pytest.mark.parametrize("lanes", LANES)
 def test_recordings_are_those_of_the_fmu(lanes: int) -> None:
     """Values within the tolerance; derivatives lose up to two digits an order, as between runs of other tolerances."""
     variants = np.array(BASE) * np.linspace(0.5, 1.0, 5)[:, None] ** np.array([2.0, 0.1, 0.2, 1.0, 0.05])
@@ -91,7 +90,7 @@ def test_recordings_are_those_of_the_fmu(lanes: int) -> None:
         assert error[2] < 1e4 * TOLERANCE
 
 
-@pytest.mark.parametrize("lanes", LIBRARIES)
+@pytest.mark.parametrize("lanes", LANES)
 @settings(max_examples=10)
 @given(st.lists(factors, min_size=1, max_size=11), st.randoms(use_true_random=False))
 def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], random: Any) -> None:
@@ -112,7 +111,7 @@ def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], r
     np.testing.assert_array_equal(peaks[:, 0], peaks[:, 4])
 
 
-@pytest.mark.parametrize("lanes", LIBRARIES)
+@pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
     "bad",
     [(6.0, 1e-9, *BASE[2:]), (6.0, 0.035, 1e3, *BASE[3:]), (np.nan, *BASE[1:]), (*BASE[:4], 0.3)],
@@ -188,7 +187,7 @@ SCENES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize(
     "changes",
-    [pytest.param(each, marks=[] if id == "undamped" else pytest.mark.slow, id=id) for id, each in SCENES.items()],
+    [pytest.param(each, id=id) for id, each in SCENES.items()],
 )
 def test_other_scenes(changes: dict[str, Any]) -> None:
     """Effects, tolerances and methods; explicit steps have one time for all, so other durations are left to the FMU.

@@ -145,7 +145,6 @@ def test_unforced_and_undamped_it_keeps_its_energy(drive: str, tolerance: float,
     assert drift <= 1e-9 * turned
 
 
-@pytest.mark.slow
 def test_a_torque_step_gives_the_response_that_scipy_gives(tmp_path: Path) -> None:
     """The C integrator and SciPy's DOP853 on the CasADi functions agree to 1e-10 of the response."""
     scene = torque_scene()

@@ -44,7 +44,6 @@ def run() -> Run:
     return run_scene(load_scene("barnard2012-6kg"), communication_step=5e-3, tolerance=1e-4)
 
 
-@pytest.mark.slow
 def test_stated_errors_hold(study: dict[str, Any]) -> None:
     """Three scenes of the study, with motions, torques and friction: of all metrics 99 % are within the
     stated error, 90 % above a hundredth of it."""
@@ -55,7 +54,6 @@ def test_stated_errors_hold(study: dict[str, Any]) -> None:
     assert sum(one.is_near for one in judged) >= 0.90 * len(judged)
 
 
-@pytest.mark.slow
 def test_no_metric_is_exact(run: Run) -> None:
     """Metrics at the motion's end aren't interpolated, but integrated: none has an error of 0, and a second companion
     confirms what the first one states."""
@@ -109,7 +107,6 @@ def test_a_companion_leaves_a_user_s_slaves_alone(run: Run) -> None:
     assert counter.samples == samples
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "step", "error"), [(1e-6, 2e-4, 1e-3), (1e-8, 1e-3, 1.0)])
 def test_overdamped_links_give_no_false_alarm(tolerance: float, step: float, error: float) -> None:
     """With a stiffness damping of 10 s the links hardly move: the torque is 69.297 N.m, as one learns by tighter and looser
@@ -153,7 +150,6 @@ def test_the_printed_number_is_within_its_bound(value: float, power: float, digi
         assert Decimal(text).as_tuple().exponent == (place if "e" in text else min(place, 0))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
