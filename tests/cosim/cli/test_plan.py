@@ -30,7 +30,9 @@ def plan(*arguments: str) -> Result:
     return CliRunner().invoke(app, ["plan", SCENE, *arguments])
 
 
-def search(goals: Goals, found: Sequence[Assessment], processes: int, show: planner.Show) -> Iterator[Candidate]:
+def search(
+    goals: Goals, found: Sequence[Assessment], processes: int, show: planner.Show, *_: object
+) -> Iterator[Candidate]:
     """A slow motion without vibration, and one that is too fast; then Ctrl-C if the seed is 1."""
     for duration in (0.6, 0.35):
         keys = {"trajectory.duration": duration, "shaper": [{"kind": "zvd", "mode_count": 2}]}

@@ -87,7 +87,7 @@ def test_useless_cache(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     outcome = flexfmu("run", SCENE, "--out", str(tmp_path / "results"), "--json", FLEXFMU_CACHE=str(tmp_path / "file"))
     assert (outcome.returncode, outcome.stderr.count("\n")) == (0, 1)
-    assert outcome.stderr.startswith(f"flexfmu: warning: cannot write to the cache's folder {tmp_path / 'file'} (")
+    assert outcome.stderr.startswith(f"flexfmu: warning: cannot use the cache's folder {tmp_path / 'file'} (")
     assert json.loads(outcome.stdout)["health"]["outcome"] == "completed"
 
 
