@@ -57,12 +57,10 @@ def scene_key(scene: Scene) -> str:
 def shared_key(scene: Scene) -> str:
     """Text that determines the scene's model but for the values of its parameters, which a run sets: whether each is zero.
 
-    The shapes of Timoshenko's beams and of the basis of Craig and Bampton are calculated from the values; there it is `scene_key`.
+    The shapes of Timoshenko's beams are calculated from the mechanism's values, which are numbers in the equations; they count there.
     """
-    if scene.effects.beam != "euler-bernoulli" or scene.effects.basis != "assumed-modes":
-        return scene_key(scene)
     zeros = {name: known.value == 0.0 for name, known in scene_values(scene).items()}
-    without: dict[str, Any] = {"mechanism": True}
+    without: dict[str, Any] = {} if scene.effects.beam == "timoshenko" else {"mechanism": True}
     kept = scene.model_dump(mode="json", exclude={**_WITHOUT_INFLUENCE, **without, "trajectory": True})
     modes = scene.mechanism.working_mode, scene.mechanism.assembly_mode
     kept |= {name: _without_numbers(kept[name]) for name in ("payload", "effects")}

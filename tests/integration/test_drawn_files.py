@@ -9,7 +9,6 @@ import contextlib
 import io
 import os
 import re
-import shutil
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
@@ -22,7 +21,7 @@ from hypothesis import Phase, given, seed, settings
 from hypothesis import strategies as st
 
 import flexfmu
-from flexfmu.cosim.engine.fmu.file import _root, _unpacked, open_fmu
+from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
 from flexfmu.cosim.exchange.ssp.export import export_ssp
@@ -159,16 +158,6 @@ def write(content: bytes, path: Path) -> Path:
     return path
 
 
-def opened(path: Path) -> None:
-    """Unpack and parse an FMU, and forget it."""
-    try:
-        open_fmu(path)
-    finally:
-        for folder in _root().iterdir():
-            shutil.rmtree(folder)
-        _unpacked.clear()
-
-
 READERS: dict[str, tuple[Callable[[], Iterator[bytes]], Callable[[bytes, Path], object]]] = {
     "scene": (scenes, lambda content, folder: load_scene(write(content, folder / "a.toml"))),
     "signals": (tables, lambda content, folder: Recording.read(write(content, folder / "a.csv"))),
@@ -179,7 +168,7 @@ READERS: dict[str, tuple[Callable[[], Iterator[bytes]], Callable[[bytes, Path], 
     "matrices": (matrices, lambda content, folder: Recording.read(write(content, folder / "a.mat"))),
     "description": (
         descriptions,
-        lambda content, folder: opened(described("modelDescription.xml", content, folder / "a.fmu")),
+        lambda content, folder: open_fmu(described("modelDescription.xml", content, folder / "a.fmu")),
     ),
     "validation": (
         descriptions,

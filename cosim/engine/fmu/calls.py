@@ -12,9 +12,10 @@ from ctypes import CFUNCTYPE, byref, c_bool, c_char_p, c_double, c_int, c_size_t
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
+from weakref import finalize
 
 import numpy as np
-from fmpy import calloc, free
+from fmpy import calloc, free, freeLibrary
 from fmpy.fmi2 import (
     fmi2CallbackAllocateMemoryTYPE,
     fmi2CallbackFreeMemoryTYPE,
@@ -126,6 +127,11 @@ def bound_calls(library: Any, signatures: Mapping[str, Signature]) -> Calls:
         lacks = not hasattr(library, name) and name.endswith(_RARE)
         calls[name] = prototype(lambda *_: ERROR) if lacks else prototype((name, library))
     return calls
+
+
+def close_after_use(library: Any) -> None:
+    """Close a library when nothing refers to it or to one of its functions any more."""
+    finalize(library, freeLibrary, library._handle).atexit = False
 
 
 def address(array: NDArray[Any]) -> int:

@@ -1,5 +1,7 @@
 """FMU files: unpacked once per content, parsed, and checked for use as a slave.
 
+The FMUs used last stay unpacked, parsed and loaded (`KEPT`); another one leaves the disk and the memory when no slave has it any more.
+
 Vendor annotations of our own FMUs state what FMI 2.0 can't: sample times, breakpoints, structured names, and the
 names of numbered choices.
 """
@@ -10,13 +12,15 @@ import atexit
 import errno
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any, TypeVar
+from weakref import WeakValueDictionary, finalize
 from xml.etree import ElementTree
 
 import fmpy
@@ -38,8 +42,27 @@ INTERPOLATION_ORDER = 1
 SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.EROFS, errno.EACCES, errno.EIO)
 """Errors of the system while an FMU is unpacked: no space, no file descriptors, no right to write."""
 
+KEPT = 32
+"""FMUs that stay unpacked, parsed and loaded without a slave: those used last. Each takes about 1 MB of memory and 5 mappings."""
+
 NEEDLESS = ("sources/", "documentation/")
 """Folders of an FMU that stay packed."""
+
+
+class _Content:
+    """Folder of an unpacked FMU, deleted with the last reference to this object; and its model description."""
+
+    description: Any
+
+    def __init__(self) -> None:
+        self.folder = Path(tempfile.mkdtemp(dir=_root()))
+        finalize(self, _remove, self.folder, os.getpid()).atexit = False
+
+
+def _remove(folder: Path, process: int) -> None:
+    """Remove a folder that this process has made, not that of the process from which it was forked."""
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -48,15 +71,20 @@ class UnpackedFmu:
 
     Attributes:
         path: the FMU file.
-        folder: folder of the unpacked FMU, deleted when the process ends.
+        content: what has been unpacked, on the disk as long as anything refers to it.
         description: model description as fmpy reads it; for FMI 3.0 with one scalar variable per array element.
         sizes: (structural parameter, value) for those set by start values.
     """
 
     path: Path = field(compare=False)
-    folder: Path
+    content: _Content
     description: Any = field(compare=False)
     sizes: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the unpacked FMU."""
+        return self.content.folder
 
     @property
     def is_fmi3(self) -> bool:
@@ -145,7 +173,7 @@ class UnpackedFmu:
 
 
 def open_fmu(path: Path) -> UnpackedFmu:
-    """Return an FMI 2.0 or 3.0 co-simulation FMU, unpacked unless this process has done so already.
+    """Return an FMI 2.0 or 3.0 co-simulation FMU, unpacked unless this process still has it.
 
     Raises:
         FmuFileError: the FMU is missing, broken, of another kind, or has no binary for this platform.
@@ -159,8 +187,8 @@ def open_fmu(path: Path) -> UnpackedFmu:
         raise FmuFileError(str(error)) from None
     except OSError as error:
         raise FmuFileError(f"can't read the FMU {path}: {error.strerror}; check the path") from error
-    folder, description = _unpack(digest, path)
-    fmu = UnpackedFmu(path, folder, description)
+    content = _unpack(digest, path)
+    fmu = UnpackedFmu(path, content, content.description)
     _check(fmu)
     return fmu
 
@@ -190,21 +218,26 @@ def _root() -> Path:
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_root.cache_clear)
 
-_unpacked: dict[str, tuple[Path, Any]] = {}
-"""SHA-256 of the content → folder and model description, so that each FMU is unpacked and parsed once."""
+_unpacked: WeakValueDictionary[str, _Content] = WeakValueDictionary()
+"""SHA-256 of the content → what has been unpacked, so that each FMU is unpacked and parsed once."""
+
+_used: dict[str, _Content] = {}
+"""Those used last, the last one at the end."""
 
 
-def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
-    """Return folder and model description of the FMU with that SHA-256; unpack and parse it the first time.
+def _unpack(digest: str, path: Path) -> _Content:
+    """Return the content of the FMU with that SHA-256; unpack and parse it unless it is there.
 
     Raises:
         FmuFileError: the FMU is broken or has clocks.
     """
-    if digest not in _unpacked:
+    content = _unpacked.get(digest)
+    if content is None or not content.folder.is_dir():
         try:
-            folder = _root() / digest
+            content = _Content()
         except OSError as error:
             raise _cannot_unpack(path, error) from error
+        folder = content.folder
         # without what no run needs, most of the files
         attempt(path, lambda: fmpy.extract(str(path), str(folder), lambda name: not name.startswith(NEEDLESS)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
@@ -237,8 +270,13 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
                     "them, for co-simulation"
                 )
             description = flattened(description, folder, {})
-        _unpacked[digest] = folder, description
-    return _unpacked[digest]
+        content.description = description
+        _unpacked[digest] = content
+    _used.pop(digest, None)
+    _used[digest] = content
+    for old in [*_used][:-KEPT]:
+        _used.pop(old, None)
+    return content
 
 
 def attempt(path: Path, action: Callable[[], Any]) -> Any:
@@ -284,7 +322,7 @@ def _check(fmu: UnpackedFmu) -> None:
         raise FmuFileError(f"{path} has no binary for {platform} (it has: {found}); build it for this platform")
 
 
-@cache
+@lru_cache(maxsize=KEPT)
 def parsed(folder: Path) -> ElementTree.ElementTree[Any]:
     """The model description of an unpacked FMU, as XML."""
     return ElementTree.parse(folder / "modelDescription.xml")

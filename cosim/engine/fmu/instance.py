@@ -11,7 +11,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from ctypes import byref, c_bool, c_double, c_int, c_void_p
-from functools import cache, partial
+from functools import lru_cache, partial
 from itertools import count
 from math import inf, ulp
 from pathlib import Path
@@ -25,7 +25,7 @@ from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostE
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
 from flexfmu.cosim.engine.fmu.calls import FMI2, FMI3, FmuLog, Version
-from flexfmu.cosim.engine.fmu.file import UnpackedFmu, attempt
+from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, attempt
 from flexfmu.cosim.engine.slave import Call
 
 StatusCall = Callable[[], int]
@@ -59,11 +59,11 @@ _serial = count(1)
 """Serial numbers of instance names, which must differ within a process: some FMUs keep a table of them."""
 
 
-@cache
+@lru_cache(maxsize=KEPT)
 def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
-    """Load the FMU's library with fmpy and return its functions; the library stays loaded.
+    """Load the FMU's library with fmpy and return its functions; one of our own is closed with the last of them.
 
-    A library of another tool is loaded in a child process first, in case it crashes.
+    A library of another tool is loaded in a child process first, in case it crashes, and stays loaded, since it may have threads.
 
     Raises:
         FmuFileError: the library can't be loaded, crashes, or lacks a function of its FMI version.
@@ -84,6 +84,8 @@ def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
     library, version = _loaded(fmu, arguments), FMI3 if fmu.is_fmi3 else FMI2
     calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, version.signatures))
+    if fmu.is_ours:
+        fmi.close_after_use(library)
     return calls
 
 

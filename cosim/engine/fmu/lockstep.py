@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from ctypes import CDLL, POINTER, Structure, c_char_p, c_double, c_int, c_size_t, create_string_buffer
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.engine.fmu.calls import close_after_use
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import Value, items
 from flexfmu.cosim.engine.slave import RealArray
@@ -214,13 +215,8 @@ def _pointer(array: NDArray[Any]) -> Any:
 @lru_cache(maxsize=16)
 def _library(fmu: Path, changed: int, lanes: int) -> Any:
     """The library of an FMU that was changed last at some time [ns], found once: its name is the hash of all sources."""
-    return _load(batch_library(fmu, lanes))
-
-
-@cache
-def _load(path: Path) -> Any:
-    """A library with its functions' types."""
-    library: Any = CDLL(str(path))
+    library: Any = CDLL(str(batch_library(fmu, lanes)))
+    close_after_use(library)
     task = POINTER(_Task)
     library.flex_batch_size.argtypes, library.flex_batch_size.restype = (task,), c_size_t
     library.flex_batch_record.argtypes = (task, c_char_p, c_int, _DOUBLES, _DOUBLES, _INTS)

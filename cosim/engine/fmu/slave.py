@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from flexfmu.cosim.engine.binding import nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.engine.errors import CosimError, InputError, SlaveError
 from flexfmu.cosim.engine.fmu.calls import WARNING, address, value_references
-from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, resized
+from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, Fmi2Instance, Fmi3Instance, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.transfers import StartValues, Transfers
 from flexfmu.cosim.engine.fmu.variables import FmuVariables, Handle, Value, read_variables
@@ -369,7 +369,7 @@ class FmuSlave:
             raise SlaveError(self.name, "not initialised; call initialize first")
 
 
-@cache
+@lru_cache(maxsize=KEPT)
 def _variables(fmu: UnpackedFmu) -> FmuVariables:
     """Return the variables of the FMU's model description, read once."""
     return read_variables(fmu.description)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from ctypes import addressof, c_char_p
 from dataclasses import replace
-from functools import cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Version, address, value_references
-from flexfmu.cosim.engine.fmu.file import UnpackedFmu
+from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu
 from flexfmu.cosim.engine.fmu.instance import Checked, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.variables import (
     Handle,
@@ -380,7 +380,7 @@ class StartValues:
         return value() if self._instance.accepts(call) else None
 
 
-@cache
+@lru_cache(maxsize=KEPT)
 def _settable(fmu: UnpackedFmu) -> Mapping[str, Any]:
     """Return the FMU's variables whose start values can be set, read once."""
     return settable_variables(fmu.description)

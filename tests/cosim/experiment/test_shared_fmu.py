@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import gc
+import shutil
+import sys
+import zipfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from flexfmu import load_scene
-from flexfmu.cosim.engine.fmu.file import _unpacked
+from flexfmu.cosim.engine.fmu.file import KEPT, _unpacked
 from flexfmu.cosim.engine.fmu.instance import load_calls
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.experiment.scene_build import build_scene, shared_key
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build import build
@@ -27,13 +33,23 @@ OTHER = {
 }
 
 
+BEAMS = {"effects.beam": "timoshenko", "effects.basis": "craig-bampton"}
+SAME_LINKS = {key: value for key, value in OTHER.items() if not key.startswith("mechanism")}
+
+
 @pytest.mark.parametrize(
-    "drive", [pytest.param({}, id="motion"), pytest.param(DRIVEN, id="torque", marks=pytest.mark.slow)]
+    ("kind", "other"),
+    [
+        pytest.param({}, OTHER, id="motion"),
+        pytest.param(DRIVEN, OTHER, id="torque", marks=pytest.mark.slow),
+        pytest.param({"effects.basis": "craig-bampton"}, OTHER, id="craig-bampton", marks=pytest.mark.slow),
+        pytest.param(BEAMS, SAME_LINKS, id="timoshenko", marks=pytest.mark.slow),
+    ],
 )
-def test_results_are_those_of_the_own_fmu(drive: dict[str, Any]) -> None:
+def test_results_are_those_of_the_own_fmu(kind: dict[str, Any], other: dict[str, Any]) -> None:
     """Signals and metrics, by the FMU that the first scene of its kind has built."""
-    first = run_scene(ROBOT.replace(drive))
-    scene = ROBOT.replace({**drive, **OTHER})
+    first = run_scene(ROBOT.replace(kind))
+    scene = ROBOT.replace({**kind, **other})
     shared, own = run_scene(scene), run_scene(scene, fmu_path=build_scene(scene).path)
     assert shared.fmu_path == first.fmu_path != own.fmu_path
     assert shared.message == own.message
@@ -82,3 +98,23 @@ def test_shapes_that_depend_on_values_are_not_shared() -> None:
     """The shapes of Timoshenko's beams are numbers in the generated C."""
     beams = ROBOT.replace({"effects.beam": "timoshenko"})
     assert shared_key(beams) != shared_key(beams.replace({"mechanism.proximal.diameter": 0.036}))
+    assert shared_key(beams) == shared_key(beams.replace({"payload.mass": 2.0}))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_fmus_leave_with_their_last_slave(tmp_path: Path) -> None:
+    """Of many FMUs the last ones are kept; the others leave the disk and the memory, but for one that a slave still has."""
+    original, slaves, folders = run_scene(ROBOT).fmu_path, list[FmuSlave](), list[Path]()
+    for i in range(KEPT + 8):
+        path = shutil.copy(original, tmp_path / f"{i}.fmu")
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr("extra", str(i))
+        slaves = [*slaves[:1], FmuSlave(path)]
+        folders.append(slaves[-1]._fmu.folder)
+    gc.collect()
+    mapped = Path("/proc/self/maps").read_text()
+    there = [True, *[False] * 7, *[True] * KEPT]
+    assert [each.is_dir() for each in folders] == [f"{each}/" in mapped for each in folders] == there
+    slaves[0].initialize(0.0, 1.0, None)
+    slaves[0].step(0.0, 1e-3)
+    slaves[0].terminate()
