@@ -36,8 +36,7 @@ from exudyn.itemInterface import (
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.studies.workprec.trial import RunError
-from flexfmu.model.finite_elements.element import BeamSection, beam_section
-from flexfmu.model.finite_elements.robot import rigid_links, straight
+from flexfmu.model.finite_elements.robot import BeamSection, beam_section, rigid_links, straight
 from flexfmu.model.scene.effects import StiffnessDampingSection
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene

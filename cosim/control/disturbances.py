@@ -36,7 +36,7 @@ from flexfmu.model.scene.disturbances import (
 )
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.table_file import read_signal
+from flexfmu.trajectories.table import read_signal
 
 
 def pulse(s: PulseSection | StepSection, context: LoopContext) -> SymbolicBlock:

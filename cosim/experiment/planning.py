@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from flexfmu.model.reference_design.inverse_dynamics import FlexibleReferences
-    from flexfmu.trajectories.own import OwnMotion
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+    from flexfmu.trajectories.sources import OwnMotion
 
 
 @dataclass(frozen=True)
@@ -326,14 +326,14 @@ def plan_own(scene: Scene, own: OwnMotion | Trajectory) -> MotionPlan:
 
     Args:
         scene: the scene; its start point and duration become those of the motion, its path and profile play no part.
-        own: see `flexfmu.trajectories.own.as_trajectory`.
+        own: see `flexfmu.trajectories.sources.as_trajectory`.
 
     Raises:
         TrajectoryError: the motion can't be used, see `as_trajectory`, leaves the workspace, comes too close to a singularity,
             its joint angles aren't those of the scene's working mode, or the scene's motion is a table that starts elsewhere.
         SceneError: the scene's modes don't fit the start of the motion.
     """
-    from flexfmu.trajectories.own import as_trajectory, coordinates_of  # which few scenes need
+    from flexfmu.trajectories.sources import as_trajectory, coordinates_of  # which few scenes need
 
     # motion of the end effector, given or by forward kinematics
     given, kinematics = as_trajectory(own), RigidKinematics(scene.mechanism)

@@ -22,7 +22,7 @@ from flexfmu.trajectories.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from flexfmu.cosim.control.shapers import Shaper
-    from flexfmu.trajectories.own import OwnMotion
+    from flexfmu.trajectories.sources import OwnMotion
 
 
 WHOLE = ("feedforward", "computed-torque")

@@ -8,7 +8,7 @@ from typing import Any
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display, display_error
 from flexfmu.cosim.reports.page import Plot, render
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
-from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
 TILES = (

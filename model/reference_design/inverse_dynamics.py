@@ -20,8 +20,8 @@ from scipy.sparse import bsr_array, csc_array
 from scipy.sparse.linalg import splu
 
 from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.reference_design.elastic_response import VariantModel
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means
-from flexfmu.model.reference_design.variants import VariantModel
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError

@@ -31,10 +31,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.reference_design.elastic_response import METHOD, FleetResponse, Response, joined, spline_derivatives
+from flexfmu.model.reference_design.elastic_response import (
+    METHOD,
+    FleetResponse,
+    Response,
+    Rest,
+    RobotVariant,
+    VariantModel,
+    free_modes,
+    joined,
+    spline_derivatives,
+)
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, derivative_matrix
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
-from flexfmu.model.reference_design.variants import Rest, RobotVariant, VariantModel, free_modes
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response, Rest, free_modes
 from flexfmu.model.reference_design.inverse_dynamics import LEAD
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means, reference_derivatives
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
-from flexfmu.model.reference_design.variants import Rest, free_modes
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray

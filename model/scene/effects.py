@@ -204,13 +204,13 @@ EFFECTS = (
     "loads.PointPayload",
     "loads.PayloadInertia",
     "loads.Gravity",
-    "damping.ModalDamping",
-    "damping.ProportionalDamping",
-    "drive_effects.MotorInertia",
-    "drive_effects.ViscousFriction",
-    "drive_effects.CoulombFriction",
-    "drive_effects.StickingFriction",
-    "drive_effects.ElasticTransmission",
+    "loads.ModalDamping",
+    "loads.ProportionalDamping",
+    "loads.MotorInertia",
+    "loads.ViscousFriction",
+    "loads.CoulombFriction",
+    "loads.StickingFriction",
+    "loads.ElasticTransmission",
 )
 """Module and class of every effect below `flexfmu.model`, in the order of their parameters in the FMU.
 

@@ -20,10 +20,9 @@ from pydantic import (
 from flexfmu.model.scene.loop import from_scene_file
 from flexfmu.model.scene.mechanism import Length
 from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
-from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import BLENDS, PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES, Coefficients, Parameter
 
 StartPoint = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
@@ -206,7 +205,7 @@ class TableSection(MotionSection):
 
     @model_validator(mode="after")
     def _read(self) -> Self:
-        from flexfmu.trajectories.table_file import read_table  # which few scenes need
+        from flexfmu.trajectories.table import read_table  # which few scenes need
 
         self._table = read_table(self.file, self.coordinates)
         self._table.degree(self.degree, self.noise)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
     from flexfmu.cosim.studies.sweep.result import SweepResult
-    from flexfmu.trajectories.own import OwnMotion
+    from flexfmu.trajectories.sources import OwnMotion
     from flexfmu.trajectories.trajectory import Trajectory
 
 
@@ -73,7 +73,7 @@ def run(
         fmu: path of an existing FMU to simulate instead of building one. It must have the same effects as the scene; its
             parameters are set from the scene.
         trajectory: own motion instead of the scene's path and profile: an object with ``duration`` [s] and ``position(time)``,
-            x and y [m], see `flexfmu.trajectories.own`. The scene's shapers, controllers, cycles and dwell apply to it.
+            x and y [m], see `flexfmu.trajectories.sources`. The scene's shapers, controllers, cycles and dwell apply to it.
         controllers, shapers, imperfections, filters, disturbances: lists that replace the scene's: what the functions of
             `flexfmu.control`, `flexfmu.shapers` ... return, or tables (dicts) as in a scene file. The first three also take functions
             with `flexfmu.controller`, objects of a class of yours, python-control systems and paths of FMUs. Torques drive the

@@ -7,11 +7,9 @@ __all__, __getattr__, __dir__ = family(
     {},
     {
         "trajectories.joint": "JointTrajectory",
-        "trajectories.own": "OwnMotion as_trajectory",
         "trajectories.piecewise": "PiecewisePolynomial spline",
-        "trajectories.sources": "from_ruckig from_scipy from_toppra",
-        "trajectories.table": "write_table",
-        "trajectories.table_file": "read_table",
+        "trajectories.sources": "OwnMotion as_trajectory from_ruckig from_scipy from_toppra",
+        "trajectories.table": "read_table write_table",
         "trajectories.trajectory": "TaskTrajectory Trajectory",
     },
 )

@@ -30,7 +30,7 @@ from flexfmu.cosim.studies.compare.measured import read_log
 from flexfmu.cosim.studies.sweep.cases import read_cases
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.scene.file import load_scene, shipped_scenes
-from flexfmu.trajectories.table_file import read_signal, read_table
+from flexfmu.trajectories.table import read_signal, read_table
 
 FILES = int(os.environ.get("FLEXFMU_FUZZ", "600"))
 """Number of drawn files of all kinds."""

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import fresnel
 
-from flexfmu.trajectories.blends import (
+from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sqrt
+from flexfmu.trajectories.path import (
     HIGHEST_RATIO,
     LOWEST_RATIO,
     Blend,
@@ -20,7 +21,6 @@ from flexfmu.trajectories.blends import (
     PolarPolynomial,
     aspect_ratio,
 )
-from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sqrt
 
 KINDS: tuple[Callable[[float, float], Blend], ...] = (LameBlend, ClothoidPair, PolarPolynomial)
 ROUNDING = 1e-15

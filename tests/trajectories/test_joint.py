@@ -13,11 +13,10 @@ import pytest
 
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet, RealArray, arctan2
 from flexfmu.trajectories.joint import JointTrajectory, Margin
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import LameBlend, PickAndPlacePath
 from flexfmu.trajectories.profiles import bang_bang, seventh_degree_polynomial
 from flexfmu.trajectories.trajectory import TaskTrajectory
 

@@ -10,13 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import LameBlend, PickAndPlacePath
 from flexfmu.trajectories.piecewise import spline
 from flexfmu.trajectories.profiles import bang_bang
-from flexfmu.trajectories.table import smoothed, write_table
-from flexfmu.trajectories.table_file import read_table
+from flexfmu.trajectories.table import read_table, smoothed, write_table
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 Write = Callable[[str], Path]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.own import as_trajectory
+from flexfmu.trajectories.sources import as_trajectory
 
 DURATION = 0.4
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import Blend, ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
 
 seeded = settings(max_examples=60)
 

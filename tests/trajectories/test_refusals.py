@@ -11,10 +11,9 @@ import pytest
 import ruckig
 from scipy.interpolate import CubicSpline
 
-from flexfmu.trajectories.blends import ClothoidPair, LameBlend, PolarPolynomial
 from flexfmu.trajectories.curves import tabulate
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
 from flexfmu.trajectories.piecewise import spline
 from flexfmu.trajectories.profiles import double_s, evaluate_profile, polynomial, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.shapers.designs import design, extra_insensitive, specified_insensitivity, zero_vibration

@@ -17,8 +17,7 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.sources import from_ruckig, from_scipy, from_toppra
-from flexfmu.trajectories.table import write_table
-from flexfmu.trajectories.table_file import read_table
+from flexfmu.trajectories.table import read_table, write_table
 
 toppra.setup_logging("WARNING")
 

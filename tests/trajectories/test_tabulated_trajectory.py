@@ -9,8 +9,7 @@ import pytest
 
 from flexfmu.cosim.engine.trajectory_slave import TabulatedTrajectory, TrajectorySlave
 from flexfmu.cosim.experiment.cycles import ThereAndBack
-from flexfmu.trajectories.blends import LameBlend
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import LameBlend, PickAndPlacePath
 from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 

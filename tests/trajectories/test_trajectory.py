@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import Blend, ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
 from flexfmu.trajectories.profiles import Profile, bang_bang, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.trajectory import TaskTrajectory
 

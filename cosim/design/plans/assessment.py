@@ -26,8 +26,8 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.own import OwnMotion, as_trajectory
-from flexfmu.trajectories.table_file import read_table
+from flexfmu.trajectories.sources import OwnMotion, as_trajectory
+from flexfmu.trajectories.table import read_table
 from flexfmu.trajectories.trajectory import Trajectory
 
 Method = Literal["given", "search", "flexible references", "optimal control", "csv"]

@@ -1,14 +1,16 @@
 """What a search may choose of a motion: corners, lift, time law and shapers, and the joint references that follow.
 
 A path is tabulated once by its arc length, with the joint angles and two derivatives; every time law, duration and shaper on it
-then costs a millisecond.
+then costs a millisecond. Kinds of corners, time laws and shapers are a motion family, whose numbers are points of a unit cube.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from itertools import product
+from math import exp, log
 from typing import Any
 
 import numpy as np
@@ -18,11 +20,10 @@ from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import BLENDS, HIGHEST_RATIO, LOWEST_RATIO, PickAndPlacePath
 from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 from flexfmu.trajectories.shapers.designs import design as design_shaper
@@ -221,3 +222,177 @@ def _laws(count: int) -> RealArray:
         law = ((eta * (1.0 - eta)) ** 2 * wave).integ()
         found[k, : len(law.coef)] = law.coef
     return found
+
+
+LAWS = {"polynomial": 8, "double-s": 2, "modified-trapezoid": 0}
+"""Time laws → number of their parameters. Their accelerations don't jump; the others lie between them."""
+
+SHAPE = 2.5
+"""Largest magnitude of the numbers of `flexfmu.cosim.design.plans.designs.polynomial`."""
+
+USUAL_SHAPE = (0.0, 0.16, 0.0, 0.17, 0.0, -0.04, 0.0, 0.1)
+"""Those with which its velocity is about that of the modified trapezoid."""
+
+SLOWEST, PLACES = 0.03, np.linspace(-1.0, 1.0, 41)
+"""Smallest value of that shape, for a motion that doesn't stop on its way, and places where it is examined."""
+
+CORNERS = ("lame", "polar", "clothoid")
+"""Kinds of corners."""
+
+NARROWEST = 0.3
+"""Smallest width of a corner, as a fraction of its height."""
+
+SHORTEST, LONGEST = 0.3, 2.5
+"""Range of total times, as multiples of the given one."""
+
+FREQUENCIES = 0.8, 1.3
+"""Range of the frequencies that shapers are designed for, as multiples of those at the end pose: along the path they differ."""
+
+LEAST_TIME = 0.05
+"""Smallest part of the total time that a motion without shapers takes."""
+
+SINGLE = ("zv", "zvd", "ei", "zvdd", "2-hump-ei")
+"""Shapers for one mode."""
+
+PAIRS = (("zv", "zv"), ("zvd", "zv"), ("zv", "zvd"), ("zvd", "zvd"), ("ei", "ei"), ("zvdd", "zvd"))
+"""Shapers for the two lowest modes."""
+
+BAND_ENDS, LEVELS = (0.75, 1.25), (0.005, 0.1)
+"""Range of the ends of a specified-insensitivity shaper's band, as multiples of the lowest and the highest mode, and of its tolerance."""
+
+Use = tuple[str, int, str]
+"""Kind of a shaper, number of its mode (of ``si`` that of the highest one), and where it is applied."""
+
+
+@dataclass(frozen=True)
+class MotionFamily:
+    """Kinds of what a motion consists of.
+
+    Attributes:
+        blend: kind of the corners.
+        law: kind of the time law.
+        shapers: all shapers.
+    """
+
+    blend: str
+    law: str
+    shapers: tuple[Use, ...]
+
+
+def shaper_uses(modes: int) -> list[tuple[Use, ...]]:
+    """All combinations of shapers for a robot with so many modes."""
+    found: list[tuple[Use, ...]] = [()]
+    if modes:
+        found += [(("si", k, place),) for k in range(min(modes, 2)) for place in ("joints", "path")]
+        found += [((kind, 0, place),) for kind in SINGLE for place in ("joints", "path")]
+    if modes > 1:
+        found += [((a, 0, "joints"), (b, 1, "joints")) for a, b in PAIRS]
+        found += [(("zvd", 0, "path"), ("zvd", 1, "path")), (("zvd", 0, "joints"), ("zvd", 1, "path"))]
+    return found
+
+
+@dataclass(frozen=True)
+class Space:
+    """What a search may choose from.
+
+    Attributes:
+        modes: of vibration at the end of the motion, lowest first.
+        lift: smallest and largest height of the path [m].
+        width: of the crossing [m].
+        usual: total time of the given motion [s].
+        total: total time of all motions [s]; None where it is free.
+    """
+
+    modes: tuple[Oscillator, ...]
+    lift: tuple[float, float]
+    width: float
+    usual: float
+    total: float | None = None
+
+    def size(self, family: MotionFamily) -> int:
+        """Number of numbers of a family: time, lift, height and width of the corners, time law, frequencies."""
+        return 4 + LAWS[family.law] + sum(3 if kind == "si" else 1 for kind, _, _ in family.shapers)
+
+    def start(self, family: MotionFamily) -> RealArray:
+        """A point (n,) of the unit cube to begin with: high corners, a smooth time law and the modes' own frequencies."""
+        low, high = FREQUENCIES
+        law = {"polynomial": [0.5 + 0.5 * each / SHAPE for each in USUAL_SHAPE], "double-s": [0.8, 0.6]}.get(
+            family.law, []
+        )
+        own = [(1.05 - low) / (high - low)]
+        shapers = [number for kind, _, _ in family.shapers for number in ([0.4, 0.6, 0.4] if kind == "si" else own)]
+        return np.array([0.5, 0.7, 0.8, 0.5, *law, *shapers])
+
+    def with_total(self, point: RealArray, total: float) -> RealArray:
+        """The point with another total time [s], within the range."""
+        fraction = (log(total / self.usual) - log(SHORTEST)) / (log(LONGEST) - log(SHORTEST))
+        return np.array([min(max(fraction, 0.0), 1.0), *point[1:]])
+
+    def design(self, family: MotionFamily, point: RealArray) -> Design:
+        """The motion of a point of the unit cube.
+
+        Raises:
+            TrajectoryError: the shapers take longer than the motion may, or there are none for a mode's damping.
+        """
+        numbers = iter(np.asarray(point).tolist())
+        time, lift, tall, wide = (next(numbers) for _ in range(4))
+        total = self.usual * _between((SHORTEST, LONGEST), time) if self.total is None else self.total
+        # corners
+        height = self.lift[0] + (self.lift[1] - self.lift[0]) * lift
+        tall = height * (0.3 + 0.7 * tall)
+        width = self._corner_width(family.blend, tall, wide)
+        # time law and shapers
+        values = _law(family.law, [next(numbers) for _ in range(LAWS[family.law])])
+        shapers = tuple(self._shaper(*use, numbers) for use in family.shapers)
+        duration = total - sum(each.sequence.duration for each in shapers)
+        if duration < LEAST_TIME * total:
+            raise TrajectoryError("shapers take longer than the motion")
+        return Design(family.blend, (tall, width), height, family.law, values, shapers, duration)
+
+    def forward(self, family: MotionFamily, point: RealArray) -> tuple[RealArray, RealArray]:
+        """By how much a polynomial's shape is above the smallest allowed (M,), and the slopes by the numbers (M, n)."""
+        count = LAWS[family.law] if family.law == "polynomial" else 0
+        waves = np.polynomial.legendre.legvander(PLACES, count)[:, 1:]
+        slopes = np.zeros((len(PLACES), len(point)))
+        slopes[:, 4 : 4 + count] = 2.0 * SHAPE * waves
+        return 1.0 + slopes @ (np.asarray(point) - 0.5) - SLOWEST, slopes
+
+    def _corner_width(self, blend: str, tall: float, fraction: float) -> float:
+        low, high = NARROWEST * tall, 0.5 * self.width
+        if blend == "clothoid":
+            low, high = 1.01 * LOWEST_RATIO * tall, min(high, 0.99 * HIGHEST_RATIO * tall)
+        return _between((min(low, high), high), fraction)
+
+    def _shaper(self, kind: str, mode: int, place: str, numbers: Iterator[float]) -> ShaperChoice:
+        first, last = self.modes[0], self.modes[mode]
+        if kind == "si":
+            low, high = (first.frequency, last.frequency)
+            low, high = low * _along(BAND_ENDS, next(numbers)), high * _along(BAND_ENDS, next(numbers))
+            level = _between(LEVELS, next(numbers))
+            return ShaperChoice(kind, (min(low, high), max(low, high)), first.ratio, place, level)
+        return ShaperChoice(kind, (last.frequency * _along(FREQUENCIES, next(numbers)),), last.ratio, place)
+
+
+def _along(ends: tuple[float, float], fraction: float) -> float:
+    """A number from one end to the other."""
+    return ends[0] + (ends[1] - ends[0]) * fraction
+
+
+def _between(ends: tuple[float, float], fraction: float) -> float:
+    """A number from one end to the other in equal ratios."""
+    return exp(log(ends[0]) + (log(ends[1]) - log(ends[0])) * fraction)
+
+
+def _law(kind: str, numbers: Sequence[float]) -> Values:
+    """Parameters of a time law from numbers of 0 to 1."""
+    if kind == "polynomial":
+        return polynomial([_along((-SHAPE, SHAPE), each) for each in numbers])
+    if kind == "double-s":
+        ramp = 0.2 + 0.3 * numbers[0]
+        return (("ramp", ramp), ("jerk_phase", ramp * (0.05 + 0.45 * numbers[1])))
+    return ()
+
+
+def motion_families(shapers: Iterable[tuple[Use, ...]], laws: Iterable[str] = tuple(LAWS)) -> list[MotionFamily]:
+    """Each of these time laws on every kind of corner with each of these combinations of shapers."""
+    return [MotionFamily(blend, law, uses) for uses, blend, law in product(shapers, CORNERS, laws)]

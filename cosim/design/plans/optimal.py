@@ -1,7 +1,9 @@
-"""Optimal control as a method of the planner: the fastest motion, or that of least effort, whose limits hold for all robots of the bands.
+"""Joint references of the flexible robot as methods of the planner: by optimal control, and on the given path in the given time.
 
-They hold in the scene's model and in a fuller one: shear, distal bending and foreshortening lower the lowest frequencies by up to
+Optimal control finds the fastest motion, or that of least effort, whose limits hold for all robots of the bands. They hold in the scene's model and in a fuller one: shear, distal bending and foreshortening lower the lowest frequencies by up to
 2 %, and a motion that leaves no vibration in one model alone leaves up to 10 µm in the other.
+
+On the given path the end effector of the flexible robot makes the given motion. A correction makes these references hold over the bands.
 """
 
 from __future__ import annotations
@@ -17,8 +19,10 @@ from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
+from flexfmu.cosim.experiment.planning import plan_rigid
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
+from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import (
     DEPTH,
@@ -29,9 +33,11 @@ from flexfmu.model.reference_design.optimal_control import (
     optimal_motion,
     spread,
 )
-from flexfmu.model.reference_design.variants import RobotVariant
+from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.motion import TableSection
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
 INTERVALS = 40
@@ -66,8 +72,14 @@ WITH_TORQUE = ("rms_torque", "power", "reaction", "stress")
 """Limits that the programmes don't know, which fall with the torques."""
 
 
-Kept = tuple[list[tuple[float, float]], float, int, float] | None
-"""What a journal has of a motion: the spline's coefficients, duration and degree, and its worst violation; None where there is none."""
+CORRECTED_FOR, USED = 16, 0.99
+"""Payloads of the correction on the given path, of which fewer are overfitted, and share of each limit that is used: the correction
+meets limits to half a percent, and the given torques vary between payloads."""
+
+Optimum = tuple[list[tuple[float, float]], float, int, float] | None
+Corrected = tuple[list[tuple[float, float]], float, int, str]
+"""What a journal has of a motion: the spline's coefficients, duration and degree, and its worst violation (None where there is no motion),
+or what follows the label."""
 
 
 def optimal(
@@ -75,7 +87,7 @@ def optimal(
 ) -> Iterator[Candidate]:
     """The best motions within the bands, from the given one on, each corrected until the FMU finds all limits kept.
 
-    Arguments as for `planner.Stage`.
+    Arguments as for `planner.Method`.
 
     Raises:
         InputError: the given motion ends where it starts.
@@ -108,7 +120,7 @@ def optimal(
                     return None
                 return last and (*vars(last.motion).values(), max(last.violations.values()))
 
-            found_motion = journal.kept(("optimal", duration, number), Kept, best)
+            found_motion = journal.kept(("optimal", duration, number), Optimum, best)
             if found_motion is None or found_motion[-1] >= NEARLY:
                 break
             coefficients, time, degree, _ = found_motion
@@ -197,3 +209,59 @@ def _given_torques(goals: Goals, robots: Sequence[RobotVariant]) -> RealArray:
     references = joints.evaluate(response.fractions * joints.duration, 2, "left")
     torque = response.respond(np.hstack(list(references)), joints.duration).torque
     return np.asarray(np.abs(torque).max(axis=1))
+
+
+def flexible(
+    goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress, journal: WorkJournal = NOWHERE
+) -> Iterator[Candidate]:
+    """Yield motions with references for the flexible robot.
+
+    Args:
+        goals: what to reach.
+        found: the given motion, and what else was assessed.
+        processes: not used: a correction takes a few seconds.
+        show: is called with what is being done.
+        journal: where the references are kept.
+
+    Raises:
+        InputError: the given motion is a table.
+        TrajectoryError: there are no such references.
+    """
+    if isinstance(goals.scene.trajectory, TableSection):
+        raise InputError(
+            f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
+        )
+    # the path alone
+    bare: dict[str, Any] = {"shaper": [], "trajectory.references": None}
+    if goals.scene.trajectory.way_back != "none":
+        bare |= {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
+    scene = goals.scene.replace(bare)
+    show("references for the flexible robot on the given path", None)
+    coefficients, duration, degree, note = journal.kept(("flexible",), Corrected, lambda: _references(goals, scene))
+    motors = JointSpline(np.array(coefficients), duration, degree)
+    label = f"flexible references on the given path{note}"
+    yield Candidate(label, "flexible references", scene, motors.trajectory())
+
+
+def _references(goals: Goals, scene: Scene) -> tuple[Any, ...]:
+    """References for the scene of the path alone, as a journal has them."""
+    # the given motion's torques for each payload of the correction
+    given, variations = Judge(goals, CORRECTED_FOR).given, goals.variations(CORRECTED_FOR)
+    usual = {each.variation: each.torque for each in given.peaks}
+    nominal = min(usual, key=lambda each: abs(each.payload - goals.scene.payload.mass))
+    torques = np.array([usual.get(each, usual[nominal]) for each in variations])
+    motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
+    motors = flexible_references(scene, motion.task, motion.joints).motors
+    # references that hold over the bands
+    tolerances = Tolerances(
+        residual=0.2 * goals.wishes.residual,
+        off_path=0.9 * goals.wishes.margin,
+        torque=USED * goals.limit("torque", torques) if "torque" in goals.limits else None,
+        jerk=USED * float(goals.limit("jerk", np.array(given.references[2]))) if "jerk" in goals.limits else None,
+    )
+    try:
+        changes = [each.changes(goals.scene) for each in variations]
+        return *vars(corrected(motion.scene, changes, motors, motion.task, tolerances)).values(), ""
+    except TrajectoryError:
+        # the FMU judges whether they do without a correction
+        return *vars(motors).values(), ", for the nominal payload"

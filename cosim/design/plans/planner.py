@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,9 @@ import numpy as np
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
+from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
+from flexfmu.cosim.design.plans.search import search
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
@@ -30,12 +31,11 @@ from flexfmu.trajectories.errors import TrajectoryError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Stage = Callable[[Goals, Sequence[Assessment], int, ShowProgress, WorkJournal], Iterator[Candidate]]
-"""A method: from the goals, what was assessed before, the number of processes, where to show progress and where to keep what is
-found to ever better candidates."""
+Method = Callable[[Goals, Sequence[Assessment], int, ShowProgress, WorkJournal], Iterator[Candidate]]
 
-METHODS = ("search", "flexible", "optimal")
-"""Names of the methods, in the order in which they run: what one finds, the next can start from."""
+METHODS: Mapping[str, Method] = {"search": search, "flexible": flexible, "optimal": optimal}
+"""Methods in the order in which they run, what one finds, the next can start from: from the goals, what was assessed before, the number
+of processes, where to show progress and where to keep what is found to ever better candidates."""
 
 SCREENED, JUDGED = 7, 25
 """Payloads within the band with which every candidate is assessed, and with which the chosen motion is judged."""
@@ -206,7 +206,7 @@ class PlanResult(Rows):
 def plan_scene(
     scene: Scene,
     *,
-    methods: Sequence[str] = METHODS,
+    methods: Collection[str] = METHODS,
     candidates: Sequence[Candidate] = (),
     processes: int = 1,
     budget: float | None = None,
@@ -285,7 +285,7 @@ def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
 def _candidates(
     goals: Goals,
     found: Sequence[Assessment],
-    methods: Sequence[str],
+    methods: Collection[str],
     given: Sequence[Candidate],
     processes: int,
     show: ShowProgress,
@@ -296,15 +296,9 @@ def _candidates(
     yield from given
     for name in (each for each in METHODS if each in methods):
         try:
-            yield from _stage(name)(goals, found, processes, show, journal)
+            yield from METHODS[name](goals, found, processes, show, journal)
         except FAILURES as error:
             failures.append(f"{name}: {error}")
-
-
-def _stage(name: str) -> Stage:
-    """A method by its name: the function of this name in the module of this name."""
-    stage: Stage = getattr(import_module(f"flexfmu.cosim.design.plans.{name}"), name)
-    return stage
 
 
 def _dominates(one: Assessment, other: Assessment) -> bool:

@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment, Candidate
-from flexfmu.cosim.design.plans.designs import Design
+from flexfmu.cosim.design.plans.designs import CORNERS, LAWS, Design, MotionFamily, Space, motion_families, shaper_uses
 from flexfmu.cosim.design.plans.goals import RATES, Goals, peak_rates
-from flexfmu.cosim.design.plans.motion_families import BLENDS, LAWS, MotionFamily, Space, motion_families, shaper_uses
-from flexfmu.cosim.design.plans.quick_runs import JointMotion, QuickRobot
-from flexfmu.cosim.design.plans.scoring import CLEARANCE, Bounds, Score
+from flexfmu.cosim.design.plans.quick_runs import CLEARANCE, Bounds, JointMotion, QuickRobot, Score
 from flexfmu.cosim.design.plans.sequential_programme import (
     FrontMember,
     Iterate,
@@ -48,7 +46,7 @@ Iterating = Callable[[Sequence[tuple[Any, ...]]], Iterator[Iterate]]
 QUICK, CONFIRMED = (7, 1e-3), (25, 5e-4)
 """Payloads of the band and communication step [s] of quick runs, and of those that confirm what is reported."""
 
-FIRST = MotionFamily(BLENDS[0], next(iter(LAWS)), ())
+FIRST = MotionFamily(CORNERS[0], next(iter(LAWS)), ())
 """Corners and time law with which shapers are compared."""
 
 KEPT = 3

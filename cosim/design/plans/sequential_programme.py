@@ -17,10 +17,8 @@ from math import inf
 import numpy as np
 from scipy.optimize import linprog
 
-from flexfmu.cosim.design.plans.designs import Design, references
-from flexfmu.cosim.design.plans.motion_families import MotionFamily, Space
-from flexfmu.cosim.design.plans.quick_runs import QuickRobot
-from flexfmu.cosim.design.plans.scoring import CLEARANCE, INSIDE, WORTH, Bounds, Score
+from flexfmu.cosim.design.plans.designs import Design, MotionFamily, Space, references
+from flexfmu.cosim.design.plans.quick_runs import CLEARANCE, INSIDE, WORTH, Bounds, QuickRobot, Score
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -28,7 +26,7 @@ from flexfmu.trajectories.jets import RealArray
 
 NEAR, REACH = 0.35, 10.0
 """Rows within this of the largest, or of the limit, are linearised: others don't become active within a step. Those of the clearance
-are `LENGTH` apart, see `flexfmu.cosim.design.plans.scoring`."""
+are `LENGTH` apart, see `flexfmu.cosim.design.plans.quick_runs`."""
 
 MOST_ROWS = 2000
 """Largest number of rows of a limit."""

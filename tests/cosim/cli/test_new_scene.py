@@ -18,7 +18,7 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import basis_hint, load_scene, read_scene_text, scene_path, shipped_scenes
 from flexfmu.model.scene.keys import parse_setting
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
 ROOT = Path(__file__).parents[3]

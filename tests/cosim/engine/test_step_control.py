@@ -19,8 +19,7 @@ from flexfmu.cosim.engine.master.step_control import StepDoubling, fitted
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
-from flexfmu.trajectories.blends import LameBlend
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import LameBlend, PickAndPlacePath
 from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.trajectory import TaskTrajectory
 

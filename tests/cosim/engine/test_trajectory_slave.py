@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.grid import time_grid
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
-from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import LameBlend, PickAndPlacePath
 from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.trajectory import TaskTrajectory
 

@@ -8,9 +8,8 @@ from formulations import full_scene
 from scipy.linalg import eigh
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.finite_elements.element import COORDINATES, BeamSection, beam_element
 from flexfmu.model.finite_elements.motion import simulate
-from flexfmu.model.finite_elements.robot import finite_element_robot
+from flexfmu.model.finite_elements.robot import COORDINATES, BeamSection, beam_element, finite_element_robot
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 

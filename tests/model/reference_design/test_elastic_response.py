@@ -8,9 +8,8 @@ import pytest
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.radau import radau
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, free_modes
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, fitted
-from flexfmu.model.reference_design.variants import free_modes
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

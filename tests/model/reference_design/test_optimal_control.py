@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import (
     Aim,
@@ -22,7 +22,6 @@ from flexfmu.model.reference_design.optimal_control import (
     optimal_motion,
 )
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
-from flexfmu.model.reference_design.variants import RobotVariant
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray

@@ -155,7 +155,7 @@ def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
         yield stretched(1.3)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(planner, "_stage", lambda name: search)
+    monkeypatch.setattr(planner, "METHODS", {"search": search})
     found = plan_scene(SCENE, methods=("search",))
     assert found.interrupted
     assert found.chosen.candidate.label == "stretched 1.3"

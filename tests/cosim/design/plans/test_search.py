@@ -16,9 +16,8 @@ import pytest
 
 from flexfmu.cosim.design.plans import search as module
 from flexfmu.cosim.design.plans.assessment import Candidate, Judge
-from flexfmu.cosim.design.plans.designs import Design, ShaperChoice, polynomial, references
+from flexfmu.cosim.design.plans.designs import LAWS, Design, MotionFamily, ShaperChoice, polynomial, references
 from flexfmu.cosim.design.plans.goals import goals_of
-from flexfmu.cosim.design.plans.motion_families import LAWS, MotionFamily
 from flexfmu.cosim.design.plans.search import MotionSearch, search, study_of
 from flexfmu.cosim.design.plans.sequential_programme import MotionStudy, best_change, first_iterate, improved
 from flexfmu.cosim.engine.errors import InputError, ResultsError

@@ -15,10 +15,10 @@ from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
-from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
-from flexfmu.trajectories.own import as_trajectory
+from flexfmu.trajectories.path import ClothoidPair, PolarPolynomial
 from flexfmu.trajectories.profiles import bang_bang, double_s, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence, ShapedTrajectory
+from flexfmu.trajectories.sources import as_trajectory
 
 SWING = Swing()
 

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.file import load_scene
-from flexfmu.trajectories.blends import Blend, LameBlend
 from flexfmu.trajectories.joint import JointTrajectory
-from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.path import Blend, LameBlend, PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
