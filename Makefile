@@ -3,7 +3,7 @@
 # make test-all  make test, then make slow: everything
 # make slow      the slow tests, against the built wheel: examples, other people's tools, whole studies, every variant
 # make test-lowest  the tests of make test with the oldest dependencies that pyproject.toml allows
-# make fuzz      100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers, and as many drawn files
+# make fuzz      100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers, and drawn files for each reader: an hour
 # make licences  the licences of flexfmu and of what is installed with it
 # make bench     how fast everything is, against its targets and against the figures of the last release
 # make check     make lint and make test side by side: before a commit
@@ -60,7 +60,7 @@ check: $(VENV)/.lint $(VENV)/.test
 
 fuzz: $(VENV)/.slow
 	$(call install,--editable ".$(EXTRAS)")
-	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 tests/fmu_boundary/test_fuzzing.py tests/integration/test_drawn_files.py
+	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 -rfEsP tests/fmu_boundary/test_fuzzing.py tests/integration/test_drawn_files.py
 
 licences: $(VENV)/bin/python
 	$(call install,--editable ".$(EXTRAS)")

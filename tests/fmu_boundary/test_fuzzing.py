@@ -1,6 +1,6 @@
 """Drawn sequences of FMI calls under the sanitizers, each call judged by what the standard and the FMU promise; two threads.
 
-`make fuzz` runs 100 000 sequences of each; FLEXFMU_FUZZ sets another number. A sequence that fails is repeated with
+`make fuzz` runs 100 000 sequences of each, more than 10^7 calls; FLEXFMU_FUZZ sets another number. A sequence that fails is repeated with
 ``FUZZ_TRACE=1 program 1 NUMBER``.
 """
 
@@ -27,7 +27,9 @@ def test_no_sequence_of_calls_breaks_a_promise(name: str, tmp_path: Path) -> Non
     a silent NaN, a leak, or a reset instance that runs otherwise than a new one."""
     flags = ADDRESS if has_sanitizer("address,undefined", tmp_path) else ("-O2",)
     program = build(tmp_path, SUBJECTS[name](), FUZZER, flags)
-    assert run(program, SEQUENCES, seconds=3600.0) == f"{SEQUENCES} sequences\n"
+    done = run(program, SEQUENCES, seconds=7200.0)
+    print(f"{name}: {done}", end="")
+    assert done.startswith(f"{SEQUENCES} sequences, ")
 
 
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="no valgrind")
@@ -36,7 +38,7 @@ def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
     """It alone sees numbers that are used before they are set: the importer's memory here is dirty."""
     program = build(tmp_path, SUBJECTS[name](), FUZZER, ("-O1", "-g"))
     options = ("--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
-    assert run("valgrind", *options, program, FEWER) == f"{FEWER} sequences\n"
+    assert run("valgrind", *options, program, FEWER).startswith(f"{FEWER} sequences, ")
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <unistd.h>
 
+#include "fuzzed_calls.h"
+
 enum { LONGEST = 400, PATIENCE = 60 };
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -33,6 +35,6 @@ int main(int argc, char **argv) {
     if (getenv("FUZZ_TRACE")) fprintf(stderr, "sequence %lu\n", current);
     LLVMFuzzerTestOneInput(bytes, size);
   }
-  printf("%lu sequences\n", count);
+  printf("%lu sequences, %lu calls\n", count, fuzzed_count);
   return 0;
 }

@@ -389,6 +389,8 @@ static flex_call_id choose(const fuzzed *one, tape *tape) {
   return one->type == fmi2ModelExchange ? exchanged[choice % 8] : usual[choice % 8];
 }
 
+unsigned long fuzzed_count;
+
 void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {
   flex_call_id call = choose(one, tape);
   if (is_numeric && (concerns_states(call) || call == call_fmi2SetDebugLogging)) return;
@@ -400,6 +402,7 @@ void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {
   // few of them, or the others would never get far
   int is_drastic = call == call_fmi2Reset || call == call_fmi2Terminate;
   if (is_drastic && tape_byte(tape) % 4 != 0) return;
+  fuzzed_count++;
   serve(one, tape, call);
 }
 

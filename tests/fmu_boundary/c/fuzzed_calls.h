@@ -34,6 +34,9 @@ void fuzzed_begin(fuzzed *one, importer *ear, fmi2Type type, fmi2Boolean logging
 /* one call that the tape chooses; where `is_numeric`, only calls that depend on nothing but the FMU state */
 void fuzzed_call(fuzzed *one, tape *tape, int is_numeric);
 
+/* number of calls so far */
+extern unsigned long fuzzed_count;
+
 /* frees saved states and the instance, in whatever state it is */
 void fuzzed_end(fuzzed *one);
 
