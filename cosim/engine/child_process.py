@@ -1,6 +1,9 @@
 """Calls a function in a forked child process, so that code that crashes, exits or hangs can't end the program.
 
 The child starts with a copy of all objects of the parent; nothing is loaded again. Its changes don't reach the parent.
+
+Between the two stands a guard, a process that runs nothing foreign. Whatever the child's code starts, in another session or orphaned too,
+descends from the guard (a "child subreaper"), which ends it when the child or the parent has ended, a parent that is killed included.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, Never
 
@@ -32,7 +36,10 @@ GRACE = 2.0
 LOOK = 0.05
 """Interval at which the parent checks the child [s]."""
 
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
+
+_GUARDED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD} if sys.platform == "linux" else set()
+"""Signals that a guard waits for: SIGHUP, from the parent or because that has ended, ends it."""
 
 _END = b"complete"
 """Mark at the end of the data that a child sends."""
@@ -62,16 +69,16 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
     """
     reading, writing = os.pipe()
     # block interrupts until the child has set up its signal handlers
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _GUARDED)
     try:
-        parent, child = os.getpid(), _fork()
-        if child == 0:
-            _be_child(action, writing, parent)
+        parent, guard = os.getpid(), _fork()
+        if guard == 0:
+            _be_guard(action, writing, parent)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     # receive the result, and end the child in any case
     os.close(writing)
-    supervisor = _Supervisor(child, reading, look, limit)
+    supervisor = _Supervisor(guard, reading, look, limit)
     try:
         returned, result = pickle.loads(supervisor.received())
     finally:
@@ -82,10 +89,10 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
 
 
 class _Supervisor:
-    """Receives the result of a child, and ends the child if it makes no progress."""
+    """Receives the result of a child, and has its guard end it if it makes no progress."""
 
-    def __init__(self, child: int, reading: int, look: Callable[[], object], limit: float) -> None:
-        self._child, self._reading, self._look, self._limit = child, reading, look, limit
+    def __init__(self, guard: int, reading: int, look: Callable[[], object], limit: float) -> None:
+        self._guard, self._reading, self._look, self._limit = guard, reading, look, limit
         self._status: int | None = None
 
     def received(self) -> bytes:
@@ -95,7 +102,7 @@ class _Supervisor:
             self._wait(data)
         except KeyboardInterrupt:
             # the child may still send its result; a second interrupt ends the wait
-            os.kill(self._child, signal.SIGTERM)
+            os.kill(self._guard, signal.SIGTERM)
             self._limit, self._look = GRACE, lambda: None
             try:
                 self._wait(data)
@@ -130,7 +137,7 @@ class _Supervisor:
 
     def _gone(self) -> bool:
         """Return whether the child has ended."""
-        if self._status is None and os.waitid(os.P_PID, self._child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+        if self._status is None and os.waitid(os.P_PID, self._guard, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
             self._end()
         return self._status is not None
 
@@ -150,17 +157,15 @@ class _Supervisor:
         return f"it crashed with {number.name} ({signal.strsignal(number)}){hint}"
 
     def close(self) -> None:
-        """Close the pipe, and kill the child if it is still running."""
+        """Close the pipe, and have the child killed if it is still running."""
         os.close(self._reading)
         if not self._gone():
             self._end()
 
     def _end(self) -> None:
-        """Kill the child's session, with processes that its code has started, before its number is free for others; keep the status."""
-        for kill in (os.killpg, os.kill):  # a child that has just begun is in no session of its own
-            with suppress(ProcessLookupError):
-                kill(self._child, signal.SIGKILL)
-        self._status = os.waitpid(self._child, 0)[1]
+        """End the guard, and with it all that the child has started; keep the status."""
+        os.kill(self._guard, signal.SIGHUP)
+        self._status = os.waitpid(self._guard, 0)[1]
 
 
 def _flush() -> None:
@@ -180,16 +185,54 @@ def _fork() -> int:
         return os.fork()
 
 
+def _follow(parent: int, ending: signal.Signals) -> None:
+    """Begin a session, in which a signal tells when the parent ends; exit if it has ended already."""
+    os.setsid()
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ending)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def _be_guard(action: Callable[[], Any], writing: int, parent: int) -> Never:
+    """Run the action in a child; when that or the parent has ended, kill all that descends from it, and exit as the child did."""
+    status = 1 << 8
+    try:
+        # a child that ends is kept until it is asked for, whatever the parent did
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        _follow(parent, signal.SIGHUP)
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        guard, child = os.getpid(), _fork()
+        if child == 0:
+            _be_child(action, writing, guard)
+        os.close(writing)
+        # wait for the end of the child or the parent, which passes an interrupt on
+        while (number := signal.sigwait(_GUARDED)) != signal.SIGHUP:
+            if number == signal.SIGTERM:
+                os.kill(child, signal.SIGTERM)
+            elif os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                break
+        os.kill(child, signal.SIGKILL)
+        status = os.waitpid(child, 0)[1]
+        # those whose parents die become the guard's own
+        while below := Path("/proc/thread-self/children").read_text(encoding="ascii").split():
+            for each in below:
+                os.kill(int(each), signal.SIGKILL)
+            os.wait()
+    finally:
+        if (code := os.waitstatus_to_exitcode(status)) < 0:
+            with suppress(OSError):  # the action of SIGKILL can't be set
+                signal.signal(-code, signal.SIG_DFL)
+            ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {-code})
+            os.kill(os.getpid(), -code)
+        os._exit(code)
+
+
 def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
     """Run the action in the child, send its result or exception, and exit without the parent's clean-up."""
     code = 1
     try:
-        # a session of its own: what its code starts ends with it
-        os.setsid()
-        # end with the parent, which may have ended already
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            os._exit(code)
+        _follow(parent, signal.SIGKILL)
         # keep the garbage collector off the parent's objects: it would copy their memory pages
         gc.freeze()
         # slaves print to standard error: standard output is for results
@@ -203,7 +246,7 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
         # the parent passes Ctrl-C on as SIGTERM
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _GUARDED)
         try:
             sent = pickle.dumps((True, action()))
         except BaseException as error:

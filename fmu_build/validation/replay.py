@@ -254,7 +254,7 @@ def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArra
     Raises:
         RuntimeError: the process fails or writes no result.
     """
-    with temporary_folder("replay") as home:
+    with temporary_folder("replay", fmu.folder.parent) as home:
         state, result = Path(home) / "state", Path(home) / "rows.npy"
         state.write_bytes(data)
         module = "flexfmu.fmu_build.validation.replay"

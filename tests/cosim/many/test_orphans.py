@@ -11,7 +11,6 @@ from time import monotonic, sleep
 
 import pytest
 
-from flexfmu.cosim.engine.child_process import in_child
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 
@@ -71,9 +70,48 @@ def test_busy_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     parent.stdout.close()
 
 
-def test_what_foreign_code_starts_ends_with_its_run() -> None:
-    """Also where it outlives the call that started it."""
-    assert ended(in_child(lambda: subprocess.Popen(["sleep", "600"]).pid, lambda: None, 60.0))
+STARTING = """
+import subprocess, sys, time
+from flexfmu.cosim.engine.child_process import in_child
+
+def foreign():
+    subprocess.run("(sleep 600 & echo $!; setsid sleep 600 & echo $!) ", shell=True)
+    exec(sys.argv[1])
+
+try:
+    in_child(foreign, lambda: None, 1.0)
+except Exception as error:
+    print(error)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize(
+    ("ending", "told"),
+    [
+        ("time.sleep(600)", ""),
+        ("pass", ""),
+        ("sys.exit(3)", ""),
+        ("time.sleep(600)", "it hasn't returned"),
+        ("__import__('os').abort()", "it crashed with SIGABRT"),
+    ],
+)
+def test_what_foreign_code_starts_ends_with_its_run(ending: str, told: str) -> None:
+    """However that ends, or the program itself; also what is orphaned or has begun a session of its own."""
+    parent = subprocess.Popen(
+        [sys.executable, "-c", STARTING, ending], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert parent.stderr is not None
+    assert parent.stdout is not None
+    started = [int(parent.stderr.readline()) for _ in range(2)]
+    if told:
+        assert told in parent.stdout.readline()
+    elif "sleep" in ending:
+        assert all(map(is_running, started))
+        parent.kill()
+    assert all(map(ended, started))
+    parent.kill()
+    parent.communicate()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
