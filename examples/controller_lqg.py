@@ -10,8 +10,7 @@ import numpy as np
 
 import flexfmu
 
-ANGLES, TORQUES = ("joint1.position", "joint2.position"), ("joint1.torque", "joint2.torque")
-UNITS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(TORQUES, "N.m")
+ANGLES = ("joint1.position", "joint2.position")
 
 # a small motion: 5 mm up, 20 mm across
 scene = flexfmu.load_scene("barnard2012-6kg").replace(
@@ -28,7 +27,7 @@ scene = flexfmu.load_scene("barnard2012-6kg").replace(
 # the robot at rest in the middle, in deviations from its equilibrium, for torques held over 1 ms
 pose = (0.0, 0.3)
 robot = flexfmu.linearize(scene, pose, ANGLES)[:, :2]
-plant = flexfmu.control.from_control(robot, method="zoh", sample_time=1e-3, inputs=TORQUES, outputs=ANGLES, units=UNITS)
+plant = flexfmu.control.from_control(robot.sample(1e-3))
 
 # 0.1 mrad of an angle counts like 10 N.m; the filter expects torques disturbed by 1 N.m, angles measured to 1e-5 rad
 K, _, _ = control.dlqr(plant.A, plant.B, plant.C.T @ plant.C / 1e-4**2, np.eye(2) / 10.0**2)

@@ -16,9 +16,7 @@ both = control.append(control.ss(lead), control.ss(lead))
 # the error is made of reference and measurement in one matrix: e = [I -I] [q_r; q]
 error = control.ss([], [], [], [[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 block = flexfmu.control.control_block(
-    both * error,
-    method="tustin",
-    sample_time=0.5e-3,
+    control.c2d(both * error, 0.5e-3, "tustin"),
     inputs=["target1", "target2", "angle1", "angle2"],
     outputs=["motor1", "motor2"],
     name="lead",

@@ -15,16 +15,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
 from flexfmu.cosim.control.blocks.equations import Vector
-from flexfmu.cosim.control.controllers.from_control import from_control, times
+from flexfmu.cosim.control.controllers.from_control import times
 from flexfmu.cosim.control.controllers.joints import TORQUE, joint_block, limited
-from flexfmu.cosim.control.controllers.state_feedback import POSITIONS, TORQUES
+from flexfmu.cosim.control.controllers.state_feedback import POSITIONS
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
@@ -33,6 +33,9 @@ from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.controllers import HInfinitySection
 from flexfmu.model.symbolic import SymbolicBlock
 
+if TYPE_CHECKING:
+    import control
+
 SUBOPTIMAL = 1.1
 """Ratio of gamma to its smallest value: at the smallest one the controller's equations are singular."""
 
@@ -40,48 +43,17 @@ INTEGRAL = 5.0
 """Integral time, relative to 1 / bandwidth in rad/s, where none is given."""
 
 
-@dataclass(frozen=True, eq=False)
-class StateSpace:
-    """A linear system, continuous or discrete.
+def to_w(system: control.StateSpace, sample_time: float) -> control.StateSpace:
+    """Return a discrete system as one of w = 2/h (z - 1)/(z + 1); Tustin's rule is the inverse."""
+    import control
 
-    Attributes:
-        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m).
-    """
-
-    A: RealArray
-    B: RealArray
-    C: RealArray
-    D: RealArray
-
-    def __matmul__(self, first: StateSpace) -> StateSpace:
-        """This system after another one: y = self(first(u))."""
-        zero = np.zeros((first.A.shape[0], self.A.shape[0]))
-        return StateSpace(
-            np.block([[first.A, zero], [self.B @ first.C, self.A]]),
-            np.vstack([first.B, self.B @ first.D]),
-            np.hstack([self.D @ first.C, self.C]),
-            self.D @ first.D,
-        )
-
-    def to_w(self, sample_time: float) -> StateSpace:
-        """Return this discrete system as one of w = 2/h (z - 1)/(z + 1)."""
-        rate = 2.0 / sample_time
-        inverse = np.linalg.inv(np.eye(len(self.A)) + self.A)
-        return self._mapped(rate * inverse @ (self.A - np.eye(len(self.A))), inverse, sqrt(2.0 * rate), -1.0)
-
-    def to_z(self, sample_time: float) -> StateSpace:
-        """Return this system of w as a discrete one; the inverse of `to_w`."""
-        rate = 2.0 / sample_time
-        inverse = np.linalg.inv(rate * np.eye(len(self.A)) - self.A)
-        return self._mapped(inverse @ (rate * np.eye(len(self.A)) + self.A), inverse, sqrt(2.0 * rate), 1.0)
-
-    def _mapped(self, A: RealArray, inverse: Any, factor: float, sign: float) -> StateSpace:
-        """The system with another A, and the B, C and D that belong to it."""
-        B, C, D = factor * inverse @ self.B, factor * self.C @ inverse, self.D + sign * (self.C @ inverse @ self.B)
-        return StateSpace(A, B, C, D)
+    one, rate = np.eye(len(system.A)), 2.0 / sample_time
+    inverse, factor = np.linalg.inv(one + system.A), sqrt(2.0 * rate)
+    B, C, D = factor * inverse @ system.B, factor * system.C @ inverse, system.D - system.C @ inverse @ system.B
+    return control.ss(rate * inverse @ (system.A - one), B, C, D)
 
 
-def coprime_controller(plant: StateSpace, suboptimal: float = SUBOPTIMAL) -> tuple[StateSpace, float]:
+def coprime_controller(plant: control.StateSpace, suboptimal: float = SUBOPTIMAL) -> tuple[control.StateSpace, float]:
     """Return the controller that is most robust against perturbations of the plant's normalised coprime factors, and gamma.
 
     Args:
@@ -95,6 +67,8 @@ def coprime_controller(plant: StateSpace, suboptimal: float = SUBOPTIMAL) -> tup
     Raises:
         InputError: the Riccati equations have no solution.
     """
+    import control
+
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     S, R = np.eye(B.shape[1]) + D.T @ D, np.eye(C.shape[0]) + D @ D.T
     shifted = A - B @ np.linalg.solve(S, D.T @ C)
@@ -108,7 +82,7 @@ def coprime_controller(plant: StateSpace, suboptimal: float = SUBOPTIMAL) -> tup
     F = -np.linalg.solve(S, D.T @ C + B.T @ X)
     scaled = np.linalg.solve(((1.0 - gamma**2) * np.eye(len(A)) + X @ Z).T, gamma**2 * Z @ C.T)
     gain = np.asarray(scaled, dtype=np.float64)
-    return StateSpace(A + B @ F + gain @ (C + D @ F), gain, B.T @ X, -D.T), gamma
+    return control.ss(A + B @ F + gain @ (C + D @ F), gain, B.T @ X, -D.T), gamma
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,12 +95,14 @@ class ShapedLoop:
         margin: epsilon = 1 / gamma; above 0.25 the shape of the loop is compatible with robustness.
     """
 
-    weights: StateSpace
-    controller: StateSpace
+    weights: control.StateSpace
+    controller: control.StateSpace
     margin: float
 
 
-def shape_loop(plant: StateSpace, sample_time: float, bandwidth: RealArray, integral_time: RealArray) -> ShapedLoop:
+def shape_loop(
+    plant: control.StateSpace, sample_time: float, bandwidth: RealArray, integral_time: RealArray
+) -> ShapedLoop:
     """Design weights and controller of a sampled plant with as many inputs as outputs.
 
     Args:
@@ -138,20 +114,22 @@ def shape_loop(plant: StateSpace, sample_time: float, bandwidth: RealArray, inte
     Raises:
         InputError: the Riccati equations have no solution, or the loop isn't stable.
     """
+    import control
+
     # in the w plane, with the unit of time 1 / bandwidth, which keeps the Riccati equations well scaled
     scale = float(bandwidth.max())
     h = scale * sample_time
-    robot = plant.to_w(h)
+    robot = to_w(plant, h)
     crossing = 2.0 / h * np.tan(bandwidth * sample_time / 2.0)
     corner = 1.0 / (scale * integral_time)
     gains = [
-        1.0 / abs(_response(robot, w)[i, i] * (1.0 + c / (1j * w)))
+        1.0 / abs(robot(1j * w)[i, i] * (1.0 + c / (1j * w)))
         for i, (w, c) in enumerate(zip(crossing, corner, strict=True))
     ]
     n = len(gains)
-    weights = StateSpace(np.zeros((n, n)), np.diag(corner), np.diag(gains), np.diag(gains))
-    controller, gamma = coprime_controller(robot @ weights)
-    found = ShapedLoop(weights.to_z(h), controller.to_z(h), 1.0 / gamma)
+    weights = control.ss(np.zeros((n, n)), np.diag(corner), np.diag(gains), np.diag(gains))
+    controller, gamma = coprime_controller(robot * weights)
+    found = ShapedLoop(weights.sample(h, "tustin"), controller.sample(h, "tustin"), 1.0 / gamma)
     radius = float(np.abs(np.linalg.eigvals(closed_loop(plant, found))).max())
     if not radius < 1.0:
         raise InputError(
@@ -160,21 +138,15 @@ def shape_loop(plant: StateSpace, sample_time: float, bandwidth: RealArray, inte
     return found
 
 
-def closed_loop(plant: StateSpace, loop: ShapedLoop) -> RealArray:
+def closed_loop(plant: control.StateSpace, loop: ShapedLoop) -> RealArray:
     """Return the matrix of the loop of a discrete plant without feedthrough, its references at rest."""
-    whole = loop.weights @ loop.controller
+    whole = loop.weights * loop.controller
     return np.block(
         [
             [plant.A + plant.B @ whole.D @ plant.C, plant.B @ whole.C],
             [whole.B @ plant.C, whole.A],
         ]
     )
-
-
-def _response(system: StateSpace, frequency: float) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    """Frequency response of a continuous system at a frequency [rad/s]."""
-    resolvent = np.linalg.solve(1j * frequency * np.eye(len(system.A)) - system.A, system.B)
-    return np.asarray(system.C @ resolvent + system.D, dtype=np.complex128)
 
 
 @builds(HInfinitySection)
@@ -198,9 +170,8 @@ def h_infinity(s: HInfinitySection, context: LoopContext) -> SymbolicBlock:
     rate = 2.0 * pi * frequency
     integral_time = INTEGRAL / rate if s.integral_time is None else np.array(s.integral_time, dtype=float)
     scene = without_coulomb_friction(context.scene)
-    plant = linearize(scene, position, POSITIONS)[:, :2]
-    robot = from_control(plant, method="zoh", sample_time=h, inputs=TORQUES, outputs=POSITIONS)
-    loop = shape_loop(StateSpace(robot.A, robot.B, robot.C, robot.D), h, rate, integral_time)
+    plant = linearize(scene, position, POSITIONS)[:, :2].sample(h)
+    loop = shape_loop(plant, h, rate, integral_time)
     return shaped_block(s, loop, operating_point(scene, position).inputs[:2])
 
 

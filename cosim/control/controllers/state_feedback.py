@@ -8,13 +8,13 @@ Systems, 3rd ed. 1998, sections 9.3 and 9.5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
-from flexfmu.cosim.control.controllers.from_control import LinearSystem, Signal, from_control, matrix, times, variables
+from flexfmu.cosim.control.controllers.from_control import LinearSystem, from_control, matrix, times
 from flexfmu.cosim.control.controllers.joints import PerJoint, limited
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
@@ -23,7 +23,7 @@ from flexfmu.model.linear import linearize, operating_point, without_coulomb_fri
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.controllers import StateFeedbackSection
-from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +31,13 @@ class ReferenceFeedforward:
     """Target states and inputs of references r: x_r = Nx r, u_r = Nu r.
 
     Attributes:
-        signals: the references, which are inputs of the controller.
+        signals: the references, inputs of the controller.
         Nx: (n, references).
         Nu: (plant inputs, references).
         base: value of each reference at the equilibrium, (references,); r is the deviation from it.
     """
 
-    signals: tuple[Signal, ...]
+    signals: tuple[Variable, ...]
     Nx: RealArray
     Nu: RealArray
     base: Sequence[float] = ()
@@ -51,14 +51,6 @@ class Equilibrium:
     outputs: Sequence[float]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Smallest and largest value of the plant's inputs: one number for all, or one for each."""
-
-    lower: PerJoint
-    upper: PerJoint
-
-
 def state_feedback(
     plant: LinearSystem,
     K: Any,
@@ -67,7 +59,7 @@ def state_feedback(
     offset: float = 0.0,
     reference: ReferenceFeedforward | None = None,
     equilibrium: Equilibrium | None = None,
-    limits: Limits | PerJoint | None = None,
+    limits: PerJoint | None = None,
     estimate: Sequence[float] | None = None,
     name: str = "state_feedback",
 ) -> SymbolicBlock:
@@ -91,14 +83,13 @@ def state_feedback(
         offset: first sample instant [s].
         reference: reference feedforward, for example `static_feedforward`; None regulates to the equilibrium.
         equilibrium: u_0 and y_0; zero when left out.
-        limits: limits of the plant's inputs, as absolute values, not deviations from the equilibrium: `Limits`, a number or one for
-            each input for both ways, or None for none.
+        limits: largest magnitude of the plant's inputs, not of their deviations from the equilibrium: one number, or one for each
+            input; None for none.
         estimate: x̂_0 (n,); zero when left out.
         name: name of the block.
 
     Raises:
-        InputError: a gain has the wrong shape or isn't finite, a vector has the wrong length, or limits are in the
-            wrong order.
+        InputError: a gain has the wrong shape or isn't finite, a vector has the wrong length, or a limit isn't positive.
     """
     # check every matrix and vector against the plant
     n, m, outputs = plant.order, len(plant.inputs), len(plant.outputs)
@@ -109,7 +100,12 @@ def state_feedback(
     base = _values(given.base or None, count, f"{name}: base of the references")
     u_0 = _values(equilibrium.inputs if equilibrium else None, m, f"{name}: equilibrium.inputs")
     y_0 = _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs")
-    bounds = _bounds(limits, [signal.name for signal in plant.inputs])
+    bounds = []
+    if limits is not None:
+        largest = np.broadcast_to(np.asarray(limits, dtype=float), m)
+        if not ((largest > 0.0) & (largest < np.inf)).all():
+            raise InputError(f"{name}: limits must be positive and finite, got {limits}")
+        bounds = [-largest, largest]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # deviations of measurements and references from the equilibrium
@@ -128,8 +124,8 @@ def state_feedback(
         equations,
         sample_time=plant.sample_time,
         offset=offset,
-        inputs=variables((*plant.outputs, *given.signals), "input"),
-        outputs=variables(plant.inputs, "output"),
+        inputs=[replace(each, causality="input", start=0.0) for each in (*plant.outputs, *given.signals)],
+        outputs=[replace(each, causality="output", start=None) for each in plant.inputs],
         states=_values(estimate, n, f"{name}: estimate").tolist(),
     )
 
@@ -168,26 +164,9 @@ def static_feedforward(
     if np.linalg.matrix_rank(system) < n + count:
         raise InputError(f"static feedforward: {', '.join(tracked)} can't be set independently at rest by the inputs")
     solution = np.linalg.solve(system, np.eye(n + count)[:, n:])
-    # input signals of the references
-    signals = tuple(Signal(reference_name(names[row]), plant.outputs[row].unit) for row in rows)
+    signals = tuple(replace(plant.outputs[row], name=reference_name(names[row])) for row in rows)
     base = [equilibrium.outputs[row] for row in rows] if equilibrium else []
     return ReferenceFeedforward(signals, solution[:n], solution[n:], base)
-
-
-def _bounds(limits: Limits | PerJoint | None, names: Sequence[str]) -> list[RealArray]:
-    """Return lower and upper limits of each input; empty for none.
-
-    Raises:
-        InputError: a limit isn't finite, or the lower one isn't below the upper one.
-    """
-    if limits is None:
-        return []
-    ends = (limits.lower, limits.upper) if isinstance(limits, Limits) else (np.negative(limits), limits)
-    lower, upper = (np.broadcast_to(np.asarray(each, dtype=float), len(names)) for each in ends)
-    for name, low, high in zip(names, lower.tolist(), upper.tolist(), strict=True):
-        if not -np.inf < low < high < np.inf:
-            raise InputError(f"{name}: the lower limit {low} must be finite and below the upper one, {high}")
-    return [lower, upper]
 
 
 def reference_name(name: str) -> str:
@@ -225,19 +204,14 @@ def lqg(s: StateFeedbackSection, context: LoopContext) -> SymbolicBlock:
 
     scene, position = without_coulomb_friction(context.scene), context.position(s.pose)
     # the plant: the linearised robot with zero-order hold; the cost needs the rates too
-    robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
-    units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")
-    every = (*POSITIONS, *RATES)
-    full = from_control(robot, method="zoh", sample_time=s.sample_time, inputs=TORQUES, outputs=every, units=units)
+    robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2].sample(s.sample_time)
+    full = from_control(robot)
     cost = full.C.T @ np.diag(1.0 / np.square([*s.position_error, *s.velocity_error])) @ full.C
     K, _, _ = control.dlqr(full.A, full.B, cost, np.diag(1.0 / np.square(s.torque_deviation)))
     # the observer measures positions alone
     noise = s.torque_noise**2 * np.eye(2), s.measurement_noise**2 * np.eye(2)
     L, _, _ = control.dlqe(full.A, full.B, full.C[: len(POSITIONS)], *noise)
-    units = {name: unit for name, unit in units.items() if name not in RATES}
-    measured = from_control(
-        robot[:2, :], method="zoh", sample_time=s.sample_time, inputs=TORQUES, outputs=POSITIONS, units=units
-    )
+    measured = from_control(robot[:2, :])
     # feedforward of the steady state that belongs to each reference, about the equilibrium
     point = operating_point(scene, position)
     rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())

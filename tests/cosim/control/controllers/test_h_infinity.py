@@ -7,22 +7,22 @@ from functools import partial
 from math import pi, sqrt
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 from blocks import h_infinity, lqg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.h_infinity import (
-    StateSpace,
     closed_loop,
     coprime_controller,
     shape_loop,
     shaped_block,
+    to_w,
 )
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
@@ -32,19 +32,7 @@ Array = NDArray[np.float64]
 H = 1e-3
 
 
-def system(A: Any, B: Any, C: Any, D: Any = 0.0) -> StateSpace:
-    """A system of lists."""
-    return StateSpace(*(np.atleast_2d(np.array(each, dtype=float)) for each in (A, B, C, D)))
-
-
-def sampled(plant: StateSpace, h: float = H) -> StateSpace:
-    """Zero-order hold by the exponential of [[A, B], [0, 0]]."""
-    n, m = plant.B.shape
-    both = expm(h * np.block([[plant.A, plant.B], [np.zeros((m, n + m))]]))
-    return StateSpace(both[:n, :n], both[:n, n:], plant.C, plant.D)
-
-
-def two_joints() -> StateSpace:
+def two_joints() -> control.StateSpace:
     """Two motors, the first with a spring to a load, and a little of each torque at the other one."""
     k, motor, load = 400.0, 0.5, 0.2
     A = np.zeros((6, 6))
@@ -54,43 +42,31 @@ def two_joints() -> StateSpace:
     B[1], B[5] = (1.0 / motor, 0.2), (0.1, 1.5)
     C = np.zeros((2, 6))
     C[0, 0] = C[1, 4] = 1.0
-    return sampled(StateSpace(A, B, C, np.zeros((2, 2))))
+    return control.ss(A, B, C, np.zeros((2, 2))).sample(H)
 
 
 BANDWIDTH, TIMES = 2.0 * pi * np.array([6.0, 9.0]), np.array([0.15, 0.1])
 
 
-@pytest.mark.parametrize(
-    ("plant", "gamma"),
-    [
-        (system(0, 1, 1), sqrt(2.0)),
-        (system([[0, 1], [0, 0]], [[0], [1]], [[1, 0]]), sqrt(4.0 + 2.0 * sqrt(2.0))),
-        (system(-1, 1, 1), sqrt(1.0 + (sqrt(2.0) - 1.0) ** 2)),
-    ],
-)
-def test_gamma_of_known_plants(plant: StateSpace, gamma: float) -> None:
+@pytest.mark.parametrize(("matrices", "gamma"), [
+    ((0, 1, 1, 0), sqrt(2.0)),
+    (([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 0), sqrt(4.0 + 2.0 * sqrt(2.0))),
+    ((-1, 1, 1, 0), sqrt(1.0 + (sqrt(2.0) - 1.0) ** 2)),
+])  # fmt: skip
+def test_gamma_of_known_plants(matrices: Any, gamma: float) -> None:
     """1/s, 1/s2 and 1/(s + 1): from the Riccati equations by hand; X = Z = 1, and sqrt(2) - 1 for the third."""
-    assert coprime_controller(plant, 1.0 + 1e-12)[1] == pytest.approx(gamma, rel=1e-9)
+    assert coprime_controller(control.ss(*matrices), 1.0 + 1e-12)[1] == pytest.approx(gamma, rel=1e-9)
 
 
 @given(parts=st.lists(st.floats(-2.0, 2.0), min_size=11, max_size=11))
 @settings(max_examples=50)
 def test_transforms_are_inverse(parts: list[float]) -> None:
-    """From w to z and back, and their responses agree at w = 2/h (z - 1)/(z + 1)."""
+    """A system has the response of its equivalent in the w plane at w = 2/h (z - 1)/(z + 1), and Tustin's rule leads back."""
     A = np.reshape(parts[:4], (2, 2)) - 5.0 * np.eye(2)
-    one = StateSpace(A, np.reshape(parts[4:6], (2, 1)), np.reshape(parts[6:10], (2, 2)), np.array([[parts[10]], [0.5]]))
-    other = one.to_z(0.1)
-    for name, matrix in vars(other.to_w(0.1)).items():
-        np.testing.assert_allclose(matrix, getattr(one, name), atol=1e-11)
-    z = np.exp(0.7j)
-    w = 20.0 * (z - 1.0) / (z + 1.0)
-    responses = [s.C @ np.linalg.solve(x * np.eye(2) - s.A, s.B) + s.D for s, x in ((one, w), (other, z))]
-    np.testing.assert_allclose(*responses, atol=1e-11)
-
-
-def response(plant: StateSpace, z: complex) -> Any:
-    """Frequency response at a point of the unit circle."""
-    return plant.C @ np.linalg.solve(z * np.eye(len(plant.A)) - plant.A, plant.B) + plant.D
+    one = control.ss(A, np.reshape(parts[4:6], (2, 1)), np.reshape(parts[6:10], (2, 2)), [[parts[10]], [0.5]], True)
+    other, z = to_w(one, 0.1), np.exp(0.7j)
+    np.testing.assert_allclose(other(20.0 * (z - 1.0) / (z + 1.0)), one(z), atol=1e-11)
+    np.testing.assert_allclose(other.sample(0.1, "tustin")(z), one(z), atol=1e-11)
 
 
 def test_the_sampled_loop_has_the_norm_that_was_promised() -> None:
@@ -101,7 +77,7 @@ def test_the_sampled_loop_has_the_norm_that_was_promised() -> None:
     peaks = []
     for angle in np.geomspace(1e-4, pi, 3000):
         z = np.exp(1j * angle)
-        G, K = response(plant, z) @ response(found.weights, z), response(found.controller, z)
+        G, K = plant(z) @ found.weights(z), found.controller(z)
         whole = np.vstack([np.eye(2), K]) @ np.linalg.inv(np.eye(2) - G @ K) @ np.hstack([np.eye(2), G])
         peaks.append(np.linalg.svd(whole, compute_uv=False)[0])
     assert found.margin * max(peaks) <= 1.0 + 1e-6
@@ -110,7 +86,7 @@ def test_the_sampled_loop_has_the_norm_that_was_promised() -> None:
     # each weighted joint's own loop crosses 1 at its bandwidth
     for i, rate in enumerate(BANDWIDTH):
         z = np.exp(1j * rate * H)
-        assert abs(response(plant, z)[i, i] * response(found.weights, z)[i, i]) == pytest.approx(1.0, rel=1e-9)
+        assert abs(plant(z)[i, i] * found.weights(z)[i, i]) == pytest.approx(1.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("limit", [None, 6.0])

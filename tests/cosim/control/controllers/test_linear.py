@@ -10,17 +10,15 @@ import pytest
 from blocks import linear_system, responses
 from blocks import state_space as state_space_section
 from numpy.typing import NDArray
-from scipy.signal import cont2discrete
 
 from flexfmu.cosim.control.controllers.from_control import (
     LinearSystem,
-    Signal,
     control_block,
     dotted,
     from_control,
-    realise,
     state_space,
 )
+from flexfmu.cosim.control.controllers.joints import named_signals
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import signal_label
 from flexfmu.model.symbolic import SymbolicBlock
@@ -105,31 +103,6 @@ def test_start_states() -> None:
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
 
 
-CONTINUOUS = control.tf([1.0, 40.0], [1.0, 30.0, 900.0])
-
-
-@pytest.mark.parametrize(("method", "theirs"), [
-    ("zoh", "zoh"), ("foh", "foh"), ("tustin", "bilinear"), ("euler", "euler"), ("backward", "backward_diff"),
-])  # fmt: skip
-def test_discretisation(method: Any, theirs: str) -> None:
-    """A continuous system becomes what python-control's or SciPy's discretisation of it is."""
-    numerator, denominator, _ = cont2discrete((CONTINUOUS.num[0][0], CONTINUOUS.den[0][0]), H, theirs)
-    wanted = control.tf(numerator[0], denominator, H)
-    signal = np.random.default_rng(6).normal(size=SAMPLES)
-    found = responses(control_block(CONTINUOUS, method=method, sample_time=H), {"u[0]": signal})["y[0]"]
-    expected = control.forced_response(wanted, TIME, signal).outputs
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * abs(expected).max())
-
-
-def test_prewarping() -> None:
-    """Prewarped, Tustin's rule has the continuous frequency response at that frequency."""
-    frequency = 400.0
-    system = from_control(CONTINUOUS, method="tustin", sample_time=H, prewarp=frequency)
-    z = np.exp(1j * frequency * H)
-    found = (system.C @ np.linalg.solve(z * np.eye(2) - system.A, system.B) + system.D)[0, 0]
-    np.testing.assert_allclose(found, CONTINUOUS(1j * frequency), rtol=1e-12)
-
-
 @pytest.mark.parametrize("name", [
     "joint1.torque", "joint2.position", "joint1.reference.position", "joint2.reference.acceleration", "force.x",
     "end_effector.position.x", "end_effector.acceleration.y", "link11.tip_deflection", "link22.elongation",
@@ -141,38 +114,24 @@ def test_labels_of_the_robot_get_their_dots_back(name: str) -> None:
 
 
 def test_labels_and_units() -> None:
-    """Labels become names, names may be given instead, and units belong to names."""
-    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], H, inputs=["joint1_position"], outputs=["joint1_torque"])
-    block = control_block(system, units={"joint1.torque": "N.m"})
+    """Labels become names with the robot's units, names may be given instead, and units belong to names."""
+    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], H, inputs=["joint1_position"], outputs=["gain"])
+    block = control_block(system, units={"gain": "N.m"})
     assert [(each.name, each.unit) for each in (*block.inputs, *block.outputs)] == [
-        ("joint1.position", "1"),
-        ("joint1.torque", "N.m"),
+        ("joint1.position", "rad"),
+        ("gain", "N.m"),
     ]
     block = control_block(system, inputs=["e"], outputs=["f"], offset=2e-4, name="filter")
     assert (block.inputs[0].name, block.outputs[0].name, block.offset, block.name) == ("e", "f", 2e-4, "filter")
-
-
-def test_sample_time_left_open() -> None:
-    """A discrete system with dt = True takes the sample time that it is given."""
-    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], True)
-    assert from_control(system, sample_time=H).sample_time == H
 
 
 DISCRETE = control.tf([1.0], [1.0, -0.5], H)
 
 
 @pytest.mark.parametrize(("system", "options", "message"), [
-    (CONTINUOUS, {}, "the system is continuous: say how to discretise it, method= one of zoh, foh, tustin"),
-    (CONTINUOUS, {"sample_time": H}, "the system is continuous: say how"),
-    (CONTINUOUS, {"method": "zoh"}, "with which sample_time="),
-    (CONTINUOUS, {"method": "zoh", "sample_time": 0.0}, "the sample time must be positive, got 0.0 s"),
-    (CONTINUOUS, {"method": "matched", "sample_time": H}, "unknown method 'matched'; choose from zoh"),
-    (CONTINUOUS, {"method": "zoh", "sample_time": H, "prewarp": 1.0}, "prewarp belongs to the method 'tustin'"),
-    (CONTINUOUS, {"method": "tustin", "sample_time": H, "prewarp": 4000.0}, "below the Nyquist frequency 3141.59 rad/s"),
-    (DISCRETE, {"method": "zoh"}, "the system is discrete and is taken as it is"),
-    (DISCRETE, {"sample_time": 2e-3}, "the system has the sample time 0.001 s, not 0.002 s"),
-    (control.tf([1.0], [1.0, 2.0], True), {}, r"discrete without a sample time \(dt is True\)"),
-    (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], None), {}, "has no time base"),
+    (control.tf([1.0, 40.0], [1.0, 30.0]), {}, r"continuous: discretise it first, for example control.c2d\(system"),
+    (control.tf([1.0], [1.0, 2.0], True), {}, r"no sample time \(dt is True\): set system.dt"),
+    (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], None), {}, r"no sample time \(dt is None\)"),
     (control.tf([1.0, 2.0, 3.0], [1.0, 2.0], H), {}, r"element \[0, 0\] isn't proper: its numerator has degree 2"),
     (DISCRETE, {"inputs": ["a", "b"]}, r"inputs must be a sequence of 1 names, one for each of \['u\[0\]'\]"),
     (DISCRETE, {"inputs": "u"}, "inputs must be a sequence of 1 names"),
@@ -194,7 +153,6 @@ def test_refused_systems(system: Any, options: dict[str, Any], message: str) -> 
     ({"D": [[1j]]}, "D must hold real numbers, got complex128"),
     ({"A": [["a"]]}, "A must hold real numbers"),
     ({"sample_time": -1.0}, "the sample time must be positive"),
-    ({"inputs": [Signal("y[0]")]}, r"two signals are named 'y\[0\]'"),
 ])  # fmt: skip
 def test_refused_matrices(change: dict[str, Any], message: str) -> None:
     """Shapes and numbers are checked where they come in."""
@@ -204,8 +162,8 @@ def test_refused_matrices(change: dict[str, Any], message: str) -> None:
         "C": [[1.0]],
         "D": [[0.0]],
         "sample_time": H,
-        "inputs": [Signal("u[0]")],
-        "outputs": [Signal("y[0]")],
+        "inputs": named_signals(["u"], "input", {}),
+        "outputs": named_signals(["y"], "output", {}),
     } | change
     with pytest.raises(InputError, match=message):
         LinearSystem(**values)
@@ -215,9 +173,3 @@ def test_refused_start() -> None:
     """One start value for each state."""
     with pytest.raises(InputError, match="start must have 1 values, one for each state, got 2"):
         state_space(linear_system([[0.5]], [[1.0]], [[1.0]], [[0.0]], H), start=[1.0, 2.0])
-
-
-def test_refused_denominator() -> None:
-    """A zero denominator is named."""
-    with pytest.raises(InputError, match=r"the denominator of element \[0, 0\] is zero"):
-        realise([[np.array([1.0])]], [[np.array([0.0])]])

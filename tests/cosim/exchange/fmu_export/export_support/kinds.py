@@ -136,7 +136,7 @@ KINDS: dict[str, Callable[[], Any]] = {
     "state-space": lambda: state_space(oscillator()),
     "c-function": in_c,
     "function": of_python,
-    "control": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
+    "control": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]).sample(SAMPLE_TIME, "tustin")),
     "shaper": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
     "notch": lambda: filter_block(
         flexfmu.filters.notch(frequency=1.0, **TIME), blocks.context("filter"), [*notch(40.0), *low_pass(90.0, 3)]
