@@ -165,8 +165,6 @@ def cycle_errors(motion: MotionPlan, recording: Recording) -> Sequence[CycleErro
     instants. The result is empty for a motion that isn't repeated or without recorded joint angles. The last cycle ends
     with the last standstill.
     """
-    from scipy.integrate import trapezoid
-
     if motion.repetition is None or any(name not in recording.columns for name in JOINT_POSITIONS):
         return ()
     # reference - angle (2, N) [rad]
@@ -182,7 +180,7 @@ def cycle_errors(motion: MotionPlan, recording: Recording) -> Sequence[CycleErro
     for begin, end in zip(begins[reached].tolist(), ends[reached].tolist(), strict=True):
         near = COINCIDENT * (end - begin)
         inside = (time >= begin - near) & (time <= end + near)
-        squares = trapezoid(error[:, inside] ** 2, time[inside], axis=1)
+        squares = np.trapezoid(error[:, inside] ** 2, time[inside], axis=1)
         rms, largest = np.sqrt(squares / (end - begin)), abs(error[:, inside]).max(axis=1)
         found.append(CycleError(tuple(rms.tolist()), tuple(largest.tolist())))
     return found

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, RunWarning, suggestion
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -21,7 +20,6 @@ from flexfmu.cosim.experiment.run_options import RunOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
-from flexfmu.cosim.reports.modes_table import ModesAlongPath, modes_along_path
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.model.scene.file import as_scene
 from flexfmu.model.scene.schema import Scene
@@ -33,6 +31,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.design.gains.tuner import TuneResult
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
     from flexfmu.cosim.design.plans.planner import PlanResult
+    from flexfmu.cosim.reports.modes_table import ModesAlongPath
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
     from flexfmu.cosim.studies.sweep.result import SweepResult
@@ -42,6 +41,15 @@ if TYPE_CHECKING:
 
 SceneSource = Scene | Path | str
 """A scene, the path of a scene file, or the name of a shipped scene."""
+
+
+def resolved(scene: Scene) -> Scene:
+    """Return the scene with what it leaves open chosen; CasADi is loaded only for that."""
+    if scene.effects.select is None and not scene.learners:
+        return scene
+    from flexfmu.cosim.design.effects import choice
+
+    return choice.resolved(scene)
 
 
 def run(
@@ -348,6 +356,8 @@ def modes(scene: SceneSource, poses: int = 11) -> ModesAlongPath:
             or the run failed.
         TypeError: ``scene`` is of another type.
     """
+    from flexfmu.cosim.reports.modes_table import modes_along_path
+
     return modes_along_path(plan_of(resolved(as_scene(scene))), poses)
 
 

@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import METRICS
@@ -82,7 +81,7 @@ class SampledSignal:
     def root_mean_square(self, order: int = 0) -> Metric:
         """Root mean square by the trapezoidal rule."""
         squares = np.sum(self.derivatives[order] ** 2, axis=1)
-        return Metric(float(np.sqrt(trapezoid(squares, self.time) / (self.time[-1] - self.time[0]))))
+        return Metric(float(np.sqrt(np.trapezoid(squares, self.time) / (self.time[-1] - self.time[0]))))
 
     def final(self, order: int = 0) -> Metric:
         """Norm at the last instant."""
