@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
@@ -136,8 +137,6 @@ def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
             return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem)
         source = load_scene(source)
     if source.effects.select is not None:
-        from flexfmu.cosim.design.effects.choice import resolved
-
         source = resolved(source, show)
     return source
 
