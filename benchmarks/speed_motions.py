@@ -10,8 +10,8 @@ import numpy as np
 from speed_figure import SpeedFigure
 
 from flexfmu import load_scene
-from flexfmu.cosim.engine.master.blocks import system_grid
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
+from flexfmu.cosim.engine.master.grid import system_grid
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave

@@ -96,6 +96,7 @@ ALONE = {
     "cosim.design.plans.robustness": "a plan in other models",
     "cosim.design.plans.sequential_programme": "the search's optimiser",
     "cosim.design.shapers.figure": "drawing",
+    "cosim.engine.master.compiled_loop": "the loop in C",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",

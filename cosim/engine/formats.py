@@ -121,34 +121,11 @@ def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
 LONGEST = 63
 """Largest number of characters of a name in MATLAB (`namelengthmax`)."""
 
-TAKEN = frozenset(
-    [
-        "time",
-        "names",
-        "units",
-        "about",
-        "break",
-        "case",
-        "catch",
-        "classdef",
-        "continue",
-        "else",
-        "elseif",
-        "end",
-        "for",
-        "function",
-        "global",
-        "if",
-        "otherwise",
-        "parfor",
-        "persistent",
-        "return",
-        "spmd",
-        "switch",
-        "try",
-        "while",
-    ]
-)
+TAKEN = frozenset([
+    "time", "names", "units", "about", "break", "case", "catch", "classdef", "continue", "else", "elseif", "end",
+    "for", "function", "global", "if", "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try",
+    "while",
+])  # fmt: skip
 """Names of what else is in the file, and MATLAB's keywords (`iskeyword`)."""
 
 HEADER = b"MATLAB 5.0 MAT-file, results of flexfmu".ljust(116)

@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.engine.master.outcome import Outcome, SignalDelay
-from flexfmu.cosim.engine.master.simulation_loop import Progress
+from flexfmu.cosim.engine.master.simulator import Progress
 from flexfmu.cosim.engine.results import Names, Recording
 from flexfmu.cosim.engine.showing import shorten
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics

@@ -38,7 +38,7 @@ from flexfmu.cosim.metrics.signals import (
 )
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.engine.master.simulation_loop import Progress
+    from flexfmu.cosim.engine.master.simulator import Progress
 
 
 class Metrics(dict[str, Metric]):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, RunWarning, suggestion
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.engine.master.simulation_loop import Progress
+from flexfmu.cosim.engine.master.simulator import Progress
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.planning import plan as plan_of

@@ -32,10 +32,9 @@ from flexfmu.cosim.engine.binding import (
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.fmu.instance import Checked
 from flexfmu.cosim.engine.master.grid import TimeGrid
-from flexfmu.cosim.engine.master.plan import Action, Operation, When
 from flexfmu.cosim.engine.master.ports import OutputPort, SignalGroup
 from flexfmu.cosim.engine.master.recorder import Recorder
-from flexfmu.cosim.engine.master.schedule import Schedule
+from flexfmu.cosim.engine.master.schedule import Action, Operation, Schedule, When
 from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.errors import BuildError

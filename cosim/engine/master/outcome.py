@@ -9,7 +9,7 @@ from step to step with growing amplitude, the gain of its loop is too high for t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
@@ -18,12 +18,12 @@ from math import inf
 import numpy as np
 
 from flexfmu.cosim.engine.errors import LoopError, NotFiniteError, SlaveEnded, SlaveError, StepSizeError, WorkError
-from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
-from flexfmu.cosim.engine.master.plan import sampling_positions
-from flexfmu.cosim.engine.master.system import Connection, System, in_one_call
+from flexfmu.cosim.engine.master.couplings import Couplings, Transport
+from flexfmu.cosim.engine.master.schedule import sampling_positions
+from flexfmu.cosim.engine.master.system import System, in_one_call
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines, shorten
-from flexfmu.cosim.engine.slave import RealArray, Sampled, Slave, offset
+from flexfmu.cosim.engine.slave import RealArray, Sampled, offset
 
 ROUNDING = 1e-9
 """Instants that differ by less than this fraction of a sample time coincide."""
@@ -93,51 +93,44 @@ def signal_delays(system: System, couplings: Couplings, step: float) -> tuple[Si
         couplings: (source, target) → their coupling.
         step: the largest communication step [s].
     """
-    positions = sampling_positions(system)
-    return tuple(
-        _delay(system, each, couplings[each.source, each.target], positions, step) for each in system.connections
-    )
-
-
-def _delay(
-    system: System, connection: Connection, coupling: Coupling, positions: Mapping[int, int], step: float
-) -> SignalDelay:
-    """The delay of one connection."""
-    source, target = system.slaves[connection.source], system.slaves[connection.target]
-    seconds, mean, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0, 0.0
-    # a source with given instants is never late; a sampled target may use an older sample; a stepped target sees it held
-    if isinstance(source, Sampled) and source.sample_time == inf:
-        pass
-    elif isinstance(source, Sampled) and isinstance(target, Sampled):
-        sampled_later = in_one_call(source) and positions[connection.source] >= positions[connection.target]
-        seconds, mean = _ages(source, target, sampled_later)
-    elif isinstance(source, Sampled):
-        hold = source.sample_time
-    # latency of the source itself
-    latencies: Mapping[str, float] = getattr(source, "latency", {})
-    latency = latencies.get(source.variables[connection.output].name, 0.0)
-    return SignalDelay(system.describe(connection), seconds, coupling.transport, coupling.order, hold, latency, mean)
+    positions, delays = sampling_positions(system), []
+    for each in system.connections:
+        coupling = couplings[each.source, each.target]
+        source, target = system.slaves[each.source], system.slaves[each.target]
+        seconds, mean, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0, 0.0
+        # a source with given instants is never late; a sampled target may use an older sample; a stepped target sees it held
+        if isinstance(source, Sampled) and source.sample_time < inf:
+            if isinstance(target, Sampled):
+                sampled_later = in_one_call(source) and positions[each.source] >= positions[each.target]
+                apart = offset(target) - offset(source)
+                seconds, mean = _ages(source.sample_time, target.sample_time, apart, sampled_later)
+            else:
+                hold = source.sample_time
+        # latency of the source itself
+        latency = getattr(source, "latency", {}).get(source.variables[each.output].name, 0.0)
+        delays.append(
+            SignalDelay(system.describe(each), seconds, coupling.transport, coupling.order, hold, latency, mean)
+        )
+    return tuple(delays)
 
 
 COUNTED = 1000
 """Number of target instants compared; the pattern repeats within it, see `flexfmu.cosim.engine.master.grid`."""
 
 
-def _ages(source: Slave, target: Slave, late: bool) -> tuple[float, float]:
+def _ages(period: float, target_period: float, apart: float, late: bool) -> tuple[float, float]:
     """Longest and mean time between a sample of the target and the source's last sample before it [s].
 
     Args:
-        source, target: slaves that sample.
+        period, target_period: sample times of source and target [s].
+        apart: first sample instant of the target after that of the source [s].
         late: whether the source samples after the target when both sample at the same instant.
     """
-    assert isinstance(source, Sampled)
-    assert isinstance(target, Sampled)
-    period = source.sample_time
-    since = np.mod(offset(target) - offset(source) + target.sample_time * np.arange(COUNTED), period) / period
+    since = np.mod(apart + target_period * np.arange(COUNTED), period) / period
     together = (since < ROUNDING) | (since > 1.0 - ROUNDING)
     ages = period * np.where(together, 1.0 if late else 0.0, since)
     # the mean of whole patterns
-    pattern = Fraction(period / target.sample_time).limit_denominator(COUNTED).numerator
+    pattern = Fraction(period / target_period).limit_denominator(COUNTED).numerator
     return float(ages.max()), float(ages[:pattern].mean())
 
 
@@ -189,13 +182,27 @@ class Instability:
 
 
 def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
-    """The signal whose change from step to step grew fastest; None if none is unstable.
+    """The signal whose change from step to step grew fastest at the end of the run; None if none is unstable.
 
     Args:
         time: (N,) recorded instants [s]; of two equal ones the last counts.
         signals: (name, values (N,)) of signals in closed loops.
     """
-    return _fastest(_judge(*each) for each in _right_limits(time, signals) if each[0].size > WINDOW * WINDOWS)
+    found, count = list[Instability](), WINDOW * WINDOWS
+    for times, name, values in _right_limits(time, signals):
+        if times.size <= count:
+            continue
+        # largest change and magnitude in each of the last windows
+        change = abs(np.diff(values))[-count:].reshape(WINDOWS, WINDOW).max(axis=1)
+        magnitude = abs(values[-count:]).reshape(WINDOWS, WINDOW).max(axis=1)
+        # it grows from window to window, faster than the steps resolve, and far beyond its initial magnitude
+        before = float(abs(values[: max(2, values.size // 10)]).max())
+        grows = bool((change[1:] >= GROWTH * change[:-1]).all()) and change[0] > 0.0
+        unresolved = bool((change >= UNRESOLVED * magnitude).all())
+        if grows and unresolved and magnitude[-1] >= TOTAL_GROWTH * before:
+            growth = float((change[-1] / change[0]) ** (1.0 / (count - WINDOW)))
+            found.append(Instability(name, growth, float(times[np.argmax(abs(values) > 10.0 * before)])))
+    return max(found, key=lambda each: each.growth, default=None)
 
 
 def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
@@ -205,61 +212,30 @@ def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
         time: (N,) recorded instants [s]; of two equal ones the last counts.
         signals: (name, values (N,)) of signals in closed loops, those of sampled slaves included.
     """
-    return _fastest(_overshooting(*each) for each in _right_limits(time, signals))
+    found: list[Instability] = []
+    for times, name, values in _right_limits(time, signals):
+        # intervals with changes of alternating sign, none smaller than the one before
+        change = np.diff(values)
+        size = abs(change)
+        follows = (change[1:] * change[:-1] < 0.0) & (size[1:] >= size[:-1])
+        bounded = np.concatenate([[False], follows, [False]])
+        edges = np.flatnonzero(bounded[1:] != bounded[:-1]).reshape(-1, 2)
+        for begin, end in edges[edges[:, 1] - edges[:, 0] >= ALTERNATIONS - 1].tolist():
+            # do they show an instability, or a vibration?
+            total, late = size[end] / size[begin], size[end] / size[begin + (end - begin + 1) // 2]
+            explodes = total >= ALTERNATING_GROWTH and late >= ALTERNATING_GROWTH**0.5
+            exceeds_past = size[end] >= BEYOND_PAST * abs(values[: begin + 1]).max()
+            if explodes and exceeds_past and size[end] >= FINAL_SHARE * abs(values).max():
+                found.append(Instability(name, float(total) ** (1.0 / (end - begin)), float(times[begin + 1])))
+    return max(found, key=lambda each: each.growth, default=None)
 
 
 def _right_limits(
     time: RealArray, signals: Iterable[tuple[str, RealArray]]
 ) -> Iterator[tuple[RealArray, str, RealArray]]:
     """Instants, name and values of each signal, at the last of equal instants."""
-    for name, values in signals:
-        last = np.append(np.diff(time) > 0.0, np.ones(min(time.size, 1), dtype=np.bool_))
-        yield time[last], name, values[last]
-
-
-def _fastest(found: Iterable[Instability | None]) -> Instability | None:
-    return max((each for each in found if each is not None), key=lambda each: each.growth, default=None)
-
-
-def _overshooting(time: RealArray, name: str, values: RealArray) -> Instability | None:
-    """The fastest growing alternation of this signal; None if there is none."""
-    # intervals with changes of alternating sign, none smaller than the one before
-    change = np.diff(values)
-    size = abs(change)
-    follows = (change[1:] * change[:-1] < 0.0) & (size[1:] >= size[:-1])
-    bounded = np.concatenate([[False], follows, [False]])
-    edges = np.flatnonzero(bounded[1:] != bounded[:-1]).reshape(-1, 2)
-    long = edges[edges[:, 1] - edges[:, 0] >= ALTERNATIONS - 1]
-    return _fastest(
-        Instability(name, float(size[end] / size[begin]) ** (1.0 / (end - begin)), float(time[begin + 1]))
-        for begin, end in long.tolist()
-        if _explodes(size[begin : end + 1], values, begin)
-    )
-
-
-def _explodes(size: RealArray, values: RealArray, begin: int) -> bool:
-    """Whether changes of these sizes, alternating from point ``begin`` on, show an instability, not a vibration."""
-    total, late = size[-1] / size[0], size[-1] / size[size.size // 2]
-    exceeds_past = size[-1] >= BEYOND_PAST * abs(values[: begin + 1]).max()
-    lasting = size[-1] >= FINAL_SHARE * abs(values).max()
-    return bool(total >= ALTERNATING_GROWTH and late >= ALTERNATING_GROWTH**0.5 and exceeds_past and lasting)
-
-
-def _judge(time: RealArray, name: str, values: RealArray) -> Instability | None:
-    """The growth of this signal at the end of the run; None if it is not unstable."""
-    # largest change and magnitude in each of the last windows
-    count = WINDOW * WINDOWS
-    change = abs(np.diff(values))[-count:].reshape(WINDOWS, WINDOW).max(axis=1)
-    magnitude = abs(values[-count:]).reshape(WINDOWS, WINDOW).max(axis=1)
-    # it grows from window to window, faster than the steps resolve, and far beyond its initial magnitude
-    before = float(abs(values[: max(2, values.size // 10)]).max())
-    grows = bool((change[1:] >= GROWTH * change[:-1]).all()) and change[0] > 0.0
-    unresolved = bool((change >= UNRESOLVED * magnitude).all())
-    if not (grows and unresolved and magnitude[-1] >= TOTAL_GROWTH * before):
-        return None
-    growth = float((change[-1] / change[0]) ** (1.0 / (count - WINDOW)))
-    since = int(np.argmax(abs(values) > 10.0 * before))
-    return Instability(name, growth, float(time[since]))
+    last = np.append(np.diff(time) > 0.0, np.ones(min(time.size, 1), dtype=np.bool_))
+    return ((time[last], name, values[last]) for name, values in signals)
 
 
 class Outcome(Enum):

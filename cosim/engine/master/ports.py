@@ -46,11 +46,7 @@ class OutputPort:
     """
 
     def __init__(
-        self,
-        slave: Slave,
-        coupling_order: int,
-        fed: Collection[int] = (),
-        selection: Selection = EVERYTHING,
+        self, slave: Slave, coupling_order: int, fed: Collection[int] = (), selection: Selection = EVERYTHING
     ) -> None:
         # which outputs, and how many derivatives of them
         outputs = [(i, each.name) for i, each in enumerate(slave.variables) if each.causality == "output"]

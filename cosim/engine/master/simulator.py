@@ -10,7 +10,8 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,9 @@ from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, Sla
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, can_compile, load
 from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Transport, feedback_signals
-from flexfmu.cosim.engine.master.grid import NO_POINTS
+from flexfmu.cosim.engine.master.grid import NO_POINTS, Block, RunGrid, check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import (
     Outcome,
@@ -39,13 +39,15 @@ from flexfmu.cosim.engine.master.outcome import (
 )
 from flexfmu.cosim.engine.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
-from flexfmu.cosim.engine.master.simulation_loop import Progress, SimulationLoop, StepStatistics
-from flexfmu.cosim.engine.master.step_control import ControlledSteps, CouplingError, StepDoubling
+from flexfmu.cosim.engine.master.step_control import ControlledSteps, StepDoubling
 from flexfmu.cosim.engine.master.system import Connection, System
 from flexfmu.cosim.engine.results import EVERYTHING, Column, Recording, Selection
 from flexfmu.cosim.engine.slave import TEXTS, RealArray, Reports, Slave, Terminates
 
 __all__ = ["Outcome", "Progress", "Simulation", "simulate"]
+
+Progress = Callable[[float], None]
+"""Called during a run with the simulated fraction, 0..1."""
 
 
 def simulate(
@@ -107,6 +109,147 @@ def simulate(
         isolation=isolation,
     )
     return simulator.run(tolerance, progress)
+
+
+PROGRESS_CALLS = 100
+"""Number of progress reports in a run."""
+
+UNINTERRUPTED = 100
+"""Number of points that the loop in C runs at first before Python checks whether the user interrupts."""
+
+QUICK = 5e-3
+"""Time [s] below which the next piece is twice as long, so that a user waits at most some 10 ms for an interruption."""
+
+
+@dataclass(frozen=True)
+class StepStatistics:
+    """The time that a run reached, and its steps.
+
+    Attributes:
+        time: end of the last completed step [s].
+        steps: number of completed communication steps.
+        rejected: number of steps that were rolled back.
+        largest_step: largest communication step [s].
+    """
+
+    time: float
+    steps: int
+    rejected: int
+    largest_step: float
+
+
+class SimulationLoop:
+    """Executes one run over the points of a grid and records them.
+
+    Args:
+        schedule: ports and order of calls.
+        grid: communication points.
+        recorder: records every instant.
+        progress: called during the run with the simulated fraction; None for no reports.
+        compiled: the loop in C; None for Python.
+        controlled: controls the steps between the grid's points; None for steps from point to point.
+
+    Attributes:
+        initialized: whether all slaves have been initialised.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        grid: RunGrid,
+        recorder: Recorder,
+        progress: Progress | None,
+        compiled: CompiledLoop | None = None,
+        controlled: ControlledSteps | None = None,
+    ) -> None:
+        self.initialized = False
+        self._schedule, self._grid, self._recorder = schedule, grid, recorder
+        self._progress, self._compiled, self._controlled = progress, compiled, controlled
+        # the current block, the steps completed in it, and those before it
+        self._block: Block | None = None
+        self._passed = self._before = 0
+
+    def go(self, tolerance: float | None) -> None:
+        """Initialise the slaves and execute the run.
+
+        An instant is recorded once where signals are continuous, and twice (left and right limits) where they may jump.
+
+        Args:
+            tolerance: relative tolerance for the slaves' own integrators; None for their default.
+        """
+        # block by block, in C or in Python
+        pass_through = self._go_in_python if self._compiled is None else partial(self._go_in_c, self._compiled)
+        try:
+            for block in self._grid.blocks():
+                if self._block is None:
+                    self._start(block, tolerance)
+                else:
+                    self._before += self._block.steps
+                    self._schedule.enter(block)
+                self._block, self._passed = block, 0
+                pass_through(block)
+        finally:
+            if self._controlled is not None:
+                self._controlled.finish()
+
+    def _start(self, block: Block, tolerance: float | None) -> None:
+        """Initialise the slaves; exchange and record the first instant."""
+        self._schedule.initialize(block, tolerance)
+        self.initialized = True
+        if block.grid.marked[0]:
+            self._recorder.append(self._grid.start)
+        self._schedule.exchange(0, self._grid.start, jump=True)
+        self._recorder.append(self._grid.start)
+
+    def _go_in_c(self, compiled: CompiledLoop, block: Block) -> None:
+        """Run a block in pieces; between two pieces progress is reported and the user can interrupt."""
+        compiled.enter(block.grid)
+        # one piece per progress report, or per check for an interruption
+        count = self._grid.steps
+        length = UNINTERRUPTED if self._progress is None else -(-count // PROGRESS_CALLS)
+        try:
+            while compiled.points < block.steps:
+                # pieces are multiples of the length, counted from the start of the run
+                end = (self._before + compiled.points) // length * length + length - self._before
+                started = perf_counter()
+                compiled.go(min(end, block.steps))
+                if self._progress is not None:
+                    self._progress((self._before + compiled.points) / count)
+                elif perf_counter() - started < QUICK:
+                    length *= 2
+        finally:
+            self._passed = compiled.points
+
+    def _go_in_python(self, block: Block) -> None:
+        times, marked = block.grid.times.tolist(), block.grid.marked.tolist()
+        cross = self._schedule.advance if self._controlled is None else self._controlled.cross
+        recorded = block.grid.instants.tolist()
+        exchange, record = self._schedule.exchange, self._recorder.append
+        start, stop, count = self._grid.start, self._grid.stop, self._grid.steps
+        every = max(1, count // PROGRESS_CALLS)
+        for n in range(block.steps):
+            time, jump = times[n + 1], marked[n + 1]
+            cross(times[n], time)
+            self._passed += 1
+            # left limits where signals may jump, then the exchange, then right limits
+            if jump and recorded[n + 1]:
+                record(time)
+            exchange(n + 1, time, jump)
+            if recorded[n + 1]:
+                record(time)
+            passed = self._before + self._passed
+            if self._progress is not None and (passed % every == 0 or passed == count):
+                self._progress((time - start) / (stop - start))
+
+    @property
+    def reached(self) -> StepStatistics:
+        """The time that the run reached, and its steps."""
+        time = self._grid.start if self._block is None else float(self._block.grid.times[self._passed])
+        steps, largest = self._before + self._passed, self._grid.largest_step
+        if self._controlled is None:
+            return StepStatistics(time, steps, 0, largest)
+        taken = self._controlled
+        return StepStatistics(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or largest)
 
 
 MANY_POINTS, MANY_VALUES = 10**7, 10**8
@@ -192,7 +335,6 @@ class Simulator:
             self._compiled = CompiledLoop(library, self._schedule, self._recorder)
         if step_control is not None:
             check_can_save(filter(needs_rollback, system.slaves), "step control")
-            self._coupling_error(step_control)
         self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
@@ -233,8 +375,7 @@ class Simulator:
         """Execute a run in this process; its end."""
         controlled: ControlledSteps | None = None
         if (control := self._control) is not None:
-            error, span = self._coupling_error(control), (self._grid.start, self._grid.stop)
-            controlled = ControlledSteps(self._schedule, self._recorder, control, error, self._step, span)
+            controlled = ControlledSteps(self._schedule, self._recorder, control, self._step)
         loop = SimulationLoop(self._schedule, self._grid, self._recorder, progress, self._compiled, controlled)
         ended = self._completed(loop, tolerance)
         return RunEnd(ended, loop.initialized, self._schedule.active_name, loop.reached)
@@ -349,11 +490,6 @@ class Simulator:
     def _reporting(self) -> list[tuple[str, Reports]]:
         """Names and slaves of those that report, looked up after the first run, when all have their attributes."""
         return [(slave.name, slave) for slave in self._system.slaves if isinstance(slave, Reports)]
-
-    def _coupling_error(self, control: StepDoubling) -> CouplingError:
-        """A new estimator of the coupling error; every run needs its own, since it adapts to the run's magnitudes."""
-        span = self._grid.stop - self._grid.start
-        return CouplingError(self._system, self._schedule.outputs, self._schedule.couplings, control, span)
 
     def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:
         """Names of the outputs that these connections start from, without repetition."""

@@ -13,7 +13,7 @@ from math import ceil, exp, inf
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.errors import InputError, LoopError, SlaveError, StepSizeError, WorkError, suggestion
+from flexfmu.cosim.engine.errors import InputError, LoopError, SlaveError, StepSizeError, WorkError
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
 from flexfmu.cosim.engine.master.loops import StateKeeper
 from flexfmu.cosim.engine.master.ports import InputPort, OutputPort
@@ -54,7 +54,9 @@ class StepDoubling:
     Equations I, II.4), and more if errors decay in the system, see `ErrorBudget`. With sampled slaves the second
     solution restarts at every sample, so that errors count as if they never decayed.
 
-    Internal states of slaves are not monitored: a slave without output derivatives should output velocities as well as
+    Monitored are the connected outputs of slaves whose inputs are extrapolated or interpolated, with their first derivatives; all
+    continuous outputs of such a slave if none is connected or it gives no derivatives. Signals with direct feedthrough from an input
+    with an error (a spring's force, an acceleration) follow from the others and are left out. Internal states are not monitored: a slave without output derivatives should output velocities as well as
     positions. The errors of the slaves' own integrators should be smaller than the tolerance, else they reduce the
     step.
 
@@ -65,10 +67,6 @@ class StepDoubling:
         absolute: allowed error in addition, in each signal's unit (for derivatives in unit/s).
         smallest: smallest whole step [s], of which the halves are kept; 1e-6 of the first one if None.
         largest: largest whole step [s].
-        signals: outputs to monitor, as ``slave.output``. None for the connected outputs of slaves whose inputs are
-            extrapolated or interpolated, with their first derivatives; for all continuous outputs of such a slave if
-            none is connected or it gives no derivatives. Signals with direct feedthrough from an input with an error
-            (a spring's force, an acceleration) follow from the others and are left out.
 
     Raises:
         InputError: a tolerance or a limit of the step is out of range.
@@ -78,7 +76,6 @@ class StepDoubling:
     absolute: float = 1e-9
     smallest: float | None = None
     largest: float = inf
-    signals: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if not (0.0 < self.tolerance < 1.0 and 0.0 <= self.absolute < inf):
@@ -186,42 +183,6 @@ TINY = float(np.finfo(np.float64).tiny)
 """Smallest denominator, so that 0 / 0 becomes 0."""
 
 
-@dataclass(frozen=True)
-class MonitoredSignals:
-    """Signals of an output port whose error is monitored.
-
-    Attributes:
-        port: the output port.
-        rows, columns: (n,) indices into the port's signals: row 0 for values, row 1 for first derivatives.
-    """
-
-    port: OutputPort
-    rows: Indices
-    columns: Indices
-
-    @property
-    def names(self) -> list[str]:
-        """Names (n): ``slave.output``, or ``der(slave.output,1)`` for a first derivative."""
-        slave = self.port.slave
-        names = [f"{slave.name}.{slave.variables[self.port.indices[column]].name}" for column in self.columns]
-        return [f"der({name},1)" if row else name for name, row in zip(names, self.rows, strict=True)]
-
-    @property
-    def kinds(self) -> list[tuple[str, str]]:
-        """Pairs (n) of slave and unit; in place of an unknown unit the name of the output."""
-        variables = [self.port.slave.variables[self.port.indices[column]] for column in self.columns]
-        units = [each.unit or each.name for each in variables]
-        return [(self.port.slave.name, unit + "/s" * row) for unit, row in zip(units, self.rows.tolist(), strict=True)]
-
-    def with_rates(self, inputs: InputPort) -> MonitoredSignals:
-        """These signals and the first derivatives that don't depend directly on an input with a coupling error."""
-        if self.port.recorded < 2:
-            return self
-        rates = self.columns[~_entered_rates(inputs, self.port)[self.columns]]
-        rows = np.concatenate([self.rows, np.ones(rates.size, np.intp)])
-        return MonitoredSignals(self.port, rows, np.concatenate([self.columns, rates]))
-
-
 class CouplingError:
     """Estimates the coupling error of the monitored signals, relative to their tolerance.
 
@@ -231,44 +192,43 @@ class CouplingError:
             that predict their outputs or sample); they are read again after these inputs have been set.
     """
 
-    def __init__(
-        self, system: System, ports: Sequence[OutputPort], couplings: Couplings, control: StepDoubling, span: float
-    ) -> None:
-        self._control = control
-        self._span = span
-        # signals to monitor, and the order of their error
-        if control.signals is None:
-            self._monitored = _monitored_by_default(system, ports, couplings)
-        else:
-            self._monitored = _find(ports, control.signals)
-        self._slaves = [system.slaves.index(each.port.slave) for each in self._monitored]
-        self.order = 1 + min(map(_degree, filter(_counts, couplings.values())), default=0)
+    def __init__(self, schedule: Schedule, control: StepDoubling, span: float) -> None:
+        self._control, self._span = control, span
+        self._monitored = _monitored(schedule.system, schedule.outputs, schedule.couplings)
+        self.order = 1 + min(map(_degree, filter(_counts, schedule.couplings.values())), default=0)
         self.following: list[OutputPort] = []
 
     def start(self, inputs: Sequence[InputPort]) -> None:
         """Monitor first derivatives too, except those that depend directly on an input with a coupling error.
 
         Velocities accumulate errors; accelerations follow from the inputs. The slaves must have been initialised and
-        their inputs set. Monitored outputs named by the user get no derivatives.
+        their inputs set.
 
         Args:
             inputs: input ports, in the order of `System.slaves`.
         """
-        # ports that are read again after a step, and first derivatives
-        pairs = list(zip(self._monitored, (inputs[slave] for slave in self._slaves), strict=True))
+        # ports that are read again after a step
         self.following = [
-            each.port for each, port in pairs if any(not _errs(group.source.slave) for group in port.groups)
+            port
+            for slave, port, _ in self._monitored
+            if any(not _errs(group.source.slave) for group in inputs[slave].groups)
         ]
-        if self._control.signals is None:
-            self._monitored = [each.with_rates(port) for each, port in pairs]
-        # flat indices of the signals in their ports
-        self._places = [
-            (each.port.signals.reshape(-1), each.rows * each.port.indices.size + each.columns)
-            for each in self._monitored
-        ]
-        self._names = [name for each in self._monitored for name in each.names]
-        # kinds: signals of one slave with the same unit share a magnitude
-        kinds = [kind for each in self._monitored for kind in each.kinds]
+        # flat indices of values and first derivatives in their ports; names; kinds: signals of one slave with the same unit,
+        # in place of an unknown unit the name of the output, share a magnitude
+        self._places: list[tuple[RealArray, Indices]] = []
+        self._names: list[str] = []
+        kinds: list[tuple[str, str]] = []
+        for slave, port, columns in self._monitored:
+            signals = [(0, column) for column in columns]
+            if port.recorded > 1:
+                entered = _entered_rates(inputs[slave], port)
+                signals += [(1, column) for column in columns if not entered[column]]
+            places = [row * port.indices.size + column for row, column in signals]
+            self._places.append((port.signals.reshape(-1), np.array(places, np.intp)))
+            for row, column in signals:
+                owner, variable = port.slave.name, port.slave.variables[port.indices[column]]
+                self._names.append(f"der({owner}.{variable.name},1)" if row else f"{owner}.{variable.name}")
+                kinds.append((owner, (variable.unit or variable.name) + "/s" * row))
         known = list(dict.fromkeys(kinds))
         self._kind = np.array([known.index(kind) for kind in kinds], np.intp)
         rates = [
@@ -321,15 +281,19 @@ class CouplingError:
         return self._names[signal]
 
 
-def _monitored_by_default(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> list[MonitoredSignals]:
+Monitored = list[tuple[int, OutputPort, Sequence[int]]]
+"""Index of a slave, its output port, and the columns of the monitored outputs in the port's signals."""
+
+
+def _monitored(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> Monitored:
     """Monitored outputs of all slaves whose inputs have a coupling error.
 
     These are the continuous outputs that are connected; all continuous outputs if none is connected or the slave gives
     no derivatives. Outputs that depend directly on an input with a coupling error (a spring's force, say) follow from
     the others and are left out, unless no slave has others.
     """
-    monitored: list[MonitoredSignals] = []
-    following: list[MonitoredSignals] = []
+    monitored: Monitored = []
+    following: Monitored = []
     for i in sorted({target for (_, target), coupling in couplings.items() if _counts(coupling)}):
         port, variables = ports[i], ports[i].slave.variables
         # connected outputs
@@ -348,7 +312,7 @@ def _monitored_by_default(system: System, ports: Sequence[OutputPort], couplings
             if index in (used or port.indices) and not variables[index].discrete
         ]
         states = [k for k in columns if variables[port.indices[k]].name not in entered]
-        (monitored if states else following).append(_values(port, states or columns))
+        (monitored if states else following).append((i, port, states or columns))
     return monitored or following
 
 
@@ -372,32 +336,6 @@ def _entered_rates(inputs: InputPort, outputs: OutputPort) -> NDArray[np.bool_]:
     # restore the buffers; the slave has been rolled back
     inputs.fed[:], outputs.signals[:] = fed, before
     return entered
-
-
-def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[MonitoredSignals]:
-    """The monitored signals for the outputs named ``slave.output``.
-
-    Raises:
-        InputError: there is no such output.
-    """
-    known = {
-        f"{port.slave.name}.{port.slave.variables[index].name}": (port, column)
-        for port in ports
-        for column, index in enumerate(port.indices)
-    }
-    # columns of the named outputs, by port
-    columns: dict[OutputPort, list[int]] = {}
-    for name in names:
-        if name not in known:
-            raise InputError(f"step control can't watch {name!r}: there is no such output; {suggestion(name, known)}")
-        port, column = known[name]
-        columns.setdefault(port, []).append(column)
-    return [_values(port, each) for port, each in columns.items()]
-
-
-def _values(port: OutputPort, columns: Sequence[int]) -> MonitoredSignals:
-    """The values of these columns of a port, without derivatives."""
-    return MonitoredSignals(port, np.zeros(len(columns), np.intp), np.array(columns, np.intp))
 
 
 def _counts(coupling: Coupling) -> bool:
@@ -424,9 +362,7 @@ class ControlledSteps:
         schedule: ports and order of calls.
         recorder: records every instant.
         control: tolerance and limits of the steps.
-        error: estimates the coupling error.
         first: length of the first step [s].
-        span: begin and end of the run [s].
 
     Attributes:
         time: end of the last accepted step [s].
@@ -434,20 +370,13 @@ class ControlledSteps:
         largest: largest accepted half step [s].
     """
 
-    def __init__(
-        self,
-        schedule: Schedule,
-        recorder: Recorder,
-        control: StepDoubling,
-        error: CouplingError,
-        first: float,
-        span: tuple[float, float],
-    ) -> None:
+    def __init__(self, schedule: Schedule, recorder: Recorder, control: StepDoubling, first: float) -> None:
         self.time = self._mark = -inf
         self.accepted = self.rejected = 0
         self.largest = 0.0
-        self._schedule, self._recorder = schedule, recorder
-        self._control, self._error, self._budget = control, error, ErrorBudget(*span)
+        self._schedule, self._recorder, self._control = schedule, recorder, control
+        self._budget = ErrorBudget(schedule.grid.start, schedule.grid.stop)
+        self._error = CouplingError(schedule, control, self._budget.span)
         # length of the next step, smallest step, and maximum number of steps
         self._step = min(first, control.largest)
         self._least = control.least(first)

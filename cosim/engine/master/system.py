@@ -17,15 +17,7 @@ from itertools import chain
 from flexfmu.cosim.engine.errors import AlgebraicLoopError, WiringError
 from flexfmu.cosim.engine.master.iteration import LoopSolver
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
-from flexfmu.cosim.engine.slave import (
-    TAKES,
-    Causality,
-    Sampled,
-    SamplesInTwoPhases,
-    Slave,
-    can_save,
-    feedthrough,
-)
+from flexfmu.cosim.engine.slave import TAKES, Causality, Sampled, SamplesInTwoPhases, Slave, can_save, feedthrough
 
 VariableKey = tuple[int, str]
 """(index of a slave, name of one of its variables)."""

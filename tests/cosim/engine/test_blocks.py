@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master import blocks
-from flexfmu.cosim.engine.master.blocks import RunGrid
-from flexfmu.cosim.engine.master.grid import Clock, GridRules, TimeGrid
+from flexfmu.cosim.engine.master import grid as module
+from flexfmu.cosim.engine.master.grid import Clock, GridRules, RunGrid, TimeGrid
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import SlaveVariable
@@ -27,9 +26,9 @@ from flexfmu.model.scene.file import load_scene
 @pytest.fixture
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks so short that every run has several."""
-    monkeypatch.setattr(blocks, "BLOCK", 40)
-    monkeypatch.setattr(blocks, "SHORTEST", 10)
-    monkeypatch.setattr(blocks, "KEPT", 3)
+    monkeypatch.setattr(module, "BLOCK", 40)
+    monkeypatch.setattr(module, "SHORTEST", 10)
+    monkeypatch.setattr(module, "KEPT", 3)
 
 
 def whole(grid: RunGrid) -> TimeGrid:
@@ -43,7 +42,7 @@ def whole(grid: RunGrid) -> TimeGrid:
     assert last.after is None
     joined = parts[0]
     for part in parts[1:]:
-        joined = blocks._joined(joined, part)
+        joined = module._joined(joined, part)
     return joined
 
 
@@ -67,8 +66,8 @@ def test_blocks_are_the_whole_grid(
     clocks = [Clock(f"clock {ratio}", ratio * step, 0.5 * step) for ratio in ratios]
     rules = GridRules(start, stop, step, marks, clocks)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(blocks, "BLOCK", 40)
-        patch.setattr(blocks, "SHORTEST", 10)
+        patch.setattr(module, "BLOCK", 40)
+        patch.setattr(module, "SHORTEST", 10)
         grid = RunGrid(rules, period)
         found, expected = whole(grid), rules.between()
     np.testing.assert_array_equal(found.times, expected.times)
@@ -119,7 +118,7 @@ def test_runs_in_blocks_have_the_same_bits(
         return result.recording.time, *(each for one in columns for each in (one.values, one.first, one.second))
 
     found = run()
-    monkeypatch.setattr(blocks, "BLOCK", 10**6)
+    monkeypatch.setattr(module, "BLOCK", 10**6)
     for one, other in zip(found, run(), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -129,7 +128,7 @@ def test_cycles_share_tables(short_blocks: None) -> None:
     motion = ThereAndBack(plan(load_scene("barnard2012-6kg")).joints, 0.01, 20)
     slave = TrajectorySlave(motion)
     system = connect([slave], [])
-    grid = blocks.system_grid(system, 0.0, motion.duration + 0.01, 1e-3, True)
+    grid = module.system_grid(system, 0.0, motion.duration + 0.01, 1e-3, True)
     tables, steps = set[int](), 0
     for block in grid.blocks():
         slave.prepare(block.known)

@@ -56,13 +56,7 @@ def remarks(action: Callable[[], Any]) -> tuple[Any, list[str]]:
 @pytest.mark.parametrize("isolation", [None, ISOLATED])
 @pytest.mark.parametrize(
     ("trouble", "absent"),
-    [
-        ("none", ()),
-        ("nan first", ("x", "y")),
-        ("nan always", ("x", "y")),
-        ("nan later", ("y",)),
-        ("refuses", ("y",)),
-    ],
+    [("none", ()), ("nan first", ("x", "y")), ("nan always", ("x", "y")), ("nan later", ("y",)), ("refuses", ("y",))],
 )
 def test_derivatives_that_are_not_there(
     make_decay: Make, trouble: str, absent: Sequence[str], isolation: float | None

@@ -32,11 +32,7 @@ SOURCES = Path(__file__).parent / "c-master"
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 @pytest.mark.parametrize(
     ("source", "tested", "arguments"),
-    [
-        ("program.c", "master.c", []),
-        ("program.c", "master.c", ["step"]),
-        ("dense_program.c", "dense.c", []),
-    ],
+    [("program.c", "master.c", []), ("program.c", "master.c", ["step"]), ("dense_program.c", "dense.c", [])],
     ids=["not finite", "failed step", "interpolation"],
 )
 def test_programs(source: str, tested: str, arguments: list[str], tmp_path: Path) -> None:
