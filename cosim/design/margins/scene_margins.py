@@ -200,7 +200,7 @@ def margins_table(result: MarginsResult) -> list[RenderableType]:
     tables, payloads = list[Table](), list(dict.fromkeys(each.payload for each in result.poses))
     for payload in payloads:
         several = f", {payload:.4g} kg" if len(payloads) > 1 else ""
-        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "path", "cut", numbers=HEADS, keys=2))
+        tables.append(titled_table(f"Margins of {result.scene.name}{several}", "path", "cut", numbers=HEADS))
         for pose in (each for each in result.poses if each.payload == payload):
             for row in pose.loops:
                 # of an unstable loop the crossover alone means something

@@ -176,7 +176,7 @@ COLUMNS = ("shaper", "shapes", "added ms", "nominal µm", "worst µm", "at rest 
 
 def terminal_table(title: str, results: Sequence[CandidateResult], recommended: CandidateResult) -> Table:
     """Return a table with a line for each result, the recommended one in bold."""
-    table = titled_table(title, *COLUMNS[:2], numbers=COLUMNS[2:], keys=2)
+    table = titled_table(title, *COLUMNS[:2], numbers=COLUMNS[2:])
     for result in results:
         nominal, rest = result.nominal, result.time_to_rest
         table.add_row(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,102 +12,19 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Annotation
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel
-from flexfmu.cosim.reports.figure_style import GREY, PlainNumbers, draw, save
+from flexfmu.cosim.reports.figure_style import PlainNumbers, draw, save
 from flexfmu.cosim.reports.page import Plot, render_page
 from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
 from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 
 FONT_SIZE = 5.5
-
-PLACES = (
-    (3.0, 3.0, "left", "bottom"),
-    (-3.0, 3.0, "right", "bottom"),
-    (3.0, -3.0, "left", "top"),
-    (-3.0, -3.0, "right", "top"),
-    (0.0, 5.0, "center", "bottom"),
-    (0.0, -5.0, "center", "top"),
-    (6.0, 0.0, "left", "center"),
-    (-6.0, 0.0, "right", "center"),
-    (0.0, 12.0, "center", "bottom"),
-    (0.0, -12.0, "center", "top"),
-)
-"""Where a label may stand: from its point [pt], and which side or corner of the text is there; the usual place first."""
-
-END, MIDDLE = "end", "middle"
-"""Places of a label on its line."""
+"""Of labels, which the ends of a line have; the page shows all settings."""
 
 DARKER = 0.75
 """Of the colour of a line in its labels, which are thin."""
-
-CLEARANCE = 2.0
-"""Around every point [px]."""
-
-Box = tuple[float, float, float, float]
-"""Left, bottom, right, top [px]."""
-
-
-def label_points(axes: Axes, points: RealArray, texts: Sequence[str], colour: Any = GREY) -> None:
-    """Write a text beside each of the points, shape (n, 2), in the usual place, in the colour of their line."""
-    x, y, across, upright = PLACES[0]
-    for k, (point, text) in enumerate(zip(points, texts, strict=True)):
-        label = axes.annotate(text, point, (x, y), textcoords="offset points", ha=across, va=upright)
-        label.set(fontsize=FONT_SIZE, color=colour, gid=END if k in (0, len(texts) - 1) else MIDDLE)
-
-
-def keep_apart(figure: Figure) -> None:
-    """Move the labels of all diagrams where they cover neither each other nor points, lines or legend.
-
-    A label for which there is no such place is left out; tables have all settings. The ends of lines come first.
-    """
-    figure.draw_without_rendering()  # sizes are known from here on
-    for axes in figure.axes:
-        taken = []
-        if (legend := axes.get_legend()) is not None:
-            taken.append(_box(legend))
-            legend.set_loc(tuple(axes.transAxes.inverted().transform(taken[0][:2])))  # it would follow the labels
-        points, lines = _drawn(axes)
-        taken += [(x - CLEARANCE, y - CLEARANCE, x + CLEARANCE, y + CLEARANCE) for x, y in points]
-        labels = [each for each in axes.texts if isinstance(each, Annotation)]
-        for label in sorted(labels, key=lambda each: each.get_gid() != END):
-            box = _move(label, _box(axes), taken, lines)
-            label.set_visible(box is not None)
-            taken += [box] if box is not None else []
-
-
-def _move(label: Annotation, frame: Box, taken: Sequence[Box], lines: RealArray) -> Box | None:
-    """Put a label into the first place that is free, the usual one first; None where every place is taken."""
-    for x, y, across, upright in PLACES:
-        label.xyann = (x, y)
-        label.set(ha=across, va=upright)
-        left, bottom, right, top = box = _box(label)
-        # within the diagram, and apart from all that is there
-        inside = left >= frame[0] and bottom >= frame[1] and right <= frame[2] and top <= frame[3]
-        covers = any(left < x1 and x0 < right and bottom < y1 and y0 < top for x0, y0, x1, y1 in taken)
-        if inside and not covers and not ((lines > box[:2]) & (lines < box[2:])).all(axis=1).any():
-            return box
-    return None
-
-
-def _box(artist: Any) -> Box:
-    """The area of an artist."""
-    return tuple(artist.get_window_extent().extents)
-
-
-def _drawn(axes: Axes) -> tuple[RealArray, RealArray]:
-    """All points of the lines, and places along the lines, each of shape (n, 2) [px]."""
-    points, places = [np.empty((0, 2))], [np.empty((0, 2))]
-    for line in axes.lines:
-        corners = line.get_transform().transform(np.column_stack(line.get_data()).astype(float))
-        points.append(corners)
-        for start, end in pairwise(corners):
-            shares = np.linspace(0.0, 1.0, 1 + int(np.hypot(*(end - start))))[:, np.newaxis]
-            places.append((1.0 - shares) * start + shares * end)
-    return np.concatenate(points), np.concatenate(places)
-
 
 TITLES = {
     "integrators": "Integrators over their tolerance or step",
@@ -151,7 +67,6 @@ def _picture(study: WorkPrecisionStudy, names: Sequence[str], width: float) -> F
         draw_family(place, study, name)
     for place in places[len(names) :]:
         place.set_axis_off()
-    keep_apart(figure)
     return figure
 
 
@@ -177,7 +92,9 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
         points = _points(good)
         label = line + (f" ({failed} failed)" if failed else "")
         axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
-        label_points(axes, points, [each.label for each in good], DARKER * colour[:3])
+        for place in {0, len(good) - 1} if good else ():
+            label_style: dict[str, Any] = {"fontsize": FONT_SIZE, "color": DARKER * colour[:3]}
+            axes.annotate(good[place].label, points[place], (3.0, 3.0), textcoords="offset points", **label_style)
         if failed:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     # axes, and real time at the right

@@ -1,6 +1,6 @@
 """Trials with other solvers on the same equations, compiled: SciPy's, and SUNDIALS through CasADi; with another formulation of
-the same robot: all coordinates with multipliers (index 1), with and without Baumgarte's stabilisation; with our FMU in fmpy, and with
-the paper's own setting of the solver.
+the same robot: all coordinates with multipliers (index 1), with and without Baumgarte's stabilisation; and with the paper's own setting
+of the solver.
 
 All solvers restart where the motion's derivatives jump. Sources: SciPy's `solve_ivp` (Radau: Hairer and Wanner, Solving Ordinary
 Differential Equations II, sec. IV.8; DOP853: the same, I, sec. II.5); SUNDIALS: Hindmarsh et al., ACM Trans. Math. Softw. 31
@@ -14,16 +14,11 @@ from functools import partial
 from typing import Any, Literal
 
 import casadi
-import fmpy
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.control.blocks.code import compile_function
-from flexfmu.cosim.engine.fmu.file import open_fmu
-from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.parameters import parameters_for
-from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.studies.workprec.equations import (
@@ -44,7 +39,6 @@ from flexfmu.cosim.studies.workprec.trial import (
     completed,
     sweep,
 )
-from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
 
 ScipyMethod = Literal["Radau", "BDF", "LSODA", "DOP853"]
@@ -290,10 +284,6 @@ def index_one(model: ConstrainedModel, rate: float) -> casadi.Function:
     return casadi.Function("index_one", [t, z, piece], [casadi.densify(casadi.vertcat(v, acceleration))])
 
 
-CVODE_SETTINGS = ((1e-3, 1e-4), (1e-3, 1e-5), (2.5e-4, 1e-5), (2.5e-4, 1e-6), (1e-4, 1e-6), (1e-4, 1e-7), (5e-5, 1e-8))
-"""Output intervals [s] and relative tolerances. Inputs are constant over an interval, so that a smaller tolerance reduces the error
-only with a shorter interval."""
-
 PAPER_LINE = "fixed step of 10 MHz"
 
 PAPER_STEP = 1e-7
@@ -301,62 +291,6 @@ PAPER_STEP = 1e-7
 
 PAPER_SHARE = 50
 """Ratio of the whole time to the part simulated at 10 MHz; a whole run would take a minute."""
-
-
-def model_exchange_trials(subject: SceneUnderTest, ours: WorkCurve) -> Iterator[WorkPrecisionTrial]:
-    """fmpy integrates the FMU with CVODE; the references are a table of values, as fmpy takes no derivatives.
-
-    The trial measures fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
-    lessens. `solver_trials.sundials_trials` shows CVODES with inputs at every evaluation.
-    """
-    path = build_scene(subject.scene).path
-    description = open_fmu(path).description
-    if description.modelExchange is None:
-        yield WorkPrecisionTrial("tools", "fmpy, CVODE", "", None, None, "the FMU is not for model exchange")
-        return
-    # what all settings share
-    folder = str(open_fmu(path).folder)
-    start = parameters_for(subject.scene, parameter_names(description))
-    arguments = {
-        "filename": folder,
-        "fmi_type": "ModelExchange",
-        "solver": "CVode",
-        "stop_time": float(subject.instants[-1]),
-        "record_events": False,
-        "start_values": {**start, INITIAL.name: INITIAL.items[subject.scene.cosimulation.initial][0]},
-        "output": ["end_effector.position.x", "end_effector.position.y"],
-    }
-
-    def trial(setting: tuple[float, float]) -> WorkPrecisionTrial:
-        interval, tolerance = setting
-        label = f"{1e3 * interval:g} ms, {tolerance:.0e}"
-        chosen = {"output_interval": interval, "relative_tolerance": tolerance, "input": input_table(subject, interval)}
-
-        def run() -> Any:
-            return fmpy.simulate_fmu(**arguments, **chosen)
-
-        def measure() -> tuple[float, float, str]:
-            result = run()
-            columns = (result[f"end_effector.position.{axis}"] for axis in "xy")
-            positions = np.stack([np.interp(subject.instants, result["time"], each) for each in columns], axis=1)
-            return subject.error(positions), fastest(run), "inputs held over the output interval"
-
-        return subject.trial("tools", "fmpy, CVODE", label, measure, Exception)
-
-    yield from sweep(CVODE_SETTINGS, trial, ours)
-
-
-def input_table(subject: SceneUnderTest, spacing: float) -> Any:
-    """Joint references every ``spacing`` [s], as fmpy takes them."""
-    # up to one interval beyond the end
-    time = spacing * np.arange(round(subject.stop / spacing) + 2)
-    motion = subject.motion.joints.evaluate(time, 2)
-    names = [f"joint{j}.reference.{kind}" for kind in ("position", "velocity", "acceleration") for j in (1, 2)]
-    table = np.zeros(time.size, dtype=[("time", np.float64)] + [(name, np.float64) for name in names])
-    table["time"] = time
-    for column, name in enumerate(names):
-        table[name] = motion[column // 2, :, column % 2]
-    return table
 
 
 def paper_trial(subject: SceneUnderTest) -> WorkPrecisionTrial:

@@ -133,10 +133,9 @@ def run_study(
             measured = [each for each in trials if each.family == "integrators"]
             ours = WorkCurve.of(measured or fmu_trials(subject, "integrators", settings))
             trials += (replace(each, family=name, line=OURS, label=f"{each.line} {each.label}") for each in ours.trials)
-            # the same equations in other solvers, the same FMU in fmpy, the paper's setting, and other programs
+            # the same equations in other solvers, the paper's setting, and other programs
             trials += solver_trials.scipy_trials(subject, ours)
             trials += solver_trials.sundials_trials(subject, ours)
-            trials += solver_trials.model_exchange_trials(subject, ours)
             trials.append(solver_trials.paper_trial(subject))
             for peer in peers:
                 trials += peer(subject, ours)
@@ -214,7 +213,7 @@ def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
     title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the largest elastic deviation"
     numbers = [Column(each, justify="right") for each in COLUMNS[3:6]]
-    table = titled_table(title, *COLUMNS[:3], *numbers, *COLUMNS[6:], keys=3)
+    table = titled_table(title, *COLUMNS[:3], *numbers, *COLUMNS[6:])
     for trial in study.trials:
         table.add_row(*row(study, trial))
     return table

@@ -16,9 +16,10 @@ from typer.testing import CliRunner
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
+from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec.equations import BoundFunction
-from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
+from flexfmu.cosim.studies.workprec.figures import draw_family, html, lines_of, save_figures
 from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
     WorkPrecisionStudy,
@@ -85,13 +86,11 @@ def test_other_solvers_get_the_exact_jacobian(subject: SceneUnderTest) -> None:
 
 @pytest.mark.slow
 def test_other_tools_reach_our_errors(subject: SceneUnderTest) -> None:
-    """Each implicit solver gets there with its own tolerance; fmpy's import, which holds inputs, with shorter output intervals."""
+    """Each solver gets there with its own tolerance."""
     ours = WorkCurve((WorkPrecisionTrial("tools", "flexfmu", "", 1e-5, 1e9),))
     trials = [*solver_trials.scipy_trials(subject, ours), *solver_trials.sundials_trials(subject, ours)]
     for line in ("SciPy Radau", "SciPy BDF", "SciPy LSODA", "SciPy DOP853", "CasADi cvodes"):
         assert WorkCurve.of(each for each in trials if each.line == line).least <= 1e-5, line
-    held = [each.error or 1.0 for each in solver_trials.model_exchange_trials(subject, ours)]
-    assert held[-1] < 0.3 * held[1]
 
 
 def test_shaped_scenes_are_compared_with_themselves() -> None:
@@ -231,6 +230,22 @@ def test_results_hold_everything(study: WorkPrecisionStudy, tmp_path: Path) -> N
     assert 'src="http' not in page
     assert [each.label for each in lines_of(study, "tools")["flexfmu"]] == ["gauss4 1e-5", "gauss2 1e-3"]
     assert json.loads(json.dumps(data(study)))["trials"][2]["error"] is None
+
+
+def test_axes_have_plain_numbers(study: WorkPrecisionStudy) -> None:
+    """Times and real-time factors below one are written like those above; ticks beyond the axis aren't drawn."""
+    trials = (WorkPrecisionTrial("tools", "slow", *each) for each in (("a", 1e-3, 9.0), ("b", 1e-5, 0.009)))
+    figure = draw(6.6, 4.8)
+    axes = figure.subplots()
+    draw_family(axes, replace(study, trials=tuple(trials)), "tools")
+    figure.draw_without_rendering()
+    (factor,) = axes.child_axes
+    for side, numbers in ((axes, {"10", "100", "1000"}), (factor, {"0.1", "1", "10"})):
+        low, high = side.get_ylim()
+        labels = side.yaxis.get_ticklabels(which="both")
+        texts = {label.get_text() for label in labels if low <= label.get_position()[1] <= high}
+        assert numbers <= texts
+        assert not any("e" in text for text in texts)
 
 
 def test_timing_takes_the_fastest(monkeypatch: pytest.MonkeyPatch) -> None:
