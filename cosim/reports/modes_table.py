@@ -85,11 +85,7 @@ class ModesAlongPath(Rows, list[ModalPose]):
 
     def plot(self) -> Figure:
         """The lowest frequencies over the path."""
-        from flexfmu.cosim.reports.figure_style import (
-            draw,
-            logarithmic,
-            style,
-        )  # Matplotlib takes longer than the frequencies
+        from flexfmu.cosim.reports.figure_style import draw, logarithmic, style  # slower to load than the frequencies
 
         with style():
             figure = draw(7.0, 4.0)
@@ -161,14 +157,14 @@ def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
     """Return the frequencies as a table for the terminal, with a note if it doesn't show all of them."""
     total = len(poses[0].frequencies)
     shown = min(total, SHOWN_FREQUENCIES)
-    headings = "path", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))
+    headings = "path", "x [m]", "y [m]", *(f"f{k}" for k in range(1, shown + 1))
     table = titled_table(
         f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium",
         numbers=headings,
     )
     for pose in poses:
         # four decimals without a negative zero
-        place = (f"{round(value, 4) + 0.0:.4f}" for value in (pose.x, pose.y, pose.q11, pose.q21))
+        place = (f"{round(value, 4) + 0.0:.4f}" for value in (pose.x, pose.y))
         table.add_row(f"{pose.s:.3f}", *place, *(f"{f:.2f}" for f in pose.frequencies[:shown]))
     # what the table leaves out
     notes = []

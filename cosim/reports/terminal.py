@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 TEXT_WIDTH = 12
 """Wrapped texts get at least this width, if their words are short."""
 
+NARROW_PADDING = (0, 1, 0, 0)
+"""Around cells where space is short: top, right, bottom, left."""
+
 NARROW = 80
 """Columns of the narrowest terminals."""
 
@@ -91,9 +94,11 @@ class FittingTable(Table):
         """Render the table, or its rows as blocks; files that the output goes to have 80 columns for names."""
         width = options.max_width if console.is_terminal or not self.stacks else min(options.max_width, NARROW)
         for table in (self, *([self._stacked()] if self.stacks else [])):
-            if table._fits(console, options, width):
-                yield from Table.__rich_console__(table, console, options.update(max_width=width))
-                return
+            for padding in (self.padding, NARROW_PADDING):
+                table.padding = padding
+                if table._fits(console, options, width):
+                    yield from Table.__rich_console__(table, console, options.update(max_width=width))
+                    return
         if self.title:
             yield Text.assemble((str(self.title), "bold"))
         names, *others = self.columns
