@@ -25,7 +25,7 @@ from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
 from flexfmu.cosim.exchange.ssp.export import export_ssp
-from flexfmu.cosim.exchange.ssp.xml import read_structure
+from flexfmu.cosim.exchange.ssp.structure import read_structure
 from flexfmu.cosim.studies.compare.measured import read_log
 from flexfmu.cosim.studies.sweep.cases import read_cases
 from flexfmu.fmu_build.validation.validate import validate_fmu

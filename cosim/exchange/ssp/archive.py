@@ -19,8 +19,8 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.variables import Value
-from flexfmu.cosim.exchange.ssp.structure import SspError
 from flexfmu.fmu_build.archive import DAMAGED, LARGEST_CONTENT, open_archive, read_member
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.temporary import temporary_folder
@@ -51,6 +51,10 @@ _TYPES: dict[str, tuple[Callable[[str], Any], str]] = {
     "Boolean": ({"true": True, "1": True, "false": False, "0": False}.__getitem__, "true or false"),
 }
 """Type → how a value is read, and what it must be; the others are texts."""
+
+
+class SspError(InputError):
+    """A file isn't SSP, contradicts the standard, or needs a feature that this program doesn't have."""
 
 
 class SspArchive:

@@ -24,9 +24,10 @@ from flexfmu.cosim.exchange.ssp.structure import (
     SspParameter,
     SspUnit,
     Structure,
+    ssd_xml,
+    ssv_xml,
 )
 from flexfmu.cosim.exchange.ssp.wiring import ComponentFmu
-from flexfmu.cosim.exchange.ssp.xml import ssd_xml, ssv_xml
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.fmu_build.archive import pack, write_atomically

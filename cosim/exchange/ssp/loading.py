@@ -27,8 +27,8 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import REFERENCES as KINDS
 from flexfmu.cosim.engine.trajectory_slave import FmuTrajectory, TrajectorySlave
-from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
-from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, Subsystem, levels
+from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive, SspError
+from flexfmu.cosim.exchange.ssp.structure import Component, Structure, Subsystem, levels, read_structure
 from flexfmu.cosim.exchange.ssp.wiring import (
     ComponentFmu,
     Network,
@@ -38,7 +38,6 @@ from flexfmu.cosim.exchange.ssp.wiring import (
     start_values,
     wires,
 )
-from flexfmu.cosim.exchange.ssp.xml import read_structure
 from flexfmu.cosim.experiment.recording import held, plain_names
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 

@@ -19,13 +19,15 @@ from flexfmu.cosim.engine.fmu.variables import Value, items
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, SignalMap, TableMap
 from flexfmu.cosim.engine.master.system import Wire
 from flexfmu.cosim.engine.slave import TAKES, Type
+from flexfmu.cosim.exchange.ssp.archive import SspError
 from flexfmu.cosim.exchange.ssp.structure import (
+    BASE_UNITS,
+    NUMBERS,
     Binding,
     Component,
     Connector,
     MappingEntry,
     SspConnection,
-    SspError,
     SspParameter,
     SspUnit,
     Structure,
@@ -33,7 +35,6 @@ from flexfmu.cosim.exchange.ssp.structure import (
     ValueMap,
     levels,
 )
-from flexfmu.cosim.exchange.ssp.xml import BASE_UNITS, NUMBERS
 
 _DIMENSIONLESS = ("", "1")
 

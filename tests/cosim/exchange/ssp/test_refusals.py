@@ -23,9 +23,8 @@ from ssp_support.packages import (
 )
 
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
-from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
+from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive, SspError
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.exchange.ssp.structure import SspError
 
 MakeSsp = Callable[..., Path]
 

@@ -21,8 +21,9 @@ from ssp_support.packages import (
 
 from flexfmu.cosim.engine.master.linear_map import LinearMap
 from flexfmu.cosim.engine.master.simulator import Outcome
+from flexfmu.cosim.exchange.ssp.archive import SspError
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.exchange.ssp.structure import SspError, SspUnit, ValueMap
+from flexfmu.cosim.exchange.ssp.structure import SspUnit, ValueMap
 
 MakeSsp = Callable[..., Path]
 STEP, COUNT = 0.125, 8
