@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
 from scipy.signal import periodogram
 
 from flexfmu.cosim.engine.slave import RealArray
@@ -35,10 +34,7 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
 MILLI = 1e3
-"""Factor from m to mm, the unit of drawings to scale."""
-
-HINGE_RADIUS, MOTOR_RADIUS = 7.0, 24.0
-"""Radii in drawings to scale [mm]."""
+"""Factor from m to mm, the unit of drawings."""
 
 COLOURS = ("#0b5fa5", "#d1495b", "#2a9d6f", "#e09f1f")
 """Of lines; distinct for colour-blind readers in lightness too."""
@@ -61,9 +57,6 @@ WINDOW = 4.0
 
 HIGHEST_FREQUENCY = 200.0
 """Frequencies shown [Hz]: beyond the first natural frequency of the robot with the light payload."""
-
-BAND = 5.0
-"""Width of the bands over which the comb of a profile with jumps is averaged [Hz]: a few of its lobes."""
 
 DECADES = 10.0
 """Decades of the density shown below its maximum."""
@@ -137,7 +130,7 @@ def joint_motion() -> Figure:
     acceleration.legend()
     # spectra of all motion profiles
     spectrum = drawing.add_subplot(grid[1, :])
-    _draw_spectra(spectrum, {profile: trajectory_scene(profile, "Lamé") for profile in PROFILES}, band=BAND)
+    _draw_spectra(spectrum, {profile: trajectory_scene(profile, "Lamé") for profile in PROFILES})
     spectrum.set_title("Spectrum of the acceleration, the same for both joints since the path is symmetric")
     return drawing
 
@@ -256,7 +249,7 @@ TRAJECTORY_FIGURES: Mapping[PaperFigure, Callable[[], Figure]] = {
         "figure-08",
         "Figure 8",
         "Joint motion on the Lamé path with the seventh-degree polynomial in 1 s, and the power spectral density "
-        "of the joint accelerations for all motion profiles (4 s window: motion, then standstill; bold: mean over 5 Hz).",
+        "of the joint accelerations for all motion profiles (4 s window: motion, then standstill).",
     ): joint_motion,
     PaperFigure(
         "figure-09", "Figure 9", "The path, the mechanism at its start, middle and end, and the workspace."
@@ -292,26 +285,15 @@ def _path(motion: MotionPlan, points: int) -> RealArray:
 
 
 def _draw_robot(axes: Axes, motion: MotionPlan) -> None:
-    """Draw the robot to scale [mm] at the start, the middle and the end of the motion (paler from one to the next), and its path."""
+    """Draw the robot [mm] at the start, the middle and the end of the motion (paler from one to the next), and its path."""
     mechanism = motion.scene.mechanism
-    proximal, distal = MILLI * mechanism.proximal.diameter, MILLI * mechanism.distal.diameter
     positions = motion.task.evaluate(np.array([0.0, 0.5, 1.0]) * motion.duration, order=0)[0]
+    hinges: dict[str, Any] = {"marker": "o", "markerfacecolor": "white", "markeredgecolor": INK, "markersize": 5}
     for (x, y), opacity in zip(positions.tolist(), (1.0, 0.35, 0.15), strict=True):
-        # proximal links first, hinges on top
-        feet, knees, end = (MILLI * np.array(each) for each in (bases(mechanism), elbows(mechanism, (x, y)), (x, y)))
-        rods = [(*leg, proximal) for leg in zip(feet, knees, strict=True)] + [(knee, end, distal) for knee in knees]
-        for start, stop, diameter in rods:
-            # round ends
-            direction = np.arctan2(stop[1] - start[1], stop[0] - start[0])
-            angles = direction + np.linspace(0.5 * np.pi, 1.5 * np.pi, 25)
-            half_circle = 0.5 * diameter * np.column_stack([np.cos(angles), np.sin(angles)])
-            rod = np.concatenate([start + half_circle, stop - half_circle])
-            axes.add_patch(Polygon(rod, facecolor="#c3ccd5", edgecolor=INK, linewidth=0.9, alpha=opacity, zorder=3))
-        for hinge in (*feet, *knees, end):
-            axes.add_patch(Circle(hinge, HINGE_RADIUS, facecolor="white", edgecolor=INK, alpha=opacity, zorder=4))
-    # motors behind
+        for foot, knee in zip(bases(mechanism), elbows(mechanism, (x, y)), strict=True):
+            leg = MILLI * np.array([foot, knee, (x, y)])
+            axes.plot(*leg.T, color="#9aa7b4", linewidth=7.0, solid_capstyle="round", alpha=opacity, **hinges)
     for leg, foot in enumerate(MILLI * np.array(bases(mechanism)), start=1):
-        axes.add_patch(Circle(foot, MOTOR_RADIUS, facecolor=PALE, edgecolor=INK, zorder=1))
         axes.annotate(f"motor {leg}", (foot[0], -30.0), ha="center", va="top", fontsize=8, color=INK)
     # path with start and end marked
     path = _path(motion, 201)
@@ -351,19 +333,6 @@ def acceleration_spectrum(joints: Trajectory, joint: int) -> tuple[RealArray, Re
     return frequency, density
 
 
-def band_average(frequency: RealArray, density: RealArray, width: float) -> RealArray:
-    """Mean of the density over a band of ``width`` [Hz] around each frequency; narrower at the ends.
-
-    A motion with jumps has a comb of lobes 1 / duration apart; the mean over several lobes is the excitation of a resonance
-    whose frequency isn't known to a fraction of a hertz.
-    """
-    half = max(1, round(0.5 * width / (frequency[1] - frequency[0])))
-    total = np.concatenate([[0.0], np.cumsum(density)])
-    index = np.arange(density.size)
-    first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, density.size)
-    return np.asarray((total[last] - total[first]) / (last - first))
-
-
 def _spectra(scenes: Mapping[str, Scene], title: str, legend: str) -> Figure:
     drawing = draw(7.2, 4.4)
     axes = drawing.add_subplot()
@@ -373,17 +342,13 @@ def _spectra(scenes: Mapping[str, Scene], title: str, legend: str) -> Figure:
     return drawing
 
 
-def _draw_spectra(axes: Axes, scenes: Mapping[str, Scene], *, band: float = 0.0) -> None:
-    """Draw the spectrum of joint 1 in each scene; with a ``band`` [Hz] its mean over that band, and itself in a pale colour."""
+def _draw_spectra(axes: Axes, scenes: Mapping[str, Scene]) -> None:
+    """Draw the spectrum of joint 1 in each scene."""
     peak = 0.0
     for (label, scene), colour in zip(scenes.items(), COLOURS, strict=False):
         frequency, density = acceleration_spectrum(plan(scene).joints, 0)
         shown = (frequency > 0.0) & (frequency <= HIGHEST_FREQUENCY)
-        line = density
-        if band:
-            axes.semilogy(frequency[shown], density[shown], color=colour, linewidth=0.4, alpha=0.3)
-            line = band_average(frequency, density, band)
-        axes.semilogy(frequency[shown], line[shown], color=colour, label=label, linewidth=1.3)
+        axes.semilogy(frequency[shown], density[shown], color=colour, label=label, linewidth=1.0)
         peak = max(peak, float(density[shown].max()))
     axes.set_ylim(peak * 10.0**-DECADES, peak * 10.0)
     axes.set(xlabel="frequency [Hz]", ylabel="power spectral density [(rad/s²)²/Hz]", xlim=(0.0, HIGHEST_FREQUENCY))

@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.text import Text
 
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
-from flexfmu.cosim.engine.showing import ShowProgress, csv_text, quiet
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save
 from flexfmu.cosim.reports.page import render
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.terminal import markdown_table, titled_table
+from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.studies.paper.figures import SIMULATED_FIGURES, TRAJECTORY_FIGURES, PaperFigure
 from flexfmu.cosim.studies.paper.tables import (
     TABLES,
@@ -81,16 +81,6 @@ class PaperReport:
         """The agreement over all tables in one sentence."""
         return f"All tables: {agreement(self.cells)}"
 
-    def to_markdown(self) -> str:
-        """The whole report; figures are referred to by their relative paths."""
-        source = read_data("source")
-        parts = ["# The paper's experiment, printed and computed", f"Printed figures: {citation()}."]
-        parts += ["\n".join(f"- {remark}" for remark in source["remarks"]), f"**{self.summary()}**"]
-        parts += [table_to_markdown(table) for table in self.tables]
-        own = [figure for figure in self.figures if figure.key != "overview"]
-        parts += [f"![{figure.label}. {figure.caption}]({figure.file('.png')})" for figure in own]
-        return "\n\n".join(parts).rstrip() + "\n"
-
     def to_json(self) -> str:
         """The whole report as JSON; figures in the unit of their quantity."""
         source = read_data("source")
@@ -130,14 +120,11 @@ class PaperReport:
         )
 
     def write(self, folder: Path) -> None:
-        """Write what is known: page, Markdown, JSON, and every table as CSV.
+        """Write what is known: page and JSON.
 
         Raises:
             ResultsError: the folder can't be written.
         """
-        for table in self.tables:
-            OutputFolder(folder / "tables").write(f"{table.key}.csv", table_to_csv(table))
-        OutputFolder(folder).write("paper.md", self.to_markdown())
         OutputFolder(folder).write("paper.json", self.to_json())
         OutputFolder(folder).write("report.html", self.to_html(folder))
 
@@ -146,15 +133,15 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: ShowProgress = quiet) -> 
     """Run the paper's experiment and write tables and figures.
 
     Results are written as soon as they are computed, so that an interrupted run keeps those it has.
-    ``out`` gets ``report.html``, ``paper.md``, ``paper.json``, ``tables/*.csv``, ``simulations.csv`` (every metric of
-    every simulation), ``figures/*.png|svg`` and ``overview.png|svg``.
+    ``out`` gets ``report.html``, ``paper.json``, ``simulations.csv`` (every metric of every simulation), ``figures/*.png|svg`` and
+    ``overview.png|svg``.
 
     Args:
         out: folder of the results, created if missing.
         progress: called with the current activity and the finished fraction.
 
     Returns:
-        The report: `to_markdown()`, `to_json()`, and `print_report` for a terminal.
+        The report: `to_json()`, and `print_report` for a terminal.
 
     Raises:
         PaperError: a simulation failed.
@@ -243,48 +230,6 @@ def marks(table: PaperTable, of: Quantity | Cell) -> str:
     return " ".join(numbers).translate(_SUPERSCRIPTS)
 
 
-def table_to_markdown(table: PaperTable) -> str:
-    """One table of the paper: every cell as paper → computed (relative error), misprints struck out."""
-
-    def text(cell: Cell) -> str:
-        paper = cell.printed if cell.believable else f"~~{cell.printed}~~"
-        return f"{paper} → **{cell.rounded()}** ({cell.difference()}){marks(table, cell)}"
-
-    parts = [f"## {table.label}. {table.title}", *table.remarks]
-    for quantity in table.quantities:
-        name = f"**{quantity.name}** [{quantity.unit}]{marks(table, quantity)}"
-        rule = ["---", *("---:" for _ in quantity.columns)]
-        cells = markdown_table(
-            ["", *quantity.columns], rule, ([row, *map(text, cells)] for row, cells in quantity.lines())
-        )
-        parts.append(f"{name}: {quantity.meaning}; paper → computed (relative error)\n\n{cells}")
-    notes = "\n".join(f"- {mark} {text}" for mark, text in footnotes(table))
-    return "\n\n".join([*parts, *([notes] if notes else []), f"**{agreement(table.cells)}**"]) + "\n"
-
-
-def table_to_csv(table: PaperTable) -> str:
-    """All cells of a table, with a line of names; figures in the quantity's unit."""
-    rows = [
-        {
-            "table": table.label,
-            "quantity": quantity.name,
-            "metric": quantity.metric,
-            "unit": quantity.unit,
-            "row": cell.row,
-            "column": cell.column,
-            "paper": cell.printed,
-            "computed": f"{cell.computed:.9g}",
-            "relative_error": f"{cell.relative_error:.3e}",
-            "agrees_to_the_digits": str(cell.agrees_to_the_digits).lower(),
-            "believable": str(cell.believable).lower(),
-            "remarks": " ".join(f"{remark.verdict}: {remark.text}" for remark in cell.remarks),
-        }
-        for quantity in table.quantities
-        for cell in quantity.cells
-    ]
-    return csv_text(rows)
-
-
 def _table_data(table: PaperTable) -> dict[str, Any]:
     """A table for JSON; ``paper`` and ``computed`` in the quantity's unit."""
 
@@ -294,8 +239,7 @@ def _table_data(table: PaperTable) -> dict[str, Any]:
             "column": cell.column,
             "paper": float(cell.printed),
             "printed": cell.printed,
-            **{name: getattr(cell, name) for name in ("computed", "relative_error")},
-            **{name: getattr(cell, name) for name in ("agrees_to_the_digits", "believable")},
+            **{key: getattr(cell, key) for key in ("computed", "relative_error", "agrees_to_the_digits", "believable")},
             "remarks": [{"verdict": remark.verdict, "text": remark.text} for remark in cell.remarks],
         }
 

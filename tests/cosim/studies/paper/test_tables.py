@@ -17,8 +17,8 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.paper import report
-from flexfmu.cosim.studies.paper.figures import WINDOW, acceleration_spectrum, band_average
-from flexfmu.cosim.studies.paper.report import PaperReport, print_report, table_to_csv, table_to_markdown
+from flexfmu.cosim.studies.paper.figures import WINDOW, acceleration_spectrum
+from flexfmu.cosim.studies.paper.report import PaperReport, footnotes, print_report
 from flexfmu.cosim.studies.paper.tables import (
     POINTS,
     POLYNOMIAL,
@@ -153,20 +153,18 @@ def test_agreement_counts_within_each_bound_and_not_a_misprint() -> None:
     misprint = deflections.cell("1/8 Trapezoidal", "Polar")
     assert misprint.grade == "misprint"
     assert any("0.15813" in remark.text for remark in misprint.remarks)
-    assert "0.15813" in table_to_markdown(table)
+    assert any("0.15813" in text for _, text in footnotes(table))
     assert deflections.cell("Bang-bang", "Polar").computed == pytest.approx(0.06681)
 
 
 def test_files_have_every_cell() -> None:
-    """Scripts find paper, computed and relative error of all 36 cells of Table 9, spreadsheets all 52 of Table 11."""
+    """Scripts find paper, computed and relative error of all 36 cells of Table 9."""
     found = PaperReport((compare_with_itself("table-09", 1.01),))
     cells = [c for q in json.loads(found.to_json())["tables"][0]["quantities"] for c in q["cells"]]
     assert len(cells) == 36
     assert all(c["relative_error"] == pytest.approx(0.01) for c in cells)
     assert all(c["computed"] == pytest.approx(1.01 * c["paper"]) for c in cells)
     assert "ESDA2012-82197" in json.loads(found.to_json())["source"]["citation"]
-    lines = list(csv.DictReader(table_to_csv(compare_with_itself("table-11")).splitlines()))
-    assert (len(lines), float(lines[0]["paper"])) == (52, 0.3843)
 
 
 def test_terminal_shows_every_figure_and_remark() -> None:
@@ -222,15 +220,6 @@ def test_spectrum_has_the_energy_of_the_motion() -> None:
     assert second == pytest.approx(density, rel=1e-6, abs=1e-10 * density.max())
 
 
-def test_band_average_keeps_a_constant_and_the_energy_within() -> None:
-    """Averaging may smooth a spectrum but not shift or scale it."""
-    frequency = np.arange(0.0, 100.0, 0.25)
-    assert band_average(frequency, np.full(frequency.size, 3.0), 5.0) == pytest.approx(3.0)
-    averaged = band_average(frequency, np.eye(1, frequency.size, 200)[0], 5.0)
-    assert averaged.sum() == pytest.approx(1.0)
-    assert np.average(frequency, weights=averaged) == pytest.approx(50.0)
-
-
 def simulated(cases: Iterable[PaperCase]) -> Iterator[tuple[PaperCase, SimulatedCase]]:
     """Simulations whose metrics are 1, 2, 3, ... in the order of `METRICS`."""
     metrics = {name: float(index) for index, name in enumerate(METRICS, 1)}
@@ -243,7 +232,7 @@ def test_shorter_cycles_put_more_energy_at_the_resonance() -> None:
     at_resonance = []
     for duration in (1.0, 0.5, 0.25):
         frequency, density = acceleration_spectrum(joints_on("Lamé", duration), 0)
-        at_resonance.append(band_average(frequency, density, 10.0)[np.searchsorted(frequency, 58.0)])
+        at_resonance.append(density[np.abs(frequency - 58.0) < 5.0].mean())
     assert at_resonance == sorted(at_resonance)
 
 
