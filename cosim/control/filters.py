@@ -17,12 +17,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
-from flexfmu.cosim.control.imperfections.channels import (
-    REFERENCE_KINDS,
-    channel_block,
-    sample_time,
-    section_channels,
-)
+from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channels
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import linear_plant
@@ -149,8 +144,8 @@ def filter_block(s: FilterSection, context: LoopContext, sections: Sequence[Seco
     Raises:
         InputError: a section's frequency isn't below half the sampling frequency.
     """
-    channels, h = section_channels(s, context, REFERENCE_KINDS), sample_time(s, context)
-    n, chain = len(channels), [each.discrete(h) for each in sections]
+    channels = Channels(s, context, REFERENCE_KINDS)
+    n, chain = len(channels), [each.discrete(channels.h) for each in sections]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         started, *memory = split(x, 1, n)
@@ -166,8 +161,7 @@ def filter_block(s: FilterSection, context: LoopContext, sections: Sequence[Seco
         return u, casadi.vertcat(*following)
 
     title = f"Filter {' · '.join(map(str, sections))}; s in rad/s, bilinear"
-    latency = dict.fromkeys((each.name for each in channels), _delay(sections, h))
-    return channel_block(s, context, title, equations, channels, memory=2 * n * len(chain), latency=latency)
+    return channels.block(title, equations, memory=2 * n * len(chain), latency=_delay(sections, channels.h))
 
 
 def _gain(b: tuple[float, float, float], a: tuple[float, float]) -> float:

@@ -12,19 +12,7 @@ from math import comb, floor, prod
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector
-from flexfmu.cosim.control.imperfections.channels import (
-    REFERENCE_KINDS,
-    channel_block,
-    cut,
-    initial_parameters,
-    joint_channels,
-    recall,
-    remember,
-    repeated,
-    sample_time,
-    section_channels,
-    start_values,
-)
+from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channels, cut, recall, remember, repeated
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.imperfections import DelaySection
@@ -128,17 +116,17 @@ def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
     Raises:
         InputError: the delay is too short for its interpolation.
     """
-    channels, h = section_channels(s, context, REFERENCE_KINDS), sample_time(s, context)
+    channels = Channels(s, context, REFERENCE_KINDS)
     if s.known:
-        channels += joint_channels(s.signal, context.before(s.signal), "reference.")
-    samples, rule = s.time / h, s.interpolation
+        channels.add(s.signal, context.before(s.signal), "reference.")
+    samples, rule = s.time / channels.h, s.interpolation
     whole = float(round(samples))
     samples = whole if abs(samples - whole) <= WHOLE * samples else samples
     design = thiran(rule.order, samples) if rule.kind == "thiran" else lagrange(rule.order, samples)
     n, depth, order = len(channels), design.depth, len(design.denominator)
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        memory = recall(x, repeated(start_values(channels, p, u), depth + order)) if depth else x
+        memory = recall(x, repeated(channels.start(p, u), depth + order)) if depth else x
         past, response = cut(memory, n * depth, n * order)
         # differences from the oldest sample
         signal: Vector = casadi.vertcat(u, past)
@@ -154,14 +142,11 @@ def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
         return y, remember(*cut(signal, n * depth), *cut(casadi.vertcat(y, response), n * order))
 
     size = n * (depth + order)
-    return channel_block(
-        s,
-        context,
+    return channels.block(
         f"Delay by {design.samples:.9g} samples",
         law,
-        channels,
-        initial_parameters(channels) if depth else (),
+        channels.starts if depth else (),
         memory=size,
-        latency={each.name: design.samples * h for each in channels} if design.samples else {},
+        latency=design.samples * channels.h,
         symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
     )

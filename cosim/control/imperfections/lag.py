@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import ceil, exp, expm1, factorial, isfinite
 
 import casadi
@@ -12,19 +11,7 @@ from flexfmu.cosim.control.blocks.code import bound, evaluation
 from flexfmu.cosim.control.blocks.equations import Vector
 from flexfmu.cosim.control.blocks.slave import slave_variable
 from flexfmu.cosim.control.controllers.joints import PerJoint
-from flexfmu.cosim.control.imperfections.channels import (
-    REFERENCE_KINDS,
-    Channel,
-    channel_block,
-    initial_parameters,
-    inputs,
-    outputs,
-    parameters,
-    recall,
-    remember,
-    section_channels,
-    start_values,
-)
+from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channels, recall, remember
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.binding import Copy, Take
 from flexfmu.cosim.engine.errors import InputError
@@ -63,12 +50,11 @@ class Lag:
 
     def __init__(self, section: LagSection, context: LoopContext) -> None:
         self._section, self._context, self.name = section, context, context.name
-        self._channels = channels = section_channels(section, context, REFERENCE_KINDS)
-        ends = outputs(channels)
+        self._channels = channels = Channels(section, context, REFERENCE_KINDS)
         times = _time_constants(channels, section.time_constant)
-        self.variables = tuple(slave_variable(each) for each in (*inputs(channels), *times, *ends))
-        self.feedthrough: dict[str, tuple[str, ...]] = {each.name: () for each in ends}
-        self._initial = np.array([each.initial or 0.0 for each in channels])
+        self.variables = tuple(map(slave_variable, (*channels.inputs, *times, *channels.outputs)))
+        self.feedthrough: dict[str, tuple[str, ...]] = {each.name: () for each in channels.outputs}
+        self._initial = np.array([each or 0.0 for each in channels.initial])
         # inputs with their derivatives (1 + orders, n), and outputs (n,)
         self._u = np.zeros((1 + MAX_INPUT_ORDER, len(channels)))
         self._u[0] = self._y = self._initial.copy()
@@ -83,14 +69,14 @@ class Lag:
         Raises:
             InputError: one isn't positive and finite.
         """
-        for channel, time in zip(self._channels, times.tolist(), strict=True):
+        for channel, time in zip(self._channels.outputs, times.tolist(), strict=True):
             if not (isfinite(time) and time > 0.0):
                 raise InputError(
                     f"{self.name}: the time constant of {channel.name} must be positive, got {time} s; leave the lag out"
                 )
         self._times[:] = times
         self.largest_step = float(times.min())
-        self.latency = {each.name: time for each, time in zip(self._channels, times.tolist(), strict=True)}
+        self.latency = {each.name: time for each, time in zip(self._channels.outputs, times.tolist(), strict=True)}
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set the outputs to their initial values."""
@@ -203,7 +189,7 @@ class Lag:
         """Return the lag as a block, at least `SAMPLES` samples per time constant, a whole number per ``step`` [s]."""
         sample_time = step / ceil(SAMPLES * step / self.largest_step - 1e-9)
         section = self._section.model_copy(update={"sample_time": sample_time})
-        return _block(section, self._context, sample_time, self._times.tolist())
+        return _block(section, self._context, self._times.tolist())
 
 
 def _phi(x: float, highest: int) -> list[float]:
@@ -243,25 +229,23 @@ def lag(s: LagSection, context: LoopContext) -> SymbolicBlock | Lag:
     well. The block has no direct feedthrough, which breaks algebraic loops. The time constants are parameters
     ``<channel>.time_constant``; zero is a delay of one sample.
     """
-    return Lag(s, context) if s.sample_time is None else _block(s, context, s.sample_time, s.time_constant)
+    return Lag(s, context) if s.sample_time is None else _block(s, context, s.time_constant)
 
 
-def _block(s: LagSection, context: LoopContext, h: float, time_constant: PerJoint) -> SymbolicBlock:
+def _block(s: LagSection, context: LoopContext, time_constant: PerJoint) -> SymbolicBlock:
     """The sampled lag, with one time constant [s] for all channels or one for each."""
-    channels = section_channels(s, context, REFERENCE_KINDS)
-    n, times = len(channels), _time_constants(channels, time_constant)
+    channels = Channels(s, context, REFERENCE_KINDS)
+    n, h, times = len(channels), channels.h, _time_constants(channels, time_constant)
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         time, initial = p[:n], p[n:]
-        y = recall(x, start_values(channels, initial, u))
+        y = recall(x, channels.start(initial, u))
         return y, remember(u + casadi.exp(-h / time) * (y - u))
 
-    numbers = [*times, *initial_parameters(channels)]
-    late = {c.name: lag_latency(t.start or 0.0, h) for c, t in zip(channels, times, strict=True)}
-    return channel_block(s, context, "First-order lag", law, channels, numbers, memory=n, latency=late)
+    late = [lag_latency(each.start or 0.0, h) for each in times]
+    return channels.block("First-order lag", law, [*times, *channels.starts], memory=n, latency=late)
 
 
-def _time_constants(channels: Sequence[Channel], values: PerJoint) -> list[Variable]:
+def _time_constants(channels: Channels, values: PerJoint) -> list[Variable]:
     """Parameters ``<channel>.time_constant``."""
-    units = ["s"] * len(channels)
-    return parameters(channels, "time_constant", values, "the time constant", minimum=0.0, units=units)
+    return channels.numbers("time_constant", values, "the time constant", minimum=0.0, unit="s")

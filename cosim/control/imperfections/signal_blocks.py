@@ -26,21 +26,7 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, split
 from flexfmu.cosim.control.controllers.joints import saturate
-from flexfmu.cosim.control.imperfections.channels import (
-    REFERENCE_KINDS,
-    channel_block,
-    cut,
-    initial_parameters,
-    joint_channels,
-    parameters,
-    per_second,
-    recall,
-    remember,
-    repeated,
-    sample_time,
-    section_channels,
-    start_values,
-)
+from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channels, cut, recall, remember, repeated
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.imperfections import (
@@ -70,14 +56,14 @@ _HALF = 2**16
 @builds(SaturationSection)
 def saturation(s: SaturationSection, context: LoopContext) -> SymbolicBlock:
     """y = sat(u): u within its limits, otherwise the nearer one; parameters ``<channel>.minimum``, ``<channel>.maximum``."""
-    channels, (lower, upper) = section_channels(s, context), s.bounds
+    channels, (lower, upper) = Channels(s, context), s.bounds
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return saturate(u, *split(p, len(channels))), x
 
-    minima = parameters(channels, "minimum", lower, "the lower limit")
-    maxima = parameters(channels, "maximum", upper, "the upper limit")
-    return channel_block(s, context, "Saturation", law, channels, [*minima, *maxima])
+    minima = channels.numbers("minimum", lower, "the lower limit")
+    maxima = channels.numbers("maximum", upper, "the upper limit")
+    return channels.block("Saturation", law, [*minima, *maxima])
 
 
 @builds(RateLimitSection)
@@ -87,23 +73,20 @@ def rate_limit(s: RateLimitSection, context: LoopContext) -> SymbolicBlock:
     Before the first sample y is the channel's initial value, or without one the first input. Parameters ``<channel>.rising_rate``
     and ``<channel>.falling_rate``.
     """
-    channels, h = section_channels(s, context), sample_time(s, context)
-    n, units = len(channels), [per_second(each.unit) for each in channels]
+    channels = Channels(s, context)
+    n, h = len(channels), channels.h
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         (up, down), initial = split(h * p[: 2 * n], n), p[2 * n :]
-        last = recall(x, start_values(channels, initial, u))
+        last = recall(x, channels.start(initial, u))
         # limit the change since the last sample
         change = u - last
         y = casadi.if_else(change > up, last + up, casadi.if_else(change < -down, last - down, u))
         return y, remember(y)
 
-    numbers = [
-        *parameters(channels, "rising_rate", s.rate, "the fastest rise", minimum=0.0, units=units),
-        *parameters(channels, "falling_rate", s.falling_rate or s.rate, "the fastest fall", minimum=0.0, units=units),
-        *initial_parameters(channels),
-    ]
-    return channel_block(s, context, "Rate limit", law, channels, numbers, memory=n)
+    rise = channels.numbers("rising_rate", s.rate, "the fastest rise", minimum=0.0, unit="/s")
+    fall = channels.numbers("falling_rate", s.falling_rate or s.rate, "the fastest fall", minimum=0.0, unit="/s")
+    return channels.block("Rate limit", law, [*rise, *fall, *channels.starts], memory=n)
 
 
 @builds(DeadZoneSection)
@@ -113,9 +96,8 @@ def dead_zone(s: DeadZoneSection, context: LoopContext) -> SymbolicBlock:
     def law(x: Vector, u: Vector, w: Vector) -> tuple[Vector, Vector]:
         return u - saturate(u, -w, w), x
 
-    channels = section_channels(s, context)
-    widths = parameters(channels, "half_width", s.half_width, "the half width", minimum=0.0)
-    return channel_block(s, context, "Dead zone", law, channels, widths)
+    channels = Channels(s, context)
+    return channels.block("Dead zone", law, channels.numbers("half_width", s.half_width, "the half width", minimum=0.0))
 
 
 @builds(BacklashSection)
@@ -134,9 +116,9 @@ def backlash(s: BacklashSection, context: LoopContext) -> SymbolicBlock:
         y = casadi.if_else(away == last - u, last, u + away)
         return y, remember(y)
 
-    channels = section_channels(s, context)
-    gaps = parameters(channels, "gap", s.gap, "the gap", minimum=0.0)
-    return channel_block(s, context, "Backlash", law, channels, gaps, memory=len(channels))
+    channels = Channels(s, context)
+    gaps = channels.numbers("gap", s.gap, "the gap", minimum=0.0)
+    return channels.block("Backlash", law, gaps, memory=len(channels))
 
 
 @builds(QuantisationSection)
@@ -150,9 +132,9 @@ def quantisation(s: QuantisationSection, context: LoopContext) -> SymbolicBlock:
     def law(x: Vector, u: Vector, q: Vector) -> tuple[Vector, Vector]:
         return casadi.if_else(q > 0.0, q * casadi.floor(u / q + 0.5), u), x
 
-    channels = section_channels(s, context)
-    resolutions = parameters(channels, "resolution", s.resolution, "the resolution", minimum=0.0)
-    return channel_block(s, context, "Quantisation", law, channels, resolutions)
+    channels = Channels(s, context)
+    resolutions = channels.numbers("resolution", s.resolution, "the resolution", minimum=0.0)
+    return channels.block("Quantisation", law, resolutions)
 
 
 @builds(EncoderSection)
@@ -167,8 +149,8 @@ def encoder(s: EncoderSection, context: LoopContext) -> SymbolicBlock:
     rest. Inputs: ``joint1.position.input``; outputs ``joint1.position`` and ``joint1.velocity``; parameter
     ``joint1.position.counts_per_turn``: counts per turn of the joint, gear ratio and fourfold evaluation of the lines included.
     """
-    angles, rates = joint_channels("position"), joint_channels("velocity")
-    n, span = len(angles), s.window * sample_time(s, context)
+    channels = Channels(s, context)
+    n, span = len(channels), s.window * channels.h
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # angle in whole counts
@@ -179,12 +161,10 @@ def encoder(s: EncoderSection, context: LoopContext) -> SymbolicBlock:
         velocity = (counts - past[-n:]) * (resolution / span)
         return casadi.vertcat(resolution * counts, velocity), remember(counts, *cut(past, n * (s.window - 1)))
 
-    what, late = "the number of counts per turn", {each.name: span / 2.0 for each in rates}
-    counts = parameters(angles, "counts_per_turn", s.counts_per_turn, what, minimum=1.0, units=["1"] * n)
-    memory = s.window * n
-    return channel_block(
-        s, context, "Incremental encoders", law, angles, counts, memory=memory, latency=late, further=rates
-    )
+    what, angles, late = "the number of counts per turn", channels.inputs, [0.0] * n + [span / 2.0] * n
+    counts = channels.numbers("counts_per_turn", s.counts_per_turn, what, minimum=1.0, unit="1")
+    channels.add("velocity")
+    return channels.block("Incremental encoders", law, counts, memory=s.window * n, latency=late, inputs=angles)
 
 
 @builds(NoiseSection)
@@ -196,8 +176,8 @@ def noise(s: NoiseSection, context: LoopContext) -> SymbolicBlock:
     Mathematical Statistics 29(2), 1958, pp. 610-611); with 31 bits its magnitude is at most 6.56. The one-sided power spectral
     density is 2 h standard_deviation². Parameters ``<channel>.half_width``, or ``<channel>.standard_deviation``.
     """
-    channels, is_uniform = section_channels(s, context), s.half_width is not None
-    n, names = len(channels), [f"{context.name}/{each.name}" for each in channels]
+    channels, is_uniform = Channels(s, context), s.half_width is not None
+    n, names = len(channels), [f"{context.name}/{each.name}" for each in channels.outputs]
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         scale, chosen = split(p, n, 1)
@@ -210,9 +190,9 @@ def noise(s: NoiseSection, context: LoopContext) -> SymbolicBlock:
         return u + scale * normal, remember(states)
 
     key, what = ("half_width", "the half width") if is_uniform else ("standard_deviation", "the standard deviation")
-    scales = parameters(channels, key, s.half_width or s.standard_deviation or 0.0, what, minimum=0.0)
+    scales = channels.numbers(key, s.half_width or s.standard_deviation or 0.0, what, minimum=0.0)
     title = "Uniform noise" if is_uniform else "Gaussian noise"
-    return channel_block(s, context, title, law, channels, [*scales, _seed_parameter(s.seed)], memory=2 * n)
+    return channels.block(title, law, [*scales, _seed_parameter(s.seed)], memory=2 * n)
 
 
 @builds(JitterSection)
@@ -230,26 +210,23 @@ def jitter(s: JitterSection, context: LoopContext) -> SymbolicBlock:
     Raises:
         InputError: the time is above the sample time.
     """
-    channels, h, name = section_channels(s, context, REFERENCE_KINDS), sample_time(s, context), context.name
+    channels, name = Channels(s, context, REFERENCE_KINDS), context.name
+    n, h = len(channels), channels.h
     if s.time > h:
         raise InputError(f"{name}: the jitter must be zero to the sample time, {h} s, got {s.time} s")
-    n, largest = (
-        len(channels),
-        Variable("largest_delay", "s", "Largest delay", "parameter", s.time, 0.0, h, tunable=True),
-    )
+    largest = Variable("largest_delay", "s", "Largest delay", "parameter", s.time, 0.0, h, tunable=True)
 
     def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # memory: the last sample (n,) and the random stream
         late, chosen, initial = p[0] / h, p[1], p[2:]
-        start = casadi.vertcat(start_values(channels, initial, u), seeded([name], chosen))
+        start = casadi.vertcat(channels.start(initial, u), seeded([name], chosen))
         last, states = split(recall(x, start), n, 2)
         value, states = draw(states)
         # linear interpolation at a random time before the sample instant
         return u - late * value * (u - last), remember(u, states)
 
-    numbers = [largest, _seed_parameter(s.seed), *initial_parameters(channels)]
-    delays = {each.name: s.time / 2.0 for each in channels}
-    return channel_block(s, context, "Sample jitter", law, channels, numbers, memory=n + 2, latency=delays)
+    numbers = [largest, _seed_parameter(s.seed), *channels.starts]
+    return channels.block("Sample jitter", law, numbers, memory=n + 2, latency=s.time / 2.0)
 
 
 def start_states(name: str) -> tuple[int, int]:
