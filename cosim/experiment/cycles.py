@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil
-from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,20 +25,11 @@ class ThereAndBack(HasLimits):
         motion: the motion.
         dwell: duration of each dwell [s].
         cycles: number of cycles, at least 1.
-
-    Raises:
-        InputError: the dwell is negative, or the number of cycles isn't a positive whole number.
     """
 
     motion: Trajectory
     dwell: float
     cycles: int
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.dwell < np.inf:
-            raise InputError(f"the dwell between two motions must be zero or positive, got {self.dwell} s")
-        if not (isinstance(self.cycles, Integral) and self.cycles >= 1):
-            raise InputError(f"the number of cycles must be a whole number from 1, got {self.cycles}")
 
     @property
     def period(self) -> float:
@@ -129,7 +119,7 @@ def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None, dw
         dwell: duration of each dwell between two motions [s]; None for the scene's own dwell.
 
     Raises:
-        InputError: the number of cycles isn't a positive whole number, or the references are for the flexible robot.
+        InputError: the references are for the flexible robot.
     """
     if plan.design is not None:
         raise InputError(

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from flexfmu.model.kinematics import RigidKinematics
-from flexfmu.model.scene.assembly import bases, end_effector, motor_angles
+from flexfmu.model.scene.assembly import end_effector, motor_angles
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TableSection
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Jet, RealArray
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory, check_margins
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.table import MotionTable
@@ -87,20 +87,13 @@ def _positions(table: MotionTable, mechanism: Mechanism) -> RealArray:
     Raises:
         TrajectoryError: at a row the elbows are too far apart.
     """
-    angles = table.derivatives[0]
-    elbows = [
-        np.asarray(base) + mechanism.proximal.length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        for base, angle in zip(bases(mechanism), angles.T, strict=True)
-    ]
-    apart = np.hypot(*(elbows[1] - elbows[0]).T)
-    bad = np.flatnonzero(~((apart > 0.0) & (apart < 2.0 * mechanism.distal.length)))
-    if bad.size:
+    positions = []
+    for line, (first, second) in zip(table.lines, table.derivatives[0].tolist(), strict=True):
         try:
-            end_effector(mechanism, (float(angles[bad[0], 0]), float(angles[bad[0], 1])))
+            positions.append(end_effector(mechanism, (first, second)))
         except ValueError as error:
-            raise TrajectoryError(f"{table.source}, line {table.lines[bad[0]]}: {error}") from None
-    q11, q21 = (Jet(angle[np.newaxis]) for angle in angles.T)
-    return np.stack([each.value for each in RigidKinematics(mechanism).end_effector(q11, q21)], axis=-1)
+            raise TrajectoryError(f"{table.source}, line {line}: {error}") from None
+    return np.array(positions)
 
 
 def _check_rows(table: MotionTable, positions: RealArray, mechanism: Mechanism) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, reduce
@@ -113,7 +112,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     Raises:
         InputError: the module or name doesn't exist, the import fails, or the call fails.
     """
-    from flexfmu.cosim.control.controllers.own_function import FunctionController
+    from flexfmu.cosim.control.controllers.own_function import FunctionController, described
 
     # import the module from the folder or the installed ones
     module_name, _, name = source.partition(":")
@@ -124,7 +123,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     except SyntaxError as error:
         raise InputError(f"{source!r}: {module_name} isn't valid Python: {error}") from error
     except (Exception, SystemExit) as error:
-        raise InputError(f"{source!r}: can't import {module_name}: {_described(error)}") from error
+        raise InputError(f"{source!r}: can't import {module_name}: {described(error)}") from error
     try:
         found = reduce(getattr, name.split("."), module)
     except AttributeError:
@@ -138,14 +137,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
         return found(**arguments)
     except (Exception, SystemExit) as error:
         given = ", ".join(f"{key}={value!r}" for key, value in arguments.items())
-        raise InputError(f"{source}({given}): {_described(error)}") from error
-
-
-def _described(error: Exception | SystemExit) -> str:
-    """Type, message and location of an error in a user's code."""
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{where}"
+        raise InputError(f"{source}({given}): {described(error)}") from error
 
 
 @cache

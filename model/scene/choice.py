@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import BeforeValidator
 
@@ -77,43 +76,3 @@ class ChoiceSection(Section):
 def integrator_tolerance(tolerance: float) -> float:
     """The relative tolerance of the FMU for a tolerance of the choice, within the limits of the FMU."""
     return max(LEAST_TOLERANCE, min(INTEGRATOR_SHARE * tolerance, LOOSEST_INTEGRATOR))
-
-
-def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
-    """The sections `effects` and `cosimulation` of a scene file with the default values for `select = "auto"`."""
-    if not isinstance(effects, Mapping) or effects.get("select") != "auto":
-        return effects, cosimulation
-    tolerance = effects.get("tolerance")
-    if isinstance(cosimulation, Mapping):  # an error in this tolerance is reported once, for its own key
-        number = tolerance if isinstance(tolerance, float | int) else LARGEST
-        cosimulation = {"tolerance": integrator_tolerance(number), **cosimulation}
-    return {"basis": "craig-bampton", **effects}, cosimulation
-
-
-def contradictions(
-    select: str | None, given: Mapping[str, object], basis: str, switched_on: tuple[str, ...]
-) -> Iterator[str]:
-    """A sentence for each key that contradicts an automatic choice, or requires one that is missing.
-
-    Args:
-        select: ``auto`` or None.
-        given: values of the keys `tolerance` and `of`, None where the scene doesn't have them.
-        basis: basis of the mode shapes.
-        switched_on: keys of elastic effects that the scene sets.
-    """
-    # keys of a choice without `select`, or `select` without these keys
-    for key, value in given.items():
-        if select is None and value is not None:
-            yield f'`{key}` belongs to `select = "auto"`: add that, or remove `{key}`'
-        if select == "auto" and not value:
-            yield f'`{key}` is missing: `select = "auto"` needs `tolerance = 0.01` and `of = ["peak_position_error"]`'
-    if select is None:
-        return
-    # keys that an automatic choice excludes
-    if switched_on:
-        keys = ", ".join(f"`{key}`" for key in switched_on)
-        yield f'`select = "auto"` chooses {keys}: remove {"it" if len(switched_on) == 1 else "them"}, or remove `select`'
-    if basis != "craig-bampton":
-        yield (
-            f'`select = "auto"` needs `basis = "craig-bampton"`, whose few shapes converge, got {basis!r}: leave `basis` out'
-        )

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MeasureNames, contradictions
+from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MeasureNames
 from flexfmu.model.scene.section import LARGEST, NOT_TINY, Section, as_tuple, named_kind, quantity
 
 MAXIMUM_MODES = 40
@@ -178,10 +178,24 @@ class Effects(Section):
 
     @model_validator(mode="after")
     def _choice_is_free(self) -> Self:
-        switched_on = tuple(key for key in CHOOSABLE if getattr(self, key) != type(self).model_fields[key].default)
-        given = {"tolerance": self.tolerance, "of": self.of}
-        for sentence in contradictions(self.select, given, self.basis, switched_on):
-            raise ValueError(sentence)
+        # keys of a choice without `select`, or `select` without these keys
+        for key, value in {"tolerance": self.tolerance, "of": self.of}.items():
+            if self.select is None and value is not None:
+                raise ValueError(f'`{key}` belongs to `select = "auto"`: add that, or remove `{key}`')
+            if self.select is not None and not value:
+                raise ValueError(
+                    f'`{key}` is missing: `select = "auto"` needs `tolerance = 0.01` and `of = ["peak_position_error"]`'
+                )
+        # keys that an automatic choice excludes
+        chosen = [f"`{key}`" for key in CHOOSABLE if getattr(self, key) != type(self).model_fields[key].default]
+        if self.select is not None and chosen:
+            raise ValueError(
+                f'`select = "auto"` chooses {", ".join(chosen)}: remove what it chooses, or remove `select`'
+            )
+        if self.select is not None and self.basis != "craig-bampton":
+            raise ValueError(
+                f'`select = "auto"` needs `basis = "craig-bampton"`, whose few shapes converge, got {self.basis!r}: leave `basis` out'
+            )
         return self
 
     @model_validator(mode="after")

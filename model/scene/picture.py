@@ -6,7 +6,6 @@ from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from html import escape
-from math import floor, log10
 from typing import TYPE_CHECKING
 
 from flexfmu.model.scene.assembly import bases, elbows
@@ -15,8 +14,8 @@ from flexfmu.model.scene.mechanism import Mechanism
 if TYPE_CHECKING:
     from flexfmu.trajectories.curves import Point
 
-WIDTH, TALLEST, MARGIN, BAR = 460.0, 420.0, 26.0, 26.0
-"""Width, largest height, free space at each side, and height of the scale below [px]."""
+WIDTH, TALLEST, MARGIN = 460.0, 394.0, 26.0
+"""Width, largest height, and free space at each side [px]."""
 
 OPACITIES = (1.0, 0.25, 0.5)
 """Of the mechanism at start, middle and end."""
@@ -25,7 +24,7 @@ INK, LINK, PATH, GREY = "#22303c", "#0b5fa5", "#c7394f", "#7b8794"
 
 
 def scene_picture(mechanism: Mechanism, path: Sequence[Point]) -> str:
-    """An SVG document: the path, the mechanism at its first, middle and last point, motors, and a scale.
+    """An SVG document: the path, the mechanism at its first, middle and last point, and the motors.
 
     Args:
         mechanism: the mechanism.
@@ -40,18 +39,16 @@ def scene_picture(mechanism: Mechanism, path: Sequence[Point]) -> str:
     # all points within the picture, to scale
     points = [*path, *bases(mechanism), *(each for _, chain in chains for each in chain)]
     (x0, x1), (y0, y1) = ((min(values), max(values)) for values in zip(*points, strict=True))
-    scale = min((WIDTH - 2 * MARGIN) / (x1 - x0), (TALLEST - 2 * MARGIN - BAR) / max(y1 - y0, 1e-9))
-    height = scale * (y1 - y0) + 2 * MARGIN + BAR
+    scale = min((WIDTH - 2 * MARGIN) / (x1 - x0), (TALLEST - 2 * MARGIN) / max(y1 - y0, 1e-9))
+    height = scale * (y1 - y0) + 2 * MARGIN
 
     def at(point: Point) -> str:
         x = 0.5 * WIDTH + scale * (point[0] - 0.5 * (x0 + x1))
         return f"{x:.1f},{MARGIN + scale * (y1 - point[1]):.1f}"
 
     def line(some: Iterable[Point], colour: str, width: float, opacity: float) -> str:
-        style = (
-            f'fill="none" stroke="{colour}" stroke-width="{width}" stroke-opacity="{opacity}" stroke-linecap="round"'
-        )
-        return f'<polyline points="{" ".join(map(at, some))}" {style} stroke-linejoin="round"/>'
+        style = f'fill="none" stroke="{colour}" stroke-width="{width}" stroke-opacity="{opacity}"'
+        return f'<polyline points="{" ".join(map(at, some))}" {style} stroke-linecap="round" stroke-linejoin="round"/>'
 
     def disc(point: Point, colour: str, radius: float, opacity: float) -> str:
         x, y = at(point).split(",")
@@ -60,24 +57,12 @@ def scene_picture(mechanism: Mechanism, path: Sequence[Point]) -> str:
     parts = [line(path, PATH, 2.0, 0.7)]
     for opacity, chain in chains:
         parts += [line(chain[:2], INK, 4.0, opacity), line(chain[3:], INK, 4.0, opacity)]
-        parts += [
-            line(chain[1:4], LINK, 2.5, opacity),
-            disc(chain[1], INK, 3.5, opacity),
-            disc(chain[3], INK, 3.5, opacity),
-        ]
+        parts.append(line(chain[1:4], LINK, 2.5, opacity))
+        parts += [disc(elbow, INK, 3.5, opacity) for elbow in chain[1:4:2]]
         parts.append(disc(chain[2], PATH, 4.5, max(opacity, 0.6)))
     parts += [disc(base, GREY, 7.0, 1.0) for base in bases(mechanism)]
-    # a round length of about a fifth of the width
-    wanted = 0.2 * WIDTH / scale
-    power = 10.0 ** floor(log10(wanted))
-    length = power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= wanted)
-    bottom = height - 9.0
-    parts.append(f'<path d="M{MARGIN} {bottom - 4}v4h{scale * length:.1f}v-4" fill="none" stroke="{GREY}"/>')
-    parts.append(
-        f'<text x="{MARGIN + scale * length + 6:.1f}" y="{bottom + 3:.1f}" fill="{GREY}">{escape(f"{length:g} m")}</text>'
-    )
     size = f'width="{WIDTH:g}" height="{height:.0f}" viewBox="0 0 {WIDTH:g} {height:.0f}"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="12">'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}>'
     return "".join([head, '<rect width="100%" height="100%" fill="white"/>', *parts, "</svg>"])
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from flexfmu.model.scene.assembly import check_start_pose, check_working_mode, end_effector
-from flexfmu.model.scene.choice import fill_in
+from flexfmu.model.scene.choice import LARGEST, integrator_tolerance
 from flexfmu.model.scene.controllers import ControllerSection, LearningSection
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.disturbances import DisturbanceKind, PayloadChangeSection
@@ -74,13 +74,8 @@ class Scene(Section):
 
     def __repr__(self) -> str:
         """Return five lines with the beginning of each section; `print` shows all keys."""
-        parts = {
-            "controllers": self.controller,
-            "shapers": self.shaper,
-            "imperfections": self.imperfection,
-            "filters": self.filter,
-        }
-        counts = "".join(f", {what}: {len(each)}" for what, each in parts.items() if each)
+        parts = {key: len(getattr(self, key)) for key in ("controller", "shaper", "imperfection", "filter")}
+        counts = "".join(f", {key}s: {count}" for key, count in parts.items() if count)
         lines = [f"Scene {self.name}, payload {self.payload.mass:g} kg{counts}"]
         for key in ("mechanism", "effects", "trajectory", "cosimulation"):
             text = f"  {key}: {_listed(getattr(self, key))}"
@@ -119,9 +114,18 @@ class Scene(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_for_choice(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not {"effects", "cosimulation"} <= data.keys():
+        effects, cosimulation = (
+            data.get(key) if isinstance(data, dict) else None for key in ("effects", "cosimulation")
+        )
+        if not (isinstance(effects, dict) and isinstance(cosimulation, dict) and effects.get("select") == "auto"):
             return data
-        effects, cosimulation = fill_in(data["effects"], data["cosimulation"])
+        # an error in this tolerance is reported once, for its own key
+        tolerance = effects.get("tolerance")
+        number = tolerance if isinstance(tolerance, float | int) else LARGEST
+        effects, cosimulation = (
+            {"basis": "craig-bampton", **effects},
+            {"tolerance": integrator_tolerance(number), **cosimulation},
+        )
         return {**data, "effects": effects, "cosimulation": cosimulation}
 
     @model_validator(mode="after")
@@ -135,12 +139,9 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        tables = tuple(
-            (key, getattr(self, key)) for key in ("controller", "shaper", "imperfection", "filter", "disturbance")
-        )
         owners: dict[str, str] = {}
-        for key, sections in tables:
-            for index, section in enumerate(sections):
+        for key in ("controller", "shaper", "imperfection", "filter", "disturbance"):
+            for index, section in enumerate(getattr(self, key)):
                 name, place = getattr(section, "name", None), f"`{key}[{index}].name`"
                 if name is not None and owners.setdefault(name, place) != place:
                     raise ValueError(f"{owners[name]} and {place} are both {name!r}: give each a name of its own")

@@ -235,15 +235,7 @@ class FunctionController:
                 if self.symbolic:
                     raise
                 reason = str(error)
-        return FunctionSlave(
-            name or self.name,
-            self.called,
-            (self.inputs, self.variables, self.outputs),
-            self.states,
-            self.sample_time,
-            self.offset,
-            reason,
-        )
+        return FunctionSlave(self, name or self.name, reason)
 
     def trials(self) -> list[tuple[RealArray, ...]]:
         """Arguments x, u, p and results y, next x of calls with numbers.
@@ -457,11 +449,8 @@ class FunctionSlave(SampledMemory):
     """Calls a function (states with the counter of samples, inputs, parameters) → (outputs, next states) at its instants.
 
     Args:
+        controller: the function, its variables and start values.
         name: name of the slave.
-        function: the function, of arrays.
-        variables: inputs, parameters and outputs.
-        states: start values.
-        sample_time, offset: [s].
         reason: why it isn't a block.
 
     Attributes:
@@ -470,20 +459,12 @@ class FunctionSlave(SampledMemory):
 
     has_foreign_code = True
 
-    def __init__(
-        self,
-        name: str,
-        function: Callable[[RealArray, RealArray, RealArray], tuple[Any, Any]],
-        variables: tuple[Sequence[Variable], Sequence[Variable], Sequence[Variable]],
-        states: Sequence[float],
-        sample_time: float,
-        offset: float,
-        reason: str,
-    ) -> None:
-        super().__init__(name, *variables, states=len(states) + 1)
-        self.reason, self.sample_time, self.offset = reason, sample_time, offset
+    def __init__(self, controller: FunctionController, name: str, reason: str) -> None:
+        own, states = controller, [*controller.states, 0.0]
+        super().__init__(name, own.inputs, own.variables, own.outputs, states=len(states))
+        self.reason, self.sample_time, self.offset = reason, own.sample_time, own.offset
         # the last state counts the samples
-        self._function, self._start, self._end = function, np.array([*states, 0.0]), len(self.variables)
+        self._function, self._start, self._end = own.called, np.array(states), len(self.variables)
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set the start states and calculate the outputs."""
