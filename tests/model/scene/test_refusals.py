@@ -172,7 +172,10 @@ REFUSED: list[tuple[Changes, str]] = [
         {"cosimulation.drive": "torque", "effects.transmission": {"stiffness": 1e4}},
         "needs `effects.motor_inertia` above 0",
     ),
-    (auto(distal_axial=1), 'in `effects`: `select = "auto"` chooses `distal_axial`: remove what it chooses, or remove `select`'),
+    (
+        auto(distal_axial=1),
+        'in `effects`: `select = "auto"` chooses `distal_axial`: remove what it chooses, or remove `select`',
+    ),
     (auto(beam="timoshenko", foreshortening=True), "chooses `beam`, `foreshortening`: remove what it chooses"),
     (auto(basis="assumed-modes"), '`select = "auto"` needs `basis = "craig-bampton"`'),
     (auto(tolerance=None), '`tolerance` is missing: `select = "auto"` needs `tolerance = 0.01`'),
