@@ -7,11 +7,11 @@ Python.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from ctypes import CFUNCTYPE, POINTER, Structure, addressof, byref, c_double, c_int, c_size_t, c_ubyte, c_void_p, cast
+from collections.abc import Callable, Iterator, Mapping
+from ctypes import CFUNCTYPE, POINTER, Structure, addressof, byref, c_double, c_int, c_size_t, c_void_p, cast
 from enum import IntEnum
 from functools import cache, cached_property, partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 from weakref import ref
 
 import numpy as np
@@ -31,12 +31,14 @@ from flexfmu.cosim.engine.binding import (
 )
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.fmu.instance import Checked
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.grid import TimeGrid
 from flexfmu.cosim.engine.master.ports import OutputPort, SignalGroup
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Action, Operation, Schedule, When
 from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.errors import BuildError
 
 CALLBACK = CFUNCTYPE(c_int, c_size_t, c_double, c_double)
@@ -132,20 +134,6 @@ class Instruction:
         """Execute the instruction only at the points whose flag is set."""
         self.when, self.fields["due"] = When.WHEN_DUE, flags
 
-    def pack(self, packed: CInstruction) -> None:
-        """Write the instruction into C's memory."""
-        packed.kind, packed.condition, packed.owner = self.kind, self.when, self.owner
-        for name, value in self.fields.items():
-            setattr(packed, name, address(value) if isinstance(value, np.ndarray) else value)
-
-
-def pack(instructions: Sequence[Instruction]) -> Any:
-    """The instructions as a C array."""
-    packed = (CInstruction * max(len(instructions), 1))()
-    for each, one in zip(packed, instructions, strict=False):
-        one.pack(each)
-    return packed
-
 
 def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure, **fields: Any) -> Instruction:
     """fmi2GetReal, fmi2SetReal, or the functions for their derivatives, with bound arguments."""
@@ -213,11 +201,6 @@ def pointer(function: Any) -> int | None:
     return address_of
 
 
-def flags(values: Sequence[bool] | NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Flags as bytes, as C reads them."""
-    return np.array(values, dtype=c_ubyte)
-
-
 RunProgram = Callable[[CProgram, int, CProgress], int]
 """Runs a program until so many steps are completed; returns 0, or 1 if an instruction failed."""
 
@@ -234,51 +217,18 @@ def load() -> RunProgram | None:
     return lambda program, points, progress: int(function(byref(program), points, byref(progress)))
 
 
-@runtime_checkable
-class HasTables(Protocol):
-    """Predicts all of its outputs: in C, tables with a row per communication point replace `announce` and `step`.
-
-    There are new tables after each `prepare`, with the same number of orders.
-
-    Attributes:
-        announced: (N, orders, n) value and derivatives after `announce` at each communication point.
-        ended: (N, orders, n) value and derivatives after the `step` that ends at each communication point.
-    """
-
-    @property
-    def announced(self) -> RealArray: ...
-    @property
-    def ended(self) -> RealArray: ...
-
-
-@runtime_checkable
-class StepsInC(Protocol):
-    """Can be stepped by calling fmi2DoStep directly."""
-
-    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]] | None:
-        """fmi2DoStep with its component bound, and the function that creates the error; None if `step` does more."""
-
-
 PHASES: Mapping[Action, Phase] = {Action.SAMPLE: "sample", Action.OUTPUT: "output", Action.UPDATE: "update"}
 """What a slave calculates in an operation at a sample instant."""
 
 
-def can_compile(schedule: Schedule) -> bool:
-    """Whether the plan can run in C: it has no loops to iterate."""
-    return not schedule.plan.has_loops
+def translation(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
+    """The instructions of one operation: in C where there is an equivalent, else a Python callback.
 
-
-def instructions(schedule: Schedule, operations: Iterable[Operation]) -> list[Instruction]:
-    """The instructions for these operations, in the same order."""
-    tables = {i: slave for i, slave in schedule.predicting.items() if isinstance(slave, HasTables)}
-    return [found for each in operations for found in _translation(schedule, tables, each)]
-
-
-def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation: Operation) -> Iterator[Instruction]:
-    """The instructions of one operation: in C where there is an equivalent, else a Python callback."""
+    In place of a trajectory's announcements and steps they read tables with a row per communication point.
+    """
     i, when = operation.slave, operation.when
     slave, inputs, outputs = schedule.slaves[i], schedule.inputs[i], schedule.outputs[i]
-    rows, table = len(outputs.signals), tables.get(i)
+    rows, table = len(outputs.signals), slave if isinstance(slave, TrajectorySlave) else None
     match operation.action:
         # outputs from a row of a table
         case Action.ANNOUNCE if table is not None and table.announced.shape[1] >= rows:
@@ -297,7 +247,7 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
             for group in inputs.groups:
                 yield from _extrapolation(group, inputs.fed, when, i)
             yield from _transfer(inputs.send, when, i)
-        case Action.STEP if isinstance(slave, StepsInC) and (bound := slave.bound_step()) is not None:
+        case Action.STEP if isinstance(slave, FmuSlave) and (bound := slave.bound_step()) is not None:
             # noSetFMUStatePriorToCurrentPoint = true: the slave is never rolled back
             step, error = bound
             failed = lambda status, begin, end: error(status, begin, end - begin)  # noqa: E731
@@ -414,19 +364,16 @@ class CompiledLoop:
         if self._recorder.time is not self._recorded():
             self._program, self._recorded, self._grid = self._prepared(), ref(self._recorder.time), None
         if grid is not self._grid:
-            self._take(grid)
+            times, jumps = np.ascontiguousarray(grid.times), grid.marked.astype(np.uint8)
+            instants = grid.instants.astype(np.uint8)
+            self._program.times, self._program.jumps = address(times), address(jumps)
+            self._program.instants = address(instants)
+            self._grid, self._times, self._kept = grid, times, (jumps, instants)
         for key, (packed, each) in enumerate(self._reading):
             assert each.table is not None
             if (table := each.table()) is not self._tables.get(key):
                 self._tables[key] = table
                 packed.source = address(table) + each.offset
-
-    def _take(self, grid: TimeGrid) -> None:
-        """Make the program refer to these points."""
-        times, jumps, instants = np.ascontiguousarray(grid.times), flags(grid.marked), flags(grid.instants)
-        self._program.times, self._program.jumps = address(times), address(jumps)
-        self._program.instants = address(instants)
-        self._grid, self._times, self._kept = grid, times, (jumps, instants)
 
     @cached_property
     def _reading(self) -> list[tuple[Any, Instruction]]:
@@ -438,11 +385,22 @@ class CompiledLoop:
     def _instructions(self) -> tuple[list[Instruction], list[Instruction]]:
         """Instructions of a step and of the exchange at its end; the slaves must have been initialised once."""
         plan = self._schedule.plan
-        return instructions(self._schedule, plan.step), instructions(self._schedule, plan.exchange)
+        step, exchange = (
+            [found for each in operations for found in translation(self._schedule, each)]
+            for operations in (plan.step, plan.exchange)
+        )
+        return step, exchange
 
     @cached_property
     def _packed(self) -> list[Any]:
-        return [pack(each) for each in self._instructions]
+        """The same as C arrays."""
+        arrays = [(CInstruction * max(len(each), 1))() for each in self._instructions]
+        for array, instructions in zip(arrays, self._instructions, strict=True):
+            for packed, each in zip(array, instructions, strict=False):
+                packed.kind, packed.condition, packed.owner = each.kind, each.when, each.owner
+                for name, value in each.fields.items():
+                    setattr(packed, name, address(value) if isinstance(value, np.ndarray) else value)
+        return arrays
 
     def _prepared(self) -> CProgram:
         """The program; the recorder has new memory for each run."""

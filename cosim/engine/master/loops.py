@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from ctypes import c_int
 from math import factorial
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
@@ -134,18 +134,14 @@ class LoopSignals:
             LoopError: the iteration has not converged.
         """
         if not solution.converged:
-            raise LoopError(self._complaint(solution, loop, time, remedy))
+            worst = solution.worst
+            residual, allowed = abs(solution.residual[worst]), solution.allowed[worst]
+            raise LoopError(
+                f"the loop {loop} isn't solved at {time:.9g} s: after {solution.rounds} rounds {self._name(worst)} still "
+                f"differs by {residual:.3g} from what comes back ({allowed:.3g} allowed); {remedy}"
+            )
         np.maximum(self.scale, abs(solution.value), out=self.scale)
         return solution.value + solution.residual
-
-    def _complaint(self, solution: IterationResult, loop: str, time: float, remedy: str) -> str:
-        """Message with the largest residual after the last round."""
-        worst = solution.worst
-        residual, allowed = abs(solution.residual[worst]), solution.allowed[worst]
-        return (
-            f"the loop {loop} isn't solved at {time:.9g} s: after {solution.rounds} rounds {self._name(worst)} still "
-            f"differs by {residual:.3g} from what comes back ({allowed:.3g} allowed); {remedy}"
-        )
 
     def _name(self, index: int) -> str:
         """Name of the unknown with this index, with its unit if known."""
@@ -158,18 +154,8 @@ class LoopSignals:
         raise IndexError(index)
 
 
-class LoopCall(NamedTuple):
-    """One call in a round of a loop.
-
-    Attributes:
-        slave: index of the slave that is called.
-        call: the call.
-        read: port whose signals it reads; None if it reads nothing.
-    """
-
-    slave: int
-    call: TimedCall
-    read: OutputPort | None
+LoopCall = tuple[int, TimedCall, OutputPort | None]
+"""One call in a round of a loop: index of the slave that is called, the call, and the port whose signals it reads, None if it reads nothing."""
 
 
 def solution(

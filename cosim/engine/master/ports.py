@@ -23,7 +23,7 @@ from flexfmu.cosim.engine.master.system import Connection, System
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Slave, output_order
 
-TimedCall = Callable[[int, float, float], None]
+TimedCall = Callable[[int, float, float], object]
 """A call with the index of the communication point, begin and end [s]; at an instant begin = end."""
 
 

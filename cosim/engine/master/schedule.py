@@ -396,7 +396,8 @@ class Schedule:
         match operation.action:
             # at an instant
             case Action.ANNOUNCE:
-                return _announcement(self.predicting[i].announce, outputs.read_announced)
+                announce, read = self.predicting[i].announce, outputs.read_announced
+                return lambda point, begin, end: (announce(begin), read())
             case Action.FEED:
                 return inputs.feeding()
             case Action.SAMPLE:
@@ -422,8 +423,8 @@ class Schedule:
     def _solution(self, operation: Operation) -> TimedCall:
         """The call that solves a loop, at an instant or over a step."""
         loop, body = operation.loop, operation.body
-        calls = [
-            LoopCall(each.slave, self.bind(each), self.outputs[each.slave] if each.action is Action.READ else None)
+        calls: list[LoopCall] = [
+            (each.slave, self.bind(each), self.outputs[each.slave] if each.action is Action.READ else None)
             for each in body
         ]
         if isinstance(loop, AlgebraicLoop):
@@ -462,16 +463,6 @@ class Schedule:
             port = self.outputs[source]
             unknowns[port] = np.unique(columns(port, torn)), rows
         return LoopSignals(unknowns)
-
-
-def _announcement(announce: Callable[[float], None], read: Callable[[], None]) -> TimedCall:
-    """A call that announces the polynomials of the next step, and reads them."""
-
-    def call(point: int, begin: float, end: float) -> None:
-        announce(begin)
-        read()
-
-    return call
 
 
 def _where_due(due: Sequence[int], sample: Callable[[float], None]) -> TimedCall:

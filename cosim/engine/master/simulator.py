@@ -21,7 +21,7 @@ from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, Sla
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, can_compile, load
+from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop, load
 from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Transport, feedback_signals
 from flexfmu.cosim.engine.master.grid import NO_POINTS, Block, RunGrid, check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
@@ -330,7 +330,7 @@ class Simulator:
         self._isolation = isolation
         # the loop over the points in C, if the plan allows it and there is a compiler
         self._compiled: CompiledLoop | None = None
-        may_compile = compiled is not False and step_control is None and can_compile(self._schedule)
+        may_compile = compiled is not False and step_control is None and not self._schedule.plan.has_loops
         if may_compile and (library := load()) is not None:
             self._compiled = CompiledLoop(library, self._schedule, self._recorder)
         if step_control is not None:

@@ -383,7 +383,7 @@ class ControlledSteps:
         self._first, self._most = first, WORK_AT_START + WORK * self._budget.span / first
         # signals at the end of the last step, and snapshots to roll back to: of the run, and of the second solution
         self._signals = np.empty(0)
-        self._short: Snapshot | None = None
+        self._short = Snapshot(StateKeeper(()), ())
         self._long: Snapshot | None = None
 
     def cross(self, begin: float, end: float) -> None:
@@ -411,7 +411,7 @@ class ControlledSteps:
                     self._recorder.append(self.time)
                 self._advance(end)
         finally:
-            self._short = _replaced(self._short, None)
+            self._short.states.release()
             if self._schedule.due:
                 self.finish()
 
@@ -428,7 +428,13 @@ class ControlledSteps:
         # reduce the step until the error is small enough
         wanted, rejected = self._step, self.rejected
         while True:
-            self._check_work(end)
+            if (steps := self.accepted + self.rejected) > self._most:
+                raise WorkError(
+                    f"step control has made {steps} steps up to {self.time:.9g} s, where the run goes on beyond {end:.9g} s, and "
+                    f"is at steps of {self._step:.3g} s: far more than steps of {self._first:.3g} s would be; take a larger "
+                    f"tolerance, derivatives of inputs and outputs or a softer coupling, a larger `minimum`, or a smaller first "
+                    f"step if so many are meant"
+                )
             step = fitted(max(self._step, self._least), end - self.time)
             reached = self.time + step if step < end - self.time else end
             error, added = self._try(reached)
@@ -468,9 +474,13 @@ class ControlledSteps:
         # too large: roll back, or give up at the smallest step
         if error > 1.0:
             if step <= self._least:
-                raise StepSizeError(self._complaint(worst, step, error))
+                raise StepSizeError(
+                    f"the coupling error of {worst} is {error:.3g} times what the tolerance of {self._control.tolerance:g} allows "
+                    f"at {self.time:.9g} s, even with a step of {step:.3g} s; take a larger tolerance, a smaller smallest step, "
+                    f"or a higher precision within the slaves"
+                )
             self._recorder.rewind(recorded)
-            self._restore(self._short)
+            self._schedule.restore(self._short)
         return error, added
 
     def _double(self, end: float) -> tuple[RealArray, RealArray]:
@@ -482,7 +492,7 @@ class ControlledSteps:
         schedule, begin = self._schedule, self.time
         # as a whole
         middle, at_once = begin + 0.5 * (end - begin), self._at_once(end, goes_on=False)
-        self._restore(self._short)
+        self._schedule.restore(self._short)
         # in two halves
         schedule.begin(begin, middle, end)
         schedule.advance(begin, middle)
@@ -523,7 +533,7 @@ class ControlledSteps:
         schedule, kept = self._schedule, self._schedule.save()
         try:
             # the second solution: one whole step further
-            self._restore(before)
+            schedule.restore(before)
             long = self._at_once(end, jump=self.time == self._mark, goes_on=goes_on)
             self._long = _replaced(self._long, schedule.save() if goes_on else None)
         except (SlaveError, LoopError):
@@ -531,37 +541,10 @@ class ControlledSteps:
             self._long, long = _replaced(self._long, None), None
             self._budget.carry()
         # back to the first solution, from which the next step begins
-        self._short = _replaced(self._short, kept)
-        self._restore(kept)
+        self._short.states.release()
+        self._short = kept
+        schedule.restore(kept)
         return added if long is None else float(self._error.learned(self._signals, long).max(initial=0.0))
-
-    def _restore(self, snapshot: Snapshot | None) -> None:
-        """Roll back to a snapshot, if there is one."""
-        if snapshot is not None:
-            self._schedule.restore(snapshot)
-
-    def _check_work(self, end: float) -> None:
-        """Refuse another step once the maximum number of steps is exceeded.
-
-        Raises:
-            WorkError: it is exceeded.
-        """
-        steps = self.accepted + self.rejected
-        if steps > self._most:
-            raise WorkError(
-                f"step control has made {steps} steps up to {self.time:.9g} s, where the run goes on beyond {end:.9g} s, and "
-                f"is at steps of {self._step:.3g} s: far more than steps of {self._first:.3g} s would be; take a larger "
-                f"tolerance, derivatives of inputs and outputs or a softer coupling, a larger `minimum`, or a smaller first "
-                f"step if so many are meant"
-            )
-
-    def _complaint(self, worst: str, step: float, error: float) -> str:
-        """Message for an error that is too large at the smallest step."""
-        return (
-            f"the coupling error of {worst} is {error:.3g} times what the tolerance of {self._control.tolerance:g} allows "
-            f"at {self.time:.9g} s, even with a step of {step:.3g} s; take a larger tolerance, a smaller smallest step, "
-            f"or a higher precision within the slaves"
-        )
 
 
 def _replaced(old: Snapshot | None, new: Snapshot | None) -> Snapshot | None:
