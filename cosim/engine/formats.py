@@ -18,11 +18,12 @@ import io
 import itertools
 import json
 import re
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from stat import S_ISREG
 from typing import Any, cast
 
 import numpy as np
@@ -32,7 +33,8 @@ from flexfmu.cosim.engine.columns import TWICE, Column, coded, csv_cells
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.cosim.engine.files import replacing, write_pieces
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.errors import read_text
+from flexfmu.errors import LARGEST_TABLE, read_bytes, read_text
+from flexfmu.fmu_build.archive import ANY_RATIO, LARGEST_RATIO
 
 About = Mapping[str, str]
 """Key → text for the metadata of a file."""
@@ -181,43 +183,109 @@ def valid_names(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""Type of an element → NumPy's, without the byte order (MATLAB, MAT-File Format, "Data Types")."""
+
+_CHARACTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16-{}", 16: "utf-8", 17: "utf-16-{}", 18: "utf-32-{}"}
+"""Type of an element of text → encoding, with the file's byte order."""
+
+_MATRIX, _COMPRESSED = 14, 15
+_CELL, _STRUCT, _CHAR, _NUMERIC, _COMPLEX = 1, 2, 4, range(6, 16), 0x800
+"""Classes of matrices, and the flag of complex ones."""
+
+
 def read_mat(path: Path) -> tuple[RealArray, dict[str, Column]]:
     """Return times (N,) [s] and signals of a file by `write_mat`.
 
-    A file of other programs needs a vector ``time``; vectors of its length are signals without units.
+    A file of other programs needs a vector ``time``; vectors of its length are signals without units. Read here and not by SciPy,
+    which believes what a damaged file says of itself, and crashes.
 
     Raises:
         ResultsError: the file can't be read, or has no vector ``time``.
     """
-    from scipy.io import loadmat
-
     try:
-        # a device may never end
-        if not S_ISREG(path.stat().st_mode):
-            raise OSError("it is no regular file")
-        found = loadmat(path, simplify_cells=True)
+        found = dict(_mat_variables(memoryview(read_bytes(path))))
         time = np.ravel(found.get("time", ())).astype(np.float64)
-    except Exception as error:  # SciPy's reader raises errors of any kind where a file is damaged
-        hint = "; save it in MATLAB with -v7" if isinstance(error, NotImplementedError) else ""
-        raise ResultsError(f"can't read {path}: {' '.join(str(error).split())}{hint}") from error
+    except OSError as error:
+        raise ResultsError(f"can't read {path}: {error.strerror}") from error
+    except (ValueError, TypeError, LookupError, struct.error, zlib.error, RecursionError) as error:
+        raise ResultsError(
+            f"can't read {path}: it is damaged, or no MAT file of version 5 ({error}); save it in MATLAB with -v7"
+        ) from error
     if not time.size:
         raise ResultsError(f"{path} is no file of signals: it has no variable `time`")
     _ascending(time, path, 1)
     names, units = (each if isinstance(each := found.get(key), dict) else {} for key in ("names", "units"))
     columns = {}
     for variable, values in found.items():
-        if variable in ("time", "names", "units", "about") or variable.startswith("__") or np.size(values) != time.size:
+        if variable in ("time", "names", "units", "about") or values is None or np.size(values) != time.size:
             continue
         name, unit, values = _text(names.get(variable)) or variable, _text(units.get(variable)), np.ravel(values)
-        if values.dtype.kind not in "OUbiuf":  # a struct, a complex number
-            continue
         texts = values.dtype.kind in "OU"
         columns[name] = coded(unit, map(_text, values)) if texts else Column(unit, values.astype(np.float64))
     return time, columns
 
 
+def _mat_variables(data: memoryview) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of the variables of a MAT file; see `_mat_value`."""
+    order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126:128]), "")
+    if not order:
+        raise ValueError("its header has no byte order")
+    room = min(LARGEST_TABLE, max(ANY_RATIO, LARGEST_RATIO * len(data)))
+    for kind, content in _mat_elements(data[128:], order):
+        if kind == _COMPRESSED:
+            unpacking = zlib.decompressobj()
+            unpacked = unpacking.decompress(content, room)
+            if not unpacking.eof:
+                raise ValueError("a variable doesn't end, or unpacks to too much")
+            room -= len(unpacked) - 1  # one byte more: zero would be no limit
+            kind, content = next(_mat_elements(memoryview(unpacked), order))
+        if kind == _MATRIX:
+            yield _mat_value(content, order)
+
+
+def _mat_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Yield type and content of the elements that stand one behind the other."""
+    at = 0
+    while at < len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, at)
+        at += 8
+        following = at + (size if kind == _COMPRESSED else -(-size // 8) * 8)
+        if kind >> 16:  # up to four bytes that stand within the head
+            kind, size, at, following = kind & 0xFFFF, kind >> 16, at - 4, at
+        if at + size > len(data):
+            raise ValueError("an element is longer than what holds it")
+        yield kind, data[at : at + size]
+        at = following
+
+
+def _mat_value(matrix: memoryview, order: str) -> tuple[str, Any]:
+    """Return name and value of a variable, cell or field: numbers (N,), a text, texts (N,), a dictionary; None for what is no signal."""
+    (_, flags), *parts = _mat_elements(matrix, order) if len(matrix) else [(0, bytes(4))]
+    flag = struct.unpack_from(f"{order}I", flags)[0]
+    kind = flag & 0xFF
+    if kind not in (_CELL, _STRUCT, _CHAR, *_NUMERIC):  # an object, a sparse matrix, nothing
+        return "", None
+    (_, shape), (_, name), *rest = parts
+    sizes, value = np.frombuffer(shape, f"{order}i4"), None
+    if kind in _NUMERIC and not flag & _COMPLEX:
+        numbers = np.frombuffer(rest[0][1], order + _NUMBERS[rest[0][0]])
+        value = numbers if sizes.max() == numbers.size else None
+    elif kind == _CHAR:
+        text = bytes(rest[0][1]).decode(_CHARACTERS[rest[0][0]].format("le" if order == "<" else "be"), "replace")
+        rows = min(int(sizes[0]), len(text))  # a table of characters, column by column
+        value = np.array([text[i::rows] for i in range(rows)]) if rows > 1 else text
+    elif kind == _CELL:
+        value = np.array([_mat_value(content, order)[1] for _, content in rest], dtype=object)
+    elif kind == _STRUCT:
+        (length,), names = struct.unpack_from(f"{order}i", rest[0][1]), bytes(rest[1][1])
+        fields = [names[i : i + length].partition(b"\0")[0].decode() for i in range(0, len(names), length)]
+        value = dict(zip(fields, (_mat_value(content, order)[1] for _, content in rest[2:]), strict=False))
+    return bytes(name).decode(), value
+
+
 def _text(value: object) -> str:
-    """Return a text of a MAT file; SciPy reads an empty one as an empty array."""
+    """Return a text of a MAT file; any other value is none."""
     return value if isinstance(value, str) else ""
 
 
@@ -348,9 +416,11 @@ def read_parquet(path: Path) -> tuple[RealArray, dict[str, Column]]:
             is_text = pyarrow.types.is_string(field.type) or pyarrow.types.is_large_string(field.type)
             numbers_or_texts = values.to_pylist() if is_text else values.to_numpy().astype(np.float64)
             columns[name] = coded(unit, numbers_or_texts) if is_text else Column(unit, numbers_or_texts)
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
+    except (OSError, TypeError, ValueError, pyarrow.ArrowException) as error:
         raise ResultsError(f"can't read {path}: {' '.join(str(error).split())}") from error
-    return columns.pop("time").values, columns
+    if (time := columns.pop("time")).texts is not None:
+        raise ResultsError(f"{path} is no table of signals: its column `time` has texts")
+    return _ascending(time.values, path, 1), columns
 
 
 Write = Callable[[Path, RealArray, Mapping[str, Column], About], Path]

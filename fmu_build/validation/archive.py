@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +19,9 @@ FOLDERS = {"binaries", "documentation", "extra", "licenses", "resources", "sourc
 
 FILES = {"modelDescription.xml", "model.png"}
 
+UNREAD = ("resources/", "extra/")
+"""Folders whose files no check looks into."""
+
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _FLAGS, _ENCRYPTED = 6, 1
 """Offset of the flags in a local file header, and the flag for encryption (PKWARE APPNOTE, 4.3.7 and 4.4.4)."""
@@ -27,7 +32,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], list[str]]:
     """Read the archive: its entries, path → content, and the paths whose local header has the encryption flag.
 
-    Reading every entry verifies its checksum.
+    Reading every entry verifies its checksum. Of files in `UNREAD`, which may be large, the content stays empty.
 
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
@@ -38,7 +43,7 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     with open_archive(path, judged=True) as archive:
         entries = archive.infolist()
         try:
-            files = {entry.filename: read_member(archive, entry) for entry in entries if not entry.is_dir()}
+            files = {entry.filename: _content(archive, entry) for entry in entries if not entry.is_dir()}
             encrypted = [entry.filename for entry in entries if _flags(archive, entry) & _ENCRYPTED]
         except DAMAGED as error:
             raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
@@ -52,6 +57,15 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     return entries, files, encrypted
 
 
+def _content(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+    """The content of an entry; empty for one in `UNREAD`, whose checksum is verified."""
+    if not entry.filename.startswith(UNREAD):
+        return read_member(archive, entry)
+    with archive.open(entry) as stream, Path(os.devnull).open("wb") as nowhere:
+        shutil.copyfileobj(stream, nowhere)
+    return b""
+
+
 def _flags(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> int:
     """The first byte of the flags in a member's local header."""
     assert archive.fp is not None
@@ -59,15 +73,17 @@ def _flags(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> int:
     return archive.fp.read(1)[0]
 
 
-def unpack(files: dict[str, bytes], folder: Path) -> None:
+def unpack(fmu: Path, folder: Path) -> None:
     """Write the FMU's files, without sources and unsafe paths, to ``folder``, with an empty resources folder if it has none."""
     (folder / "resources").mkdir(parents=True)
-    for name, content in files.items():
-        path = PurePosixPath(name.replace("\\", "/"))
-        if not path.is_absolute() and ".." not in path.parts and path.parts[0] != "sources":
-            target = folder / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
+    with open_archive(fmu, judged=True) as archive:
+        for entry in archive.infolist():
+            path = PurePosixPath(entry.filename.replace("\\", "/"))
+            if not entry.is_dir() and not path.is_absolute() and ".." not in path.parts and path.parts[0] != "sources":
+                target = folder / path
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with archive.open(entry) as packed, target.open("wb") as file:
+                    shutil.copyfileobj(packed, file)
 
 
 def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ()) -> Iterator[Finding]:

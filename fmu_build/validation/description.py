@@ -187,7 +187,8 @@ def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
         message = f"{name} starts at {start}, outside {low} to {high}"
         yield Finding("start value", message, "correct start, min or max", subject=name)
     # items of an enumeration
-    items = [int(item.get("value", "0")) for item in declared.iterfind("Item")] if declared is not None else []
+    values = [_number(item.get("value"), None) for item in declared.iterfind("Item")] if declared is not None else []
+    items = [int(value) for value in values if value is not None and math.isfinite(value)]
     if kind.tag == "Enumeration" and start is not None and items and start not in items:
         message = f"{name} starts at {start:g}, its type has {', '.join(map(str, items))}"
         yield Finding("start value", message, "start with one of the items", subject=name)

@@ -72,11 +72,11 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     if description is not None and interfaces(description):
         findings += check_binaries(description, files)
         if run and library_name(description, fmpy.platform) in files:
-            findings += _check_dynamically(description, files, time_limit)
+            findings += _check_dynamically(description, path, time_limit)
     return ranked(findings)
 
 
-def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
+def _check_dynamically(description: Any, fmu: Path, limit: float) -> list[Finding]:
     # every check for every interface; where a process may make one instance, a check that needs several finds nothing
     elements = {InterfaceType.COSIMULATION: description.coSimulation, InterfaceType.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
@@ -84,7 +84,7 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
     jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS]
     with temporary_folder("validate") as home:
         folder = Path(home) / "fmu"
-        unpack(files, folder)
+        unpack(fmu, folder)
         reported = run_checks(folder, jobs, not single, limit)
     # a failed instantiation is no defect if the FMU needs its own tool
     found = {}

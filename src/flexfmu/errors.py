@@ -34,13 +34,22 @@ def shortened(text: str) -> str:
 def read_text(path: str | Path, largest: int = LARGEST_TABLE) -> str:
     """The text of a UTF-8 file, without its byte-order mark; line ends stay as they are.
 
+    Raises:
+        OSError: as for `read_bytes`.
+        UnicodeDecodeError: it is no UTF-8 text.
+    """
+    return read_bytes(path, largest).decode("utf-8-sig")
+
+
+def read_bytes(path: str | Path, largest: int = LARGEST_TABLE) -> bytearray:
+    """The content of a file.
+
     Args:
         path: a file, or a pipe.
         largest: largest size [bytes].
 
     Raises:
         OSError: it can't be read, is a device, or is larger; ``strerror`` has the reason.
-        UnicodeDecodeError: it is no UTF-8 text.
     """
     with open(path, "rb") as file:
         # a device may never end, and a pipe neither
@@ -53,4 +62,4 @@ def read_text(path: str | Path, largest: int = LARGEST_TABLE) -> str:
                 content += block
         if len(content) > largest or status.st_size > largest:
             raise OSError(errno.EFBIG, f"it is larger than {largest / 1e6:g} MB, the most that is read", str(path))
-    return content.decode("utf-8-sig")
+    return content

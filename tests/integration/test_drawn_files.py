@@ -205,6 +205,7 @@ def memory() -> float:
     return 4096.0 * int(status.read_text().split()[1]) if status.exists() else 0.0
 
 
+@pytest.mark.filterwarnings("ignore:Generating overly large repr")  # of a file that is refused in a wrong way
 @pytest.mark.parametrize("kind", READERS)
 def test_a_file_is_read_or_refused_in_a_sentence(kind: str, tmp_path: Path) -> None:
     """Whatever it holds: no exception but the house's own, and nothing stays in memory."""

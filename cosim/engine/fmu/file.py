@@ -269,7 +269,7 @@ def _unpack(digest: str, path: Path) -> _Content:
                     f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without "
                     "them, for co-simulation"
                 )
-            description = flattened(description, folder, {})
+            description = attempt(path, lambda: flattened(description, folder, {}))
         content.description = description
         _unpacked[digest] = content
     _used.pop(digest, None)

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
+from scipy.sparse import csc_array
 
 from flexfmu.cosim.engine.columns import coded
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -324,12 +325,47 @@ def test_times_that_run_backwards_are_refused(tmp_path: Path, rows: str, message
         Recording.read(path)
 
 
+@pytest.mark.parametrize("time", [[0.0, 2.0, 1.0], [0.0, np.nan], ["a", "b"]])
+def test_times_of_parquet_files_are_checked(tmp_path: Path, time: list[float | str]) -> None:
+    """As those of other files are."""
+    pyarrow = pytest.importorskip("pyarrow")
+    pyarrow.parquet.write_table(pyarrow.table({"time": time, "a": [1.0] * len(time)}), tmp_path / "x.parquet")
+    with pytest.raises(ResultsError, match=r"must be finite and not decrease|`time` has texts"):
+        Recording.read(tmp_path / "x.parquet")
+
+
 @pytest.mark.parametrize("time", [{"a": 1.0}, ["a", {"b": 1.0}], "text", [2.0, 1.0]])
 def test_mat_files_with_another_time(tmp_path: Path, time: object) -> None:
     """Structs, cells and texts are no time."""
     savemat(tmp_path / "x.mat", {"time": time, "a": [1.0, 2.0]})
     with pytest.raises(ResultsError):
         Recording.read(tmp_path / "x.mat")
+
+
+def test_mat_files_by_others_are_read_as_scipy_reads_them(tmp_path: Path) -> None:
+    """Rows, integers, texts in cells and in tables of characters; what is no signal is left out. A wrong type crashes SciPy."""
+    signals = {
+        "a": np.array([[0.5, -1.0, 2.0]]),
+        "n": np.array([1, 2, 300], dtype=np.int16),
+        "b": np.array([True, False, True]),
+    }
+    texts = {"c": np.array(["on", "", "größer"], dtype=object), "t": np.array(["ab", "cd", "ef"])}
+    others = {"z": np.ones(3) * 1j, "m": np.eye(3), "s": {"q": [1.0, 2.0, 3.0]}, "w": csc_array(np.eye(3))}
+    for packed in (False, True):
+        path = tmp_path / f"{packed}.mat"
+        savemat(path, {"time": [0.0, 1.0, 2.0], **signals, **texts, **others}, do_compression=packed)
+        read = Recording.read(path)
+        assert {*read} == {*signals, *texts}
+        assert all(read[name].values.tolist() == np.ravel(values).tolist() for name, values in signals.items())
+        assert all(read[name].listed() == values.tolist() for name, values in texts.items())
+    content = (tmp_path / "False.mat").read_bytes()
+    path.write_bytes(content.replace(b"\x09\0\0\0\x18", b"\x09\x22\0\0\x18"))
+    with pytest.raises(ResultsError, match="damaged"):
+        Recording.read(path)
+    # a kilobyte for each megabyte that it unpacks to
+    savemat(path, {"time": np.zeros(10_000_000)}, do_compression=True)
+    with pytest.raises(ResultsError, match="unpacks to too much"):
+        Recording.read(path)
 
 
 @settings(max_examples=60, derandomize=True, deadline=None, database=None)
