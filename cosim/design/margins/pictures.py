@@ -1,13 +1,13 @@
 """Bode, Nyquist and root-locus diagrams of a sampled loop with its margins, as Matplotlib figures.
 
-The loops that are worst have colours and labels, all others are grey. A margin is the exact one of `LoopMargins`; it is marked at the
-curve's own crossing. With one sample time both agree; a curve of a loop with several sample times is the part of its response
-that keeps the frequency, from which exact margins differ by the part that doesn't.
+The loop with the smallest disk margin has a colour and its margins, all others are grey. A margin is the exact one of `LoopMargins`; it
+is marked at the curve's own crossing. With one sample time both agree; a curve of a loop with several sample times is the part of its
+response that keeps the frequency, from which exact margins differ by the part that doesn't.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import atan, degrees, inf, isfinite, isnan, log, log10, nan, pi
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator
 
-from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop
+from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LinearLoop
 from flexfmu.cosim.design.margins.margins import ALL, LoopMargins, PoseMargins
 from flexfmu.cosim.reports.figure_style import GREY, INK, draw, style
 from flexfmu.model.one_thread import one_blas_thread
@@ -31,11 +31,11 @@ POINTS = 4000
 GAINS = np.geomspace(0.05, 20.0, 160)
 """Factors of the torques of a root locus."""
 
-COLOURS, OTHERS, DISK = ("#0b5fa5", "#c7394f", "#1f8a5f"), "#c3cad1", "#f3c7cd"
-"""Of the worst loops, of all others, and of the disk."""
+WORST, OTHERS, DISK, CRITICAL = "#0b5fa5", "#c3cad1", "#f3c7cd", "#a3212f"
+"""Colours of the worst loop, of all others, of the disk, and of -1."""
 
-FLOOR, WIDER, DECADE = -40.0, 1.2, 10.0
-"""Magnitude [dB] at which the diagram ends, and factors to the last and the first crossing that it shows at least."""
+FLOOR = -40.0
+"""Magnitude [dB] at which the diagram ends."""
 
 NEAR = log(1.15)
 """Logarithm of the ratio of a curve's margin and the exact one up to which a crossing is that of the margin."""
@@ -45,9 +45,6 @@ ABOVE: Mapping[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "
 
 REAL = 1e-9
 """Imaginary part relative to the magnitude below which a response is real."""
-
-WORSE = 0.95
-"""A loop whose margin is below this share of that of the one with the smallest disk margin has a colour of its own."""
 
 RATIOS = (0.1, 0.3, 0.5, 0.7)
 """Damping ratios of the lines of a root locus."""
@@ -83,8 +80,7 @@ class LoopCurve:
         where = self.phase_crossover
         if isnan(where):
             where = float(np.append(self.gain_crossings, self.frequency[-1])[0])
-        at = float(np.interp(where, self.frequency, found))
-        return np.asarray(found - 360.0 * np.ceil(at / 360.0))
+        return np.asarray(found - 360.0 * np.ceil(np.interp(where, self.frequency, found) / 360.0))
 
     @cached_property
     def gain_crossings(self) -> RealArray:
@@ -92,13 +88,23 @@ class LoopCurve:
         return self._crossings(self.decibels)
 
     @cached_property
-    def phase_crossings(self) -> RealArray:
-        """Frequencies [Hz] at which the phase is -180 degrees, turns aside."""
+    def gain_crossover(self) -> float:
+        """Frequency [Hz] of the gain margin, where the phase is -180 degrees; NaN if the curve doesn't have it."""
         found = self._crossings(self.response.imag)
         # with one sample time the response is real at half the sampling frequency
         if abs(self.response[-1].imag) < REAL * abs(self.response[-1]):
             found = np.append(found, self.frequency[-1])
-        return found[np.interp(found, self.frequency, self.response.real) < 0.0]
+        found = found[np.interp(found, self.frequency, self.response.real) < 0.0]
+        sizes = np.interp(np.log(found), np.log(self.frequency), self.decibels) * log(10.0) / 20.0
+        return self._nearest(found, np.abs(sizes + log(self.margins.gain_margin)))
+
+    @cached_property
+    def phase_crossover(self) -> float:
+        """Frequency [Hz] of the phase margin, where the magnitude is 0 dB; NaN if the curve doesn't have it."""
+        found = self.gain_crossings
+        angles = np.interp(found, self.frequency, np.unwrap(np.angle(-self.response)))
+        angles = np.maximum(np.abs((angles + pi) % (2.0 * pi) - pi), 1e-12)
+        return self._nearest(found, np.abs(np.log(angles / max(self.margins.phase_margin, 1e-12))))
 
     def _crossings(self, values: RealArray) -> RealArray:
         """Where values change their sign, on logarithmic frequencies."""
@@ -106,68 +112,27 @@ class LoopCurve:
         share, step = values[k] / (values[k] - values[k + 1]), np.log(self.frequency[k + 1] / self.frequency[k])
         return np.asarray(self.frequency[k] * np.exp(share * step))
 
-    def decibels_at(self, frequency: float) -> float:
-        """Magnitude [dB] at a frequency [Hz]."""
-        return float(np.interp(log(frequency), np.log(self.frequency), self.decibels))
-
-    @cached_property
-    def gain_crossover(self) -> float:
-        """Frequency [Hz] of the gain margin, where the phase is -180 degrees; NaN if the curve doesn't have it."""
-        wanted = (
-            -20.0 * log10(self.margins.gain_margin) if self.is_stable and isfinite(self.margins.gain_margin) else nan
-        )
-        misses = {f: abs(self.decibels_at(f) - wanted) for f in self.phase_crossings.tolist()}
-        return _nearest(misses, 20.0 / log(10.0) * NEAR)
-
-    @cached_property
-    def phase_crossover(self) -> float:
-        """Frequency [Hz] of the phase margin, where the magnitude is 0 dB; NaN if the curve doesn't have it."""
-        if not self.is_stable:
+    def _nearest(self, found: RealArray, misses: RealArray) -> float:
+        """The frequency that misses a margin least; NaN if that is above `NEAR`, and for an unstable loop."""
+        if not self.is_stable or misses.min(initial=inf) > NEAR:
             return nan
-        angles = np.unwrap(np.angle(-self.response))
-        misses = {}
-        for f in self.gain_crossings.tolist():
-            angle = abs((float(np.interp(f, self.frequency, angles)) + pi) % (2.0 * pi) - pi)
-            misses[f] = abs(log(max(angle, 1e-12) / self.margins.phase_margin))
-        return _nearest(misses, NEAR)
-
-
-def _nearest(misses: Mapping[float, float], most: float) -> float:
-    """The key with the smallest value, NaN if that is above a limit."""
-    found = min(misses, key=misses.__getitem__, default=nan)
-    return found if misses.get(found, inf) <= most else nan
+        return float(found[misses.argmin()])
 
 
 @one_blas_thread()
 def loop_curves(poses: Sequence[PoseMargins]) -> list[LoopCurve]:
-    """The open loops at all poses and single cuts, those with the smallest disk margin first."""
+    """The open loops at all poses and single cuts up to half the sampling frequency, the smallest disk margin first."""
     found, several = [], len({pose.payload for pose in poses}) > 1
     for pose in poses:
+        place = f"path {pose.s:.2f}" + (f", {pose.payload:.4g} kg" if several else "")
         for row, cut in zip(pose.loops, pose.open, strict=True):
             if row.channel == ALL:
                 continue
-            place = f"path {pose.s:.2f}" + (f", {pose.payload:.4g} kg" if several else "")
-            label = f"{row.channel.removesuffix('.torque')}, {place}"
-            found.append(LoopCurve(label, row, pose.is_stable, *_response(cut)))
+            highest = pi * cut.size / cut.period
+            frequency = np.geomspace(1e-5 * highest, highest, POINTS)
+            response, label = cut.fundamental(frequency)[:, 0, 0], f"{row.channel.removesuffix('.torque')}, {place}"
+            found.append(LoopCurve(label, row, pose.is_stable, frequency / (2.0 * pi), response))
     return sorted(found, key=lambda each: each.margins.disk_margin)
-
-
-def _response(cut: LiftedLoop) -> tuple[RealArray, ComplexArray]:
-    """Frequencies [Hz] up to half the sampling frequency, and the response there."""
-    highest = pi * cut.size / cut.period
-    frequency = np.geomspace(1e-5 * highest, highest, POINTS)
-    return frequency / (2.0 * pi), cut.fundamental(frequency)[:, 0, 0]
-
-
-def worst_curves(curves: Sequence[LoopCurve]) -> list[LoopCurve]:
-    """The loop with the smallest disk margin, and those that have the smallest gain or phase margin, if these are noticeably smaller."""
-    worst = [curves[0]]
-    measures: tuple[Callable[[LoopMargins], float], ...] = (lambda m: m.gain_margin, lambda m: m.phase_margin)
-    for measure in measures:
-        least = min(curves, key=lambda each: measure(each.margins))
-        if measure(least.margins) < WORSE * measure(curves[0].margins) and least not in worst:
-            worst.append(least)
-    return worst
 
 
 def draw_margins(poses: Sequence[PoseMargins], title: str, bode: bool = True, nyquist: bool = True) -> Figure:
@@ -191,109 +156,61 @@ def draw_margins(poses: Sequence[PoseMargins], title: str, bode: bool = True, ny
 
 def _bode(gain: Axes, phase: Axes, curves: Sequence[LoopCurve]) -> None:
     """Draw both axes of a Bode diagram."""
-    worst = worst_curves(curves)
-    first, last = _range(curves, worst)
-    lowest = FLOOR
+    worst, frequency, margins = curves[0], curves[0].frequency, curves[0].margins
+    # from a decade below the first crossing to where all magnitudes stay below the floor
+    crossings = [0.1 * float(each.gain_crossings[0]) for each in curves if each.gain_crossings.size]
+    first = max(min(crossings, default=0.0), frequency[0])
+    above = max(np.flatnonzero(each.decibels > FLOOR).max(initial=0) for each in curves)
+    last = 1.1 * max(
+        float(frequency[above]), 10.0 * first, *np.nan_to_num([worst.gain_crossover, worst.phase_crossover])
+    )
+    inside = (frequency >= first) & (frequency <= last)
     for curve in reversed(curves):
-        place = worst.index(curve) if curve in worst else None
-        colour = OTHERS if place is None else COLOURS[place]
-        about: Mapping[str, Any] = {
-            "color": colour,
-            "linewidth": 1.0 if place is None else 1.6,
-            "zorder": 2.0 if place is None else 3.0,
-        }
+        how: Mapping[str, Any] = (
+            {"color": WORST, "linewidth": 1.6, "zorder": 3.0}
+            if curve is worst
+            else {"color": OTHERS, "linewidth": 1.0, "zorder": 2.0}
+        )
         # other curves by whole turns, so that they begin beside the worst one
-        begin = (float(np.interp(first, each.frequency, each.phase)) for each in (curve, worst[0]))
-        turns = 0.0 if curve is worst[0] else -360.0 * round((next(begin) - next(begin)) / 360.0)
-        gain.plot(curve.frequency, curve.decibels, **about)
-        phase.plot(curve.frequency, curve.phase + turns, **about)
-        if place is not None:
-            _mark(gain, phase, curve, colour, turns)
-            if isfinite(curve.margins.gain_margin):
-                lowest = min(lowest, -20.0 * log10(curve.margins.gain_margin) - 5.0)
-    # labels of the worst ones, and of the others as one
-    for axes, text in ((gain, _gain_text), (phase, _phase_text)):
-        handles = [axes.plot([], [], color=COLOURS[k])[0] for k in range(len(worst))]
-        labels = [f"{each.label}: {text(each)}" for each in worst]
-        if len(curves) > len(worst) and axes is gain:
-            handles.append(axes.plot([], [], color=OTHERS)[0])
-            labels.append("other places and cuts")
-        axes.legend(handles, labels, **ABOVE)
-    inside = [each.decibels[(each.frequency >= first) & (each.frequency <= last)] for each in curves]
-    gain.set(xscale="log", xlim=(first, last), ylabel="magnitude [dB]")
-    gain.set_ylim(lowest, min(max(float(np.max(each)) for each in inside) + 5.0, 80.0))
+        begin, other = (float(np.interp(first, each.frequency, each.phase)) for each in (curve, worst))
+        gain.plot(curve.frequency, curve.decibels, **how)
+        phase.plot(curve.frequency, curve.phase - 360.0 * round((begin - other) / 360.0), **how)
+    # margins are lines between the worst curve and 0 dB or -180 degrees, crossovers dotted lines through both axes
+    marking: Mapping[str, Any] = {"color": WORST, "linewidth": 2.4, "marker": "o", "markersize": 3.5, "zorder": 4.0}
+    texts, lowest, decibels = ["unstable", "unstable"], FLOOR, inf
+    if worst.is_stable:
+        decibels, late = 20.0 * log10(margins.gain_margin), f"delay margin {1e3 * margins.delay_margin:.3g} ms"
+        texts = [
+            f"gain margin {decibels:.3g} dB (× {margins.gain_margin:.3g})",
+            f"phase margin {degrees(margins.phase_margin):.3g}°, {late}",
+        ]
+        lowest = min(lowest, -decibels - 5.0) if isfinite(decibels) else lowest
+    if not isnan(f := worst.gain_crossover):
+        gain.plot([f, f], [0.0, -decibels], **marking)
+    if not isnan(f := worst.phase_crossover):
+        # to the line of -180 degrees that is next to it
+        at, margin = float(np.interp(f, worst.frequency, worst.phase)), degrees(margins.phase_margin)
+        line = -180.0 + 360.0 * round((at + 180.0) / 360.0)
+        phase.plot([f, f], [line, line + (margin if at > line else -margin)], **marking)
+    for axes, level, step, text in ((gain, 0.0, 20.0, texts[0]), (phase, -180.0, 90.0, texts[1])):
+        for f in (worst.gain_crossover, worst.phase_crossover):
+            axes.axvline(f, color=WORST, linewidth=0.9, linestyle=":", zorder=1.5)
+        axes.plot([], [], color=WORST, label=f"{worst.label}: {text}")
+        axes.axhline(level, color=INK, linewidth=0.8)
+        axes.yaxis.set_major_locator(MultipleLocator(step))
+    if len(curves) > 1:
+        gain.plot([], [], color=OTHERS, label="other places and cuts")
+    for axes in (gain, phase):
+        axes.legend(**ABOVE)
+    highest = min(max(float(np.max(each.decibels[inside])) for each in curves) + 5.0, 80.0)
+    gain.set(xscale="log", xlim=(first, last), ylabel="magnitude [dB]", ylim=(lowest, highest))
     gain.tick_params(labelbottom=False)
-    gain.yaxis.set_major_locator(MultipleLocator(20.0))
-    gain.axhline(0.0, color=INK, linewidth=0.8)
-    phase.axhline(-180.0, color=INK, linewidth=0.8)
-    phase.yaxis.set_major_locator(MultipleLocator(90.0))
-    low, high = phase_limits(worst, first, last)
+    # multiples of 90 degrees about the phases, -180 degrees among them, two turns at most
+    high = max(90.0 * np.ceil((worst.phase[inside].max() + 10.0) / 90.0), -90.0)
+    low = max(min(90.0 * np.floor((worst.phase[inside].min() - 10.0) / 90.0), -270.0), high - 720.0)
     phase.set(ylabel="phase [°]", xlabel="frequency [Hz]", ylim=(low, high))
     phase.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
     phase.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def phase_limits(worst: Sequence[LoopCurve], first: float, last: float) -> tuple[float, float]:
-    """Multiples of 90 degrees about the phases between two frequencies, -180 degrees among them, two turns at most."""
-    found = [each.phase[(each.frequency >= first) & (each.frequency <= last)] for each in worst]
-    low, high = (float(pick([pick(each) for each in found])) for pick in (np.min, np.max))
-    high = max(90.0 * np.ceil((high + 10.0) / 90.0), -90.0)
-    return max(min(90.0 * np.floor((low - 10.0) / 90.0), -270.0), high - 720.0), high
-
-
-def _range(curves: Sequence[LoopCurve], worst: Sequence[LoopCurve]) -> tuple[float, float]:
-    """The frequencies [Hz] of the diagram: from a decade below the first crossing to where the magnitude stays below `FLOOR`."""
-    frequency = curves[0].frequency
-    crossings = np.concatenate([each.gain_crossings for each in curves])
-    marked = [f for each in worst for f in (each.gain_crossover, each.phase_crossover) if not isnan(f)]
-    first = max(float(crossings.min()) / DECADE, frequency[0]) if crossings.size else frequency[0]
-    above = max(np.flatnonzero(each.decibels > FLOOR).max(initial=0) for each in curves)
-    last = max(float(frequency[above]), *(WIDER * f for f in [first * DECADE, *marked]))
-    return first, min(last, 1.1 * float(frequency[-1]))
-
-
-def _mark(gain: Axes, phase: Axes, curve: LoopCurve, colour: str, turns: float) -> None:
-    """Draw margins as lines between a curve and 0 dB or -180 degrees, and crossovers as dotted lines through both axes."""
-    marking: Mapping[str, Any] = {
-        "color": colour,
-        "linewidth": 2.4,
-        "solid_capstyle": "butt",
-        "marker": "o",
-        "markersize": 3.5,
-        "zorder": 4.0,
-    }
-    if not isnan(f := curve.gain_crossover):
-        gain.plot([f, f], [0.0, -20.0 * log10(curve.margins.gain_margin)], **marking)
-    if not isnan(f := curve.phase_crossover):
-        # to the line of -180 degrees that is next to it
-        at = float(np.interp(f, curve.frequency, curve.phase)) + turns
-        line = -180.0 + 360.0 * round((at + 180.0) / 360.0)
-        margin = degrees(curve.margins.phase_margin)
-        phase.plot([f, f], [line, line + (margin if at > line else -margin)], **marking)
-    for f in (curve.gain_crossover, curve.phase_crossover):
-        for axes in (gain, phase) if not isnan(f) else ():
-            axes.axvline(f, color=colour, linewidth=0.9, linestyle=":", zorder=1.5)
-
-
-def _gain_text(curve: LoopCurve) -> str:
-    """The gain margin in words, with where it is."""
-    if not curve.is_stable:
-        return "unstable"
-    margin = curve.margins.gain_margin
-    if not isfinite(margin):
-        return "gain margin ∞"
-    where = f" at {curve.gain_crossover:.3g} Hz" if not isnan(curve.gain_crossover) else ""
-    return f"gain margin {20.0 * log10(margin):.3g} dB (× {margin:.3g}){where}"
-
-
-def _phase_text(curve: LoopCurve) -> str:
-    """The phase and delay margins in words, with where the former is."""
-    if not curve.is_stable:
-        return "unstable"
-    where = f" at {curve.phase_crossover:.3g} Hz" if not isnan(curve.phase_crossover) else ""
-    delay = curve.margins.delay_margin
-    late = f"{1e3 * delay:.3g} ms" if isfinite(delay) else "∞"
-    return f"phase margin {degrees(curve.margins.phase_margin):.3g}°{where}, delay margin {late}"
 
 
 def disk_of(margin: float) -> tuple[float, float]:
@@ -312,33 +229,21 @@ def _nyquist(axes: Axes, curves: Sequence[LoopCurve]) -> None:
     if 0.0 < margin < 2.0:
         middle, radius = disk_of(margin)
         shown = float(np.clip(1.3 * (radius - middle - 0.6), shown, 4.0))
-        turn = degrees(2.0 * atan(0.5 * margin))
-        label = f"disk margin {margin:.3g}:\ngains × {(2 - margin) / (2 + margin):.3g} to {(2 + margin) / (2 - margin):.3g}, phases ± {turn:.3g}°"
+        gains = f"gains × {(2 - margin) / (2 + margin):.3g} to {(2 + margin) / (2 - margin):.3g}"
+        label = f"disk margin {margin:.3g}:\n{gains}, phases ± {degrees(2.0 * atan(0.5 * margin)):.3g}°"
         axes.add_patch(Circle((middle, 0.0), radius, color=DISK, linewidth=0.0, label=label, zorder=1.0))
     elif margin >= 2.0:
         # any gain, and phases up to a right angle: half the plane
         axes.add_patch(Rectangle((-1e3, -1e3), 1e3, 2e3, color=DISK, linewidth=0.0, label="disk margin 2", zorder=1.0))
-    circle = Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.9, linestyle="--", zorder=1.5)
-    axes.add_patch(circle)
-    for curve in reversed(curves):
-        colour, width = (COLOURS[0], 1.6) if curve is worst else (OTHERS, 1.0)
-        label = "" if curve is not worst else curve.label + ("" if curve.is_stable else ": unstable")
-        z = curve.response
-        axes.plot(z.real, z.imag, color=colour, linewidth=width, label=label, zorder=3.0 if curve is worst else 2.0)
-        if curve is worst:
-            axes.plot(z.real, -z.imag, color=colour, linewidth=0.8, linestyle=(0, (4, 3)), label="negative frequencies")
+    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.9, linestyle="--", zorder=1.5))
+    for each in curves[1:]:
+        axes.plot(each.response.real, each.response.imag, color=OTHERS, linewidth=1.0, zorder=2.0)
+    z, label = worst.response, worst.label + ("" if worst.is_stable else ": unstable")
+    axes.plot(z.real, z.imag, color=WORST, linewidth=1.6, label=label, zorder=3.0)
+    axes.plot(z.real, -z.imag, color=WORST, linewidth=0.8, linestyle=(0, (4, 3)), label="negative frequencies")
     if len(curves) > 1:
         axes.plot([], [], color=OTHERS, label="other places and cuts")
-    axes.plot(-1.0, 0.0, "+", color="#a3212f", markersize=11, markeredgewidth=2.0, zorder=5.0)
-    axes.annotate(
-        "-1".replace("-", "−"),
-        (-1.0, 0.0),
-        (-4, 5),
-        textcoords="offset points",
-        ha="right",
-        fontsize=9,
-        color="#a3212f",
-    )
+    axes.plot(-1.0, 0.0, "+", color=CRITICAL, markersize=11, markeredgewidth=2.0, zorder=5.0)
     axes.set(xlim=(-0.6 - shown, -0.6 + shown), ylim=(-shown, shown), xlabel="real part", ylabel="imaginary part")
     axes.set_aspect("equal", adjustable="box")
     axes.legend(**ABOVE, ncols=2)
@@ -351,12 +256,11 @@ def draw_root_locus(poses: Sequence[PoseMargins], linear: Sequence[LinearLoop], 
         axes = figure.add_subplot()
         axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=INK, linewidth=1.0))
         # lines of equal damping ratio: spirals into the origin
-        turn = np.linspace(0.0, pi, 200)
+        turn = np.linspace(-pi, pi, 400)
         for ratio in RATIOS:
-            z = np.exp(turn * (1j - ratio / np.sqrt(1.0 - ratio**2)))
-            for way in (z, z.conj()):
-                axes.plot(way.real, way.imag, color=OTHERS, linewidth=0.8, zorder=1.0)
-            axes.annotate(f"{ratio:g}", (z[60].real, z[60].imag), fontsize=7, color=GREY, ha="center", va="center")
+            z = np.exp(1j * turn - np.abs(turn) * ratio / np.sqrt(1.0 - ratio**2))
+            axes.plot(z.real, z.imag, color=OTHERS, linewidth=0.8, zorder=1.0)
+            axes.annotate(f"{ratio:g}", (z[260].real, z[260].imag), fontsize=7, color=GREY, ha="center", va="center")
         for k, (pose, loop) in enumerate(zip(poses, linear, strict=True)):
             factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
             now, *values = np.linalg.eigvals(loop.lifted.closed(factors))

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from flexfmu.cosim.design.margins.margins import ALL
-from flexfmu.cosim.design.margins.pictures import disk_of, draw_margins, loop_curves, worst_curves
+from flexfmu.cosim.design.margins.pictures import disk_of, draw_margins, loop_curves
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins, write_margins
 from flexfmu.trajectories.jets import RealArray
 
@@ -99,10 +99,9 @@ def test_curves_touch_the_disk_and_are_continuous(name: str) -> None:
 
 @pytest.mark.parametrize("name", LOOPS)
 def test_few_labels_apart_from_all_else(name: str) -> None:
-    """At most three loops have a label; legends lie outside the axes, and no text covers another one."""
+    """One loop has a label; legends lie outside the axes, and no text covers another one."""
     result = margins_of(name)
     assert result.is_stable is not (name == "unstable")
-    assert len(worst_curves(loop_curves(result.poses))) <= 3
     figure = result.plot()
     figure.draw_without_rendering()
     for axes in figure.axes:
@@ -111,7 +110,7 @@ def test_few_labels_apart_from_all_else(name: str) -> None:
         assert not legend.get_window_extent().overlaps(axes.get_window_extent())
         assert 1 <= len(legend.get_texts()) <= 5
     boxes = [text.get_window_extent() for text in _texts(figure)]
-    assert len(boxes) > 20
+    assert len(boxes) > 15
     assert not [1 for one, other in combinations(boxes, 2) if one.overlaps(other)]
     assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
     assert ("unstable" in " ".join(text.get_text() for text in _texts(figure))) == (name == "unstable")
