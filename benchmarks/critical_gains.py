@@ -17,7 +17,6 @@ import numpy as np
 
 import flexfmu
 from flexfmu.cosim.control.blocks.equations import block
-from flexfmu.cosim.design.margins.linear_loop import Perturbation
 from flexfmu.cosim.design.margins.margins import ALL
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
@@ -104,11 +103,6 @@ def growth(scene: flexfmu.Scene, angles: tuple[float, float], factor: float, len
     return float(np.log(second / first) / (0.25 * length))
 
 
-def factors(factor: float) -> Perturbation:
-    """Both torques times a factor."""
-    return Perturbation((factor, factor), (0.0, 0.0))
-
-
 def cases(poses: int) -> Iterator[tuple[str, str, float, float, float]]:
     """Robot, loop, place on the path, predicted critical factor, simulated one."""
     for robot in ("barnard2012-6kg", "examples/tubes.toml"):
@@ -117,9 +111,9 @@ def cases(poses: int) -> Iterator[tuple[str, str, float, float, float]]:
             found = flexfmu.margins(scene, poses=poses)
             for pose, linear in zip(found.poses, found.linear, strict=True):
                 predicted = next(row.gain_margin for row in pose.loops if row.channel == ALL)
-                rate = np.log(np.abs(np.linalg.eigvals(linear.closed(factors(1.01 * predicted)))).max()) / float(
-                    linear.period
-                )
+                rate = np.log(
+                    np.abs(np.linalg.eigvals(linear.closed([1.01 * predicted] * 2, [0.0] * 2))).max()
+                ) / float(linear.period)
                 length = float(np.clip(LENGTHS / rate, *LIMITS))
                 below, above = (growth(scene, pose.joints, share * predicted, length) for share in (0.99, 1.01))
                 simulated = predicted * (0.99 + 0.02 * below / (below - above))

@@ -115,7 +115,7 @@ class LearningLoop:
         """
         x, y = positions_along(self._path, place)[0].tolist()
         loop, names = self._wired.at((x, y), self._identify, payload=payload)
-        cut = _cut_at_the_probe(loop, self._probes, learner).opened([len(names), len(names) + 1])
+        cut = _cut_at_the_probe(loop, self._probes, learner).lifted.part([len(names), len(names) + 1])
         if (radius := float(abs(np.linalg.eigvals(cut.a)).max(initial=0.0))) >= 1.0:
             raise InputError(
                 f"the loop that learns is unstable at {place:g} of the path (eigenvalue {radius:.4g}); see `flexfmu margins`"

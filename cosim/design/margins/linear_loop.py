@@ -11,7 +11,7 @@ Source: T. Chen and B. Francis, *Optimal Sampled-Data Control Systems*, Springer
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache, reduce
 from math import gcd, lcm
@@ -56,19 +56,6 @@ class Continuous:
 
 
 @dataclass(frozen=True, eq=False)
-class Perturbation:
-    """What is done to the torques of channels before they reach the robot.
-
-    Attributes:
-        factors: complex factor of each channel; 1 for none.
-        delay: delay of each channel [s].
-    """
-
-    factors: tuple[complex, ...]
-    delay: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class LinearLoop:
     """A sampled loop.
 
@@ -85,38 +72,31 @@ class LinearLoop:
     calls: tuple[int, ...]
     inputs: tuple[RealArray, ...]
     channels: tuple[int, ...]
+    _cuts: dict[tuple[Fraction, ...], LiftedLoop] = field(init=False, repr=False, default_factory=dict)
+    _flows: dict[Fraction, RealArray] = field(init=False, repr=False, default_factory=dict)
+    _samples: dict[frozenset[int], RealArray] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
     def period(self) -> Fraction:
         """Common period of all sample times [s]."""
         return _common([_fraction(each.sample_time) for each in self.blocks])
 
-    @cached_property
+    @property
     def lifted(self) -> LiftedLoop:
         """The loop that is cut where all channels reach the robot; every factor and every group of channels follows from it."""
         return self._cut((Fraction(0),) * len(self.channels))
 
-    def owner(self, channel: int) -> LinearBlock:
-        """The block that feeds a channel."""
-        return self.blocks[self._owner(channel)]
-
-    def closed(self, perturbation: Perturbation) -> NDArray[Any]:
-        """The matrix of the closed loop over a period."""
-        delays = [_fraction(each) for each in perturbation.delay]
-        times = [_fraction(self.owner(i).sample_time) for i in range(len(delays))]
-        late = tuple(each % time for each, time in zip(delays, times, strict=True))
-        if late not in self._cuts:
-            self._cuts[late] = self._cut(late)
-        whole = [int(each / time) for each, time in zip(delays, times, strict=True)]
-        return self._cuts[late].closed(perturbation.factors, whole)
-
-    def opened(self, channels: Sequence[int]) -> LiftedLoop:
-        """The loop that is cut where channels reach the robot, closed at the others."""
-        return self.lifted.part(channels)
-
-    def _owner(self, channel: int) -> int:
+    @cached_property
+    def owners(self) -> list[int]:
+        """For each channel the index of the block that feeds it."""
         _, outputs, _ = self._layout
-        return int(np.searchsorted(outputs, self.channels[channel], side="right")) - 1
+        return (np.searchsorted(outputs, self.channels, side="right") - 1).tolist()
+
+    def closed(self, factors: Sequence[complex], delays: Sequence[float]) -> NDArray[Any]:
+        """The matrix of the closed loop over a period, with a complex factor and a delay [s] of each channel's torque."""
+        times = [_fraction(self.blocks[k].sample_time) for k in self.owners]
+        parts = [divmod(_fraction(delay), time) for delay, time in zip(delays, times, strict=True)]
+        return self._cut(tuple(late for _, late in parts)).closed(factors, [whole for whole, _ in parts])
 
     @cached_property
     def _layout(self) -> tuple[NDArray[np.intp], NDArray[np.intp], int]:
@@ -147,13 +127,14 @@ class LinearLoop:
 
         The state is [x, states of blocks, outputs of blocks, torques of channels].
         """
+        if late in self._cuts:
+            return self._cuts[late]
         states, _, count = self._layout
         outputs = int(states[-1])
         torques = outputs + count
         size = torques + len(self.channels)
         # instants: samples, then the torques of channels; those that wrap around the period are of the period before
-        owners = [self._owner(i) for i in range(len(self.channels))]
-        sent = [[at + each for at in self._times[k]] for each, k in zip(late, owners, strict=True)]
+        sent = [[at + each for at in self._times[k]] for each, k in zip(late, self.owners, strict=True)]
         waiting = tuple(sum(at >= self.period for at in instants) for instants in sent)
         happening = {(at, -1) for instants in self._times for at in instants}
         happening |= {(at % self.period, i) for i, instants in enumerate(sent) for at in instants}
@@ -173,29 +154,20 @@ class LinearLoop:
                 self._samples[due] = np.eye(size)
                 self._sample(self._samples[due], due)
             whole = self._samples[due] @ whole
-            for j, k in enumerate(owners):
+            for j, k in enumerate(self.owners):
                 if k in due:
                     found[read[j]] = whole[outputs + self.channels[j]]
                     read[j] += 1
         whole = self._flow(self.period - now) @ whole
-        times = tuple((i, float(at)) for i, k in enumerate(owners) for at in self._times[k])
-        return _reduced(
-            LiftedLoop(
-                whole[:, :size], whole[:, size:], found[:, :size], found[:, size:], times, float(self.period), waiting
-            )
+        times = tuple((i, float(at)) for i, k in enumerate(self.owners) for at in self._times[k])
+        loop = LiftedLoop(
+            whole[:, :size], whole[:, size:], found[:, :size], found[:, size:], times, float(self.period), waiting
         )
-
-    @cached_property
-    def _cuts(self) -> dict[tuple[Fraction, ...], LiftedLoop]:
-        return {(Fraction(0),) * len(self.channels): self.lifted}
-
-    @cached_property
-    def _flows(self) -> dict[Fraction, RealArray]:
-        return {}
-
-    @cached_property
-    def _samples(self) -> dict[frozenset[int], RealArray]:
-        return {}
+        # without the states that nothing reaches and those that reach nothing: what is overwritten within a period
+        while not (kept := (loop.a.any(0) | loop.c.any(0)) & (loop.a.any(1) | loop.b.any(1))).all():
+            loop = replace(loop, a=loop.a[np.ix_(kept, kept)], b=loop.b[kept], c=loop.c[:, kept])
+        self._cuts[late] = loop
+        return loop
 
     def _flow(self, time: Fraction) -> RealArray:
         """The flow of the continuous states over a time, of which there are few different ones."""
@@ -336,27 +308,18 @@ class LiftedLoop:
         found = np.tensordot(c, x, 1).swapaxes(0, 1)
         return np.asarray(found + (self.d if inputs is None else self.d @ inputs))
 
-    def response(self, frequency: RealArray) -> ComplexArray:
-        """Loop transfer functions L at angular frequencies (N,) [rad/s], (N, p, p), for negative feedback: 1 + L."""
-        return -self.transfer(np.exp(1j * frequency * self.period))
-
     def fundamental(self, frequency: RealArray) -> ComplexArray:
-        """The part of the loop transfer functions that keeps the frequency, (N, channels, channels)."""
+        """The part of the loop transfer functions that keeps the frequency, for negative feedback, (N, channels, channels).
+
+        Args:
+            frequency: (N,) angular frequencies [rad/s].
+        """
         instants = np.array([t for _, t in self.times])
         turned = np.exp(1j * frequency[:, np.newaxis] * instants)[:, :, np.newaxis]
         inputs = turned * np.eye(int(self.of.max()) + 1)[self.of]
         share = inputs / np.bincount(self.of)
         lifted = self.transfer(np.exp(1j * frequency * self.period), inputs)
         return np.asarray(-share.conj().swapaxes(1, 2) @ lifted)
-
-
-def _reduced(loop: LiftedLoop) -> LiftedLoop:
-    """The loop without the states that nothing reaches and those that reach nothing: what is overwritten within a period."""
-    while True:
-        kept = (loop.a.any(axis=0) | loop.c.any(axis=0)) & (loop.a.any(axis=1) | loop.b.any(axis=1))
-        if kept.all():
-            return loop
-        loop = replace(loop, a=loop.a[np.ix_(kept, kept)], b=loop.b[kept], c=loop.c[:, kept])
 
 
 @lru_cache(maxsize=4096)

@@ -196,7 +196,7 @@ def torque_of_step(loop: LinearLoop, block: int, row: int, size: float) -> RealA
     )
     inputs = [np.insert(each, signals, 0.0, axis=1) for each in loop.inputs]
     inputs[block][row, signals] = size
-    cut = replace(loop, continuous=constant, inputs=tuple(inputs)).opened(range(len(loop.channels)))
+    cut = replace(loop, continuous=constant, inputs=tuple(inputs)).lifted.part(range(len(loop.channels)))
     # period after period
     state, found = np.zeros(len(cut.a)), np.zeros(len(loop.channels))
     state[n] = 1.0

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop, Perturbation
+from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.trajectories.jets import RealArray
@@ -221,8 +221,8 @@ class _Cut:
     """A loop that is cut at some channels."""
 
     def __init__(self, loop: LinearLoop, channels: Sequence[int]) -> None:
-        self._loop, self._channels, self.opened = loop, channels, loop.opened(channels)
-        self._sample = min(loop.owner(i).sample_time for i in channels)
+        self._loop, self._channels, self.opened = loop, channels, loop.lifted.part(channels)
+        self._sample = min(loop.blocks[loop.owners[i]].sample_time for i in channels)
 
     def margins(self, name: str, stable: bool) -> LoopMargins:
         """The margins; of an unstable loop only its crossover."""
@@ -257,8 +257,8 @@ class _Cut:
 
     def _late(self, delay: float) -> ComplexArray:
         """Those with a delay [s]."""
-        delays = tuple(delay if i in self._channels else 0.0 for i in range(len(self._loop.channels)))
-        return np.asarray(np.linalg.eigvals(self._loop.closed(Perturbation((1.0,) * len(delays), delays))), complex)
+        delays = [delay if i in self._channels else 0.0 for i in range(len(self._loop.channels))]
+        return np.asarray(np.linalg.eigvals(self._loop.closed([1.0] * len(delays), delays)), complex)
 
     @cached_property
     def _angles(self) -> RealArray:

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigvals
 
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock
-from flexfmu.cosim.design.margins.linear_loop import Continuous, LiftedLoop, LinearLoop, Perturbation
+from flexfmu.cosim.design.margins.linear_loop import Continuous, LiftedLoop, LinearLoop
 from flexfmu.cosim.design.margins.margins import LoopMargins, is_stable, pose_margins
 from flexfmu.trajectories.jets import RealArray
 
@@ -113,7 +113,7 @@ def check_first(loop: LinearLoop, row: LoopMargins, cut: LiftedLoop, rng: np.ran
         factors, delays = (
             tuple(x if i in chosen else none for i in everything) for x, none in ((factor, 1.0), (delay, 0.0))
         )
-        return float(np.abs(np.linalg.eigvals(loop.closed(Perturbation(factors, delays)))).max())
+        return float(np.abs(np.linalg.eigvals(loop.closed(factors, delays))).max())
 
     count = int(cut.of.max()) + 1
     gain = min(row.gain_margin, 1e3)

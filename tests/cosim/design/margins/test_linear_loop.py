@@ -10,13 +10,12 @@ import pytest
 from scipy.optimize import brentq
 
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock
-from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop, Perturbation
+from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.design.margins.margins import pose_margins
 from flexfmu.trajectories.jets import RealArray
 
 T = 1e-2
 KP, KD = 400.0, 20.0
-NONE = Perturbation((1.0,), (0.0,))
 
 
 def mass(outputs: int) -> Continuous:
@@ -88,7 +87,7 @@ def test_a_delay_is_one_of_the_torque_that_reaches_the_robot(delay: float) -> No
     moved = flow(first) @ state[:2] + np.outer(load(first), torques[count + 1])
     step[:2] = flow(second) @ moved + np.outer(load(second), torques[count])
     step[2:] = torques[:-1]
-    found = np.linalg.eigvals(loop.closed(Perturbation((1.0,), (delay,))))
+    found = np.linalg.eigvals(loop.closed([1.0], [delay]))
     expected = np.linalg.eigvals(step)
     assert max(abs(found)) == pytest.approx(max(abs(expected)), rel=1e-9)
 
@@ -106,7 +105,7 @@ def test_two_rates_with_an_offset_are_those_of_the_recursion() -> None:
     sampled[2] = [0.0, -10.0, 0.0, 1.0]
     commanded[3] = [-100.0, 0.0, 0.0, 0.0]
     expected = flow(T / 2 - late) @ sampled @ flow(T / 2) @ sampled @ flow(late) @ commanded
-    found = np.linalg.eigvals(loop.closed(NONE))
+    found = np.linalg.eigvals(loop.closed([1.0], [0.0]))
     for value in np.linalg.eigvals(expected):
         assert np.abs(np.append(found, 0.0) - value).min() < 1e-10
 
@@ -117,9 +116,9 @@ def test_the_lifted_response_closes_to_the_same_poles() -> None:
     other = static(np.array([[1.0]]), T)
     inputs = (np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]]), np.array([[1.0, 0, 0, 0]]))
     loop = LinearLoop(mass(2), (inner, other), (0, 1), inputs, (0,))
-    cut = loop.opened([0])
+    cut = loop.lifted.part([0])
     assert cut.size == 2
-    for value in np.linalg.eigvals(loop.closed(NONE)):
+    for value in np.linalg.eigvals(loop.closed([1.0], [0.0])):
         if abs(value) > 1e-6:
             inside = np.linalg.solve(value * np.eye(len(cut.a)) - cut.a, cut.b)
             assert abs(np.linalg.det(np.eye(2) - (cut.c @ inside + cut.d))) < 1e-8
