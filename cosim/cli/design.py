@@ -197,7 +197,7 @@ def shaper(
 ) -> int:
     """Design input shapers for a scene, try them all in co-simulation and recommend one, with the TOML that applies it.
 
-    Writes shapers.json, shapers.csv and the picture: sensitivity, and the vibration before and after.
+    Writes shapers.json, shapers.csv and the picture of the sensitivity.
 
     Args:
         out (DIR): Folder of the results. Default: results/<name of the scene>.

@@ -1,5 +1,5 @@
-"""Effect study: the choice of effects with contribution, cost and natural frequencies of each effect, and runs of the
-chosen set beside richer sets; as data and as tables."""
+"""Effect study: the choice of effects with contribution and cost of each effect, and runs of the chosen set beside richer sets; as data
+and as tables."""
 
 from __future__ import annotations
 
@@ -56,18 +56,16 @@ class EffectRow:
         place: in the chosen set, out of it, or given.
         estimate: the effect and its contribution to each metric.
         cost: of the neighbouring set.
-        poses: natural frequencies of the neighbouring set along the path.
     """
 
     place: Place
     estimate: EstimatedEffect
     cost: Cost
-    poses: list[ModalPose]
 
 
 @dataclass(frozen=True)
 class EffectStudy:
-    """A choice of effects, with contribution, cost and natural frequencies of each effect.
+    """A choice of effects, with contribution and cost of each effect.
 
     Attributes:
         scene: with the chosen set; ``scene.effects.choice`` has the estimates.
@@ -129,18 +127,10 @@ def study_effects(
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
         *(("given", each.scene, estimate) for each, estimate in loads),
     ]
-    # their costs and natural frequencies
-
-    def frequencies(each: Scene) -> list[ModalPose]:
-        return modes_along_path(replace(motion, scene=each), POSES)
-
     show("timing the equations", None)
     own, *others = costs((chosen, *(other for _, other, _ in found)))
-    rows: list[EffectRow] = []
-    for (place, other, estimate), cost in zip(found, others, strict=True):
-        show(f"frequencies: {estimate.effect}", len(rows) / len(found))
-        rows.append(EffectRow(place, estimate, cost, frequencies(other)))
-    return EffectStudy(chosen, estimator, own, frequencies(chosen), tuple(rows))
+    rows = tuple(EffectRow(place, each, cost) for (place, _, each), cost in zip(found, others, strict=True))
+    return EffectStudy(chosen, estimator, own, modes_along_path(replace(motion, scene=chosen), POSES), rows)
 
 
 @dataclass(frozen=True)
@@ -205,10 +195,6 @@ def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[Effe
             yield compare(each.effect, each.change, estimated, observe(each.scene, names, EXACT, is_alone=is_alone))
 
 
-SHOWN_FREQUENCIES = 3
-"""Number of lowest frequencies of each pose in the table; the JSON file has all."""
-
-
 def contribution_table(study: EffectStudy) -> Table:
     """Tabulate every effect with its contribution to each metric and its cost."""
     metrics = [f"{METRICS[name].label} {name}" for name in study.choice.of]
@@ -229,23 +215,6 @@ def contribution_table(study: EffectStudy) -> Table:
         table.add_row(
             row.place, row.estimate.effect, row.estimate.change, *map(percent, row.estimate.contribution), *more
         )
-    return table
-
-
-def frequency_table(study: EffectStudy) -> Table:
-    """Tabulate the natural frequencies along the path of the chosen set and of each neighbouring set."""
-    table = titled_table(
-        f"lowest {SHOWN_FREQUENCIES} natural frequencies along the path [Hz], motors locked",
-        *(" ", "Effect", "Change"),
-        numbers=[f"path {pose.s:g}" for pose in study.poses],
-        keys=3,
-    )
-    # the chosen set, then each neighbouring set
-    sets = [("", "the set itself", "", study.poses)]
-    sets += [(row.place, row.estimate.effect, row.estimate.change, row.poses) for row in study.rows]
-    for *names, poses in sets:
-        lowest = ("  ".join(f"{each:.1f}" for each in pose.frequencies[:SHOWN_FREQUENCIES]) or "–" for pose in poses)
-        table.add_row(*names, *lowest)
     return table
 
 
@@ -283,7 +252,6 @@ def study_data(study: EffectStudy, comparisons: Iterable[EffectComparison]) -> d
                 "place": row.place,
                 "contribution": dict(zip(choice.of, row.estimate.contribution, strict=True)),
                 "cost": vars(row.cost),
-                "poses": [pose.to_dict() for pose in row.poses],
             }
             for row in study.rows
         ],
@@ -313,4 +281,4 @@ def report(study: EffectStudy) -> list[RenderableType]:
         f"error of its run beside the richest set, integration included: {verified}",
         f"tolerance of the FMU: {study.scene.cosimulation.tolerance:g}",
     ]
-    return [contribution_table(study), frequency_table(study), *map(Text, lines)]
+    return [contribution_table(study), *map(Text, lines)]

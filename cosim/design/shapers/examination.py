@@ -24,7 +24,6 @@ from flexfmu.cosim.design.shapers.study import (
     DesignModes,
     Drive,
     PayloadTrial,
-    Vibrations,
     alternatives,
     candidates,
     design_modes,
@@ -32,7 +31,6 @@ from flexfmu.cosim.design.shapers.study import (
     slower,
     studied,
     study,
-    vibration,
 )
 from flexfmu.cosim.engine.showing import ShowProgress, csv_text
 from flexfmu.cosim.experiment.planning import plan
@@ -57,7 +55,6 @@ class ShaperStudy:
         slower: of the unshaped motion, slower by the time that the recommended shaper adds; None where it adds none.
         recommendation: the recommended shaper.
         left_out: shaper and application → why it can't be applied.
-        vibrations: of the unshaped motion and the recommended one after their ends.
     """
 
     scene: Scene
@@ -66,7 +63,6 @@ class ShaperStudy:
     slower: CandidateResult | None
     recommendation: Recommendation
     left_out: Mapping[str, str]
-    vibrations: Vibrations
 
 
 @one_blas_thread()
@@ -110,8 +106,7 @@ def examine(
     chosen = recommendation.result
     added = chosen.added_time
     compared = next(study([slower(motion, added)], errors, motion.duration, fmu_path)) if added > 0.0 else None
-    shown = {each.candidate.label: vibration(each.candidate, fmu_path) for each in (results[0], chosen)}
-    return ShaperStudy(scene, design, results, compared, recommendation, left_out, shown)
+    return ShaperStudy(scene, design, results, compared, recommendation, left_out)
 
 
 def study_data(found: ShaperStudy) -> dict[str, Any]:

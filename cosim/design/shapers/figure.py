@@ -1,5 +1,4 @@
-"""Draws a shaper study: residual vibration over the true frequency in closed form, over the simulated payload error,
-and over time without and with the recommended shaper."""
+"""Draws a shaper study: residual vibration over the true frequency in closed form, and over the simulated payload error."""
 
 from __future__ import annotations
 
@@ -33,18 +32,17 @@ THICK, THIN, DASHED = 2.6, 1.1, (0, (4, 3))
 
 
 def draw_sensitivity(study: ShaperStudy) -> Figure:
-    """Draw the three panels; the recommended shaper has the thickest line."""
+    """Draw both panels; the recommended shaper has the thickest line."""
     # a colour for each shaper
-    figure = draw(14.5, 4.6)
+    figure = draw(10.0, 4.6)
     names = list(dict.fromkeys(r.candidate.name for r in study.results if r.candidate.name != UNSHAPED_NAME))
     palette = colormaps["turbo"](np.linspace(0.05, 0.95, max(len(names), 1)))
     colours: Mapping[str, Any] = {**dict(zip(names, palette, strict=True)), UNSHAPED_NAME: INK}
     # panels and a common legend
-    left, right, last = figure.subplots(1, 3)
+    left, right = figure.subplots(1, 2)
     _closed_form(left, study, colours)
     _simulated(right, study, colours)
-    _before_and_after(last, study)
-    for axes in (left, right, last):
+    for axes in (left, right):
         # 0.1, 1, 10 instead of powers of ten
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
@@ -100,15 +98,3 @@ def _simulated(axes: Axes, study: ShaperStudy, colours: Mapping[str, Any]) -> No
     band = 1e6 * study.scene.cosimulation.settling_band
     axes.axhline(band, color=GREY, linewidth=0.9, linestyle=DASHED, label="settling band")
     axes.set(xlabel="payload error [%]", ylabel="residual vibration [µm]", title="Robot, co-simulated")
-
-
-def _before_and_after(axes: Axes, study: ShaperStudy) -> None:
-    """Draw the vibration after the motion's end, without and with the recommended shaper."""
-    for label, (time, distance) in study.vibrations.items():
-        # a logarithmic axis has no zero
-        shown = 1e6 * np.maximum(distance, 1e-10)
-        axes.plot(1e3 * time, shown, color=GREY if label == UNSHAPED_NAME else INK, linewidth=1.2, label=label)
-    axes.axhline(1e6 * study.scene.cosimulation.settling_band, color=GREY, linewidth=0.9, linestyle=DASHED)
-    axes.set(xlabel="time after the motion's end [ms]", ylabel="distance from rest [µm]")
-    axes.set_title(f"Before and after, {study.recommendation.result.candidate.label}")
-    axes.legend(loc="upper right", fontsize=8)

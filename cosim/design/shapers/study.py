@@ -17,13 +17,10 @@ import numpy as np
 
 from flexfmu.cosim.control.sections import with_payload_error
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.metrics import measure, settings_for
-from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import damped_modes
 from flexfmu.trajectories.errors import TrajectoryError
@@ -64,9 +61,6 @@ SMOOTH = 1e-6
 
 Drive = Literal["perfect", "controller"]
 """Drive of the robot in a study: motors that follow their references exactly, or the scene's controllers."""
-
-Vibrations = Mapping[str, tuple[RealArray, RealArray]]
-"""Label of a motion → times after its end [s] and distances from where the robot comes to rest [m]."""
 
 
 @dataclass(frozen=True)
@@ -328,38 +322,7 @@ def simulate(candidate: ShapedMotion, payload_error: float, fmu_path: Path) -> P
     Raises:
         CosimError: the simulation didn't reach its end.
     """
-    run, settings, offset = _simulated(candidate, payload_error, fmu_path)
-    values = {name: measurement.value for name, measurement in measure(run.recording, settings, MEASURED).items()}
-    return PayloadTrial(
-        payload_error,
-        values["residual_vibration_amplitude"] or 0.0,
-        values["settling_time"],
-        max(values["peak_torque_1"] or 0.0, values["peak_torque_2"] or 0.0),
-        offset,
-    )
-
-
-def vibration(candidate: ShapedMotion, fmu_path: Path) -> tuple[RealArray, RealArray]:
-    """Return times after the motion's end [s] and the end effector's distances from rest [m], with the scene's payload.
-
-    Raises:
-        CosimError: the simulation didn't reach its end.
-    """
-    run, settings, _ = _simulated(candidate, 0.0, fmu_path)
-    after = run.recording.time >= run.plan.duration
-    distance = np.linalg.norm(position_values(run)[:, after] - settings.end_equilibrium[:, None], axis=0)
-    return run.recording.time[after] - run.plan.duration, distance
-
-
-def _simulated(candidate: ShapedMotion, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
-    """Return a run, the settings of its metrics, and the distance of its rest position from the equilibrium [m].
-
-    Controllers assume the scene's payload, without the error.
-
-    Raises:
-        CosimError: the simulation didn't reach its end.
-    """
-    # run with the payload as a parameter of the FMU
+    # run with the payload as a parameter of the FMU; controllers assume the scene's
     motion = candidate.motion
     scene = motion.scene
     mass = with_payload_error(scene, payload_error).payload.mass
@@ -368,16 +331,19 @@ def _simulated(candidate: ShapedMotion, payload_error: float, fmu_path: Path) ->
     if not run.completed:
         raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
     # a controlled robot may come to rest beside the equilibrium
-    settings = settings_for(run)
-    if not scene.controller:
-        return run, settings, 0.0
-    rest = position_values(run)[:, -1]
-    return run, replace(settings, rest=lambda: rest), float(np.linalg.norm(rest - settings.end_equilibrium))
-
-
-def position_values(run: Run) -> RealArray:
-    """Return the end-effector positions of a run (2, N) [m]."""
-    return np.array([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+    settings, offset = settings_for(run), 0.0
+    if scene.controller:
+        rest = np.array([run.recording[f"end_effector.position.{axis}"].values[-1] for axis in "xy"])
+        offset = float(np.linalg.norm(rest - settings.end_equilibrium))
+        settings = replace(settings, rest=lambda: rest)
+    values = {name: measurement.value for name, measurement in measure(run.recording, settings, MEASURED).items()}
+    return PayloadTrial(
+        payload_error,
+        values["residual_vibration_amplitude"] or 0.0,
+        values["settling_time"],
+        max(values["peak_torque_1"] or 0.0, values["peak_torque_2"] or 0.0),
+        offset,
+    )
 
 
 def peak_jerk(motion: MotionPlan) -> float:
