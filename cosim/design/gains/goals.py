@@ -15,9 +15,6 @@ from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
 MARGINS = ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak")
 """Figures of the linear loop, the worst along the path; see `flexfmu.margins`."""
 
-SHORT = {"margin": "gain_margin"}
-"""Short name → figure."""
-
 DECIBEL = "dB"
 """Unit of ratios: 20 times the decimal logarithm."""
 
@@ -104,7 +101,7 @@ def parse_goal(name: str) -> Goal:
     Raises:
         InputError: there is no such figure.
     """
-    whole = SHORT.get(name, name)
+    whole = "gain_margin" if name == "margin" else name
     if whole in ALL_METRICS or whole in MARGINS:
         return Goal(name, (whole,))
     parts = tuple(each for each in (f"{name}_1", f"{name}_2") if each in ALL_METRICS)

@@ -81,7 +81,7 @@ def robustness(
             failures[mass] = reason
         else:
             found.append(metrics_of(run, names))
-    worst = {name: metric(name, None if failures else _largest([each[name] for each in found])) for name in names}
+    worst = {name: metric(name, None if failures else largest([each[name] for each in found])) for name in names}
     return OverBand(masses, worst, failures)
 
 
@@ -90,7 +90,7 @@ def failure_of(run: Run) -> str:
     return (run.health.unstable_loop or "") if run.completed else run.message
 
 
-def _largest(values: Collection[float | None]) -> float | None:
+def largest(values: Collection[float | None]) -> float | None:
     """Return the largest value; None if one is missing."""
     known = [each for each in values if each is not None]
     return max(known) if len(known) == len(values) else None

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from flexfmu.cosim.design.gains.goals import MARGINS, Condition, Goal
-from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
+from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, largest, robustness
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.metric import Metric
@@ -146,9 +146,7 @@ class Study:
             worst = robustness(prepared, band_masses(scene, self.band), names)
             for mass, reason in worst.failures.items():
                 return Trial(values, {}, f"with {mass:g} kg: {reason}")
-            for name in names:
-                both = found[name], worst.worst[name].value
-                found[name] = None if None in both else max(each for each in both if each is not None)
+            found = {name: largest([found[name], worst.worst[name].value]) for name in names}
         # margins take longer than runs
         if any(goal.is_margin for goal in self.goals):
             found |= margin_figures(loop_margins(scene, self.band))

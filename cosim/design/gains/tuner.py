@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 METHODS = ("gradient", "sample")
 """What follows the first points: a descent by gradients, or further points of the sequence."""
 
-FORMER = {"trust-region": "gradient"}
-"""Former method → what is used in its place."""
-
 FIRST, MOST_FIRST = 8, 64
 """First points for one key, twice as many for each further one, and the largest number of them."""
 
@@ -95,19 +92,12 @@ class TuneResult(Rows):
     def rows(self) -> list[dict[str, Any]]:
         """The trials: values of the keys, figures, and a message where one failed."""
         names = list(dict.fromkeys(part for goal in self.study.goals for part in goal.parts))
-        return [
-            {
-                "trial": number,
-                **{
-                    each.key: value
-                    for each, value in zip(self.study.over, trial.values or self.study.given(), strict=True)
-                },
-                **{name: trial.figures.get(name) for name in names},
-                "within_limits": self.study.rank(trial)[0] == 0,
-                "message": trial.message,
-            }
-            for number, trial in enumerate(self.trials)
-        ]
+        keys, given, found = [each.key for each in self.study.over], self.study.given(), list[dict[str, Any]]()
+        for number, trial in enumerate(self.trials):
+            row = {"trial": number, **dict(zip(keys, trial.values or given, strict=True))}
+            row |= {name: trial.figures.get(name) for name in names}
+            found.append({**row, "within_limits": self.study.rank(trial)[0] == 0, "message": trial.message})
+        return found
 
     def shown_rows(self) -> list[dict[str, Any]]:
         """The given trial, then the others, the best first."""
@@ -120,8 +110,6 @@ class TuneResult(Rows):
 
     def plot(self) -> Figure:
         """The figure that is minimised, of each trial and the best so far; trials that miss a limit are hollow."""
-        from matplotlib.ticker import MaxNLocator
-
         from flexfmu.cosim.reports.figure_style import GREY, INK, draw, logarithmic, style
 
         goal = self.study.minimise
@@ -132,22 +120,13 @@ class TuneResult(Rows):
             figure = draw(7.0, 3.6)
             axes = figure.add_subplot()
             for some, label, face in ((kept, "keeps all limits", INK), (~kept, "misses a limit", "none")):
-                if some.any():
-                    axes.plot(
-                        number[some], values[some], "o", markersize=3.5, color=INK, markerfacecolor=face, label=label
-                    )
+                axes.plot(number[some], values[some], "o", color=INK, markersize=3.5, markerfacecolor=face, label=label)
             best = np.fmin.accumulate(np.where(kept, values, np.nan))
             axes.step(number, best, where="post", color="#c7394f", label="best so far")
-            if self.best in self.trials:
-                place = self.trials.index(self.best)
-                axes.plot(
-                    place, values[place], "o", markersize=9, markerfacecolor="none", color="#c7394f", label="chosen"
-                )
             axes.axhline(values[0], color=GREY, linewidth=1.0, linestyle="--", label="given")
             positive = values[np.isfinite(values)]
             if positive.size and positive.min() > 0.0 and positive.max() > 20.0 * positive.min():
                 logarithmic(axes)
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             axes.set(xlabel="trial", ylabel=f"{goal.name} [{shown_unit(goal.unit)}]" if goal.unit else goal.name)
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
             figure.suptitle(f"{self.study.scene.name}: {len(self.trials)} trials", fontsize=10)
@@ -191,17 +170,9 @@ def tune_scene(
         note: is called with a sentence if it continues.
     """
     intervals = _intervals(over)
-    if not intervals:
-        raise InputError("tuning needs keys and intervals: --over pd.kp=1e3:1e5")
     check_keys(scene, intervals)
     PreparedScene(scene).check_size(companion=False)
-    study = Study(
-        scene,
-        intervals,
-        parse_goal(minimise),
-        tuple(parse_condition(each) for each in subject_to),
-        payload_band,
-    )
+    study = Study(scene, intervals, parse_goal(minimise), tuple(map(parse_condition, subject_to)), payload_band)
     if payload_band is not None:
         band_masses(scene, payload_band)
     _check_figures(study)
@@ -220,26 +191,25 @@ def _intervals(over: Mapping[str, Sequence[float] | str] | Iterable[str]) -> tup
     """Keys with their intervals.
 
     Raises:
-        InputError: one has another form.
+        InputError: there are none, or one has another form.
     """
-    if isinstance(over, Mapping):
-        return tuple(_interval(key, ends) for key, ends in over.items())
-    found = []
-    for text in over:
+    pairs: list[tuple[str, Sequence[float] | str]] = [*over.items()] if isinstance(over, Mapping) else []
+    for text in () if isinstance(over, Mapping) else over:
         key, sign, ends = text.partition("=")
         if not (sign and key.strip()):
             raise InputError(f"--over takes KEY=FROM:TO, pd.kp=1e3:1e5 for example, got {text!r}")
-        found.append(_interval(key.strip(), ends))
+        pairs.append((key.strip(), ends))
+    if not pairs:
+        raise InputError("tuning needs keys and intervals: --over pd.kp=1e3:1e5")
+    found = []
+    for name, interval in pairs:
+        try:
+            low, high = (float(each) for each in (interval.split(":") if isinstance(interval, str) else interval))
+        except (TypeError, ValueError):
+            message = f"`{name}` is tuned over an interval FROM:TO of two numbers, got {interval!r}"
+            raise InputError(message) from None
+        found.append(Interval(name, low, high))
     return tuple(found)
-
-
-def _interval(key: str, ends: Sequence[float] | str) -> Interval:
-    parts = ends.split(":") if isinstance(ends, str) else list(ends)
-    try:
-        low, high = (float(each) for each in parts)
-    except (TypeError, ValueError):
-        raise InputError(f"`{key}` is tuned over an interval FROM:TO of two numbers, got {ends!r}") from None
-    return Interval(key, low, high)
 
 
 def _check_figures(study: Study) -> None:
@@ -293,7 +263,6 @@ def tune_study(
     count = len(study.over)
     first = min(FIRST << (count - 1), MOST_FIRST)
     total = first + USUAL * count + 1 if trials is None else trials
-    method = FORMER.get(method, method)
     if method not in METHODS:
         raise InputError(f"there is no method {method!r} of tuning; choose from {', '.join(METHODS)}")
     if total < 2:
@@ -304,13 +273,13 @@ def tune_study(
     points = [tuple(each.at(share) for each, share in zip(study.over, row, strict=True)) for row in shares.tolist()]
     with mapping(study.tried, processes) as tried:
         search = Search(study, tried, total, journal, show)
+        interrupted = False
         try:
             search.try_all([(), *points])
             if method != "sample":
                 descend_by_gradients(search)
-            interrupted = False
         except BudgetExceeded:
-            interrupted = False
+            pass
         except KeyboardInterrupt:
             interrupted = True
     if not search.done:

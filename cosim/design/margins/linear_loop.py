@@ -90,7 +90,7 @@ class LinearLoop:
     def owners(self) -> list[int]:
         """For each channel the index of the block that feeds it."""
         _, outputs, _ = self._layout
-        return (np.searchsorted(outputs, self.channels, side="right") - 1).tolist()
+        return [int(np.searchsorted(outputs, each, side="right")) - 1 for each in self.channels]
 
     def closed(self, factors: Sequence[complex], delays: Sequence[float]) -> NDArray[Any]:
         """The matrix of the closed loop over a period, with a complex factor and a delay [s] of each channel's torque."""

@@ -10,6 +10,7 @@ on digital differentiator-based rate measurement", IEEE Trans. Instrumentation a
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from math import ceil, inf, log, pi
 from operator import mul
@@ -67,25 +68,24 @@ NOT_LINEAR = (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueEr
 
 def loop_sentences(run: Run) -> dict[str, str | None]:
     """What there is to say of the stability of a run's loop, unless the run itself shows that it is unstable, and of its encoders."""
-    if not run.scene.controller:
-        return {"stability": None, "coarse_counts": None}
-    stability = stability_warning(run) if run.health.unstable_loop is None else None
-    return {"stability": stability, "coarse_counts": coarse_counts_of(run)}
+    stability, counts, scene = None, None, run.scene
+    if scene.controller and run.health.unstable_loop is None:
+        stability = stability_warning(run)
+    if scene.controller and any(each.kind in KINDS for each in scene.imperfection):
+        with suppress(*NOT_LINEAR):
+            counts = coarse_counts(scene, *_wired(run))
+    return {"stability": stability, "coarse_counts": counts}
 
 
 @one_blas_thread()
 def stability_warning(run: Run) -> str | None:
     """What there is to say of a run's loop about standstill along its path; None for a loop that is far from instability everywhere,
     for none, and for one that can't be linearised."""
-    scene = run.scene
-    if scene.cosimulation.drive != "torque" or not scene.controller:
-        return None
     try:
         _, wired = _wired(run)
         path = PathLoop(wired, run.plan, identify=False)
-        found = worst_places(
-            lambda place: _worse(path, place), lambda each: each[1], path.breakpoints(scene), (path.payload,)
-        )
+        breakpoints = path.breakpoints(run.scene)
+        found = worst_places(lambda place: _worse(path, place), lambda each: each[1], breakpoints, (path.payload,))
     except NOT_LINEAR:
         return None
     # the end, where the robot stays, unless another place is noticeably worse
@@ -133,17 +133,6 @@ def _sentence(loop: LinearLoop, where: str) -> str | None:
             percent = 100.0 * abs(critical_gain(loop, factor) - 1.0)
             return f"the loop is close to instability {where}: with torques {percent:.2g} % {way} it is unstable; see `flexfmu margins`"
     return None
-
-
-def coarse_counts_of(run: Run) -> str | None:
-    """What there is to say of the resolution of a run's loop, see `coarse_counts`; None also for a loop that can't be linearised."""
-    scene = run.scene
-    if scene.cosimulation.drive != "torque" or not any(each.kind in KINDS for each in scene.imperfection):
-        return None
-    try:
-        return coarse_counts(scene, *_wired(run))
-    except NOT_LINEAR:
-        return None
 
 
 def coarse_counts(scene: Scene, loop: Loop, wired: WiredLoop) -> str | None:

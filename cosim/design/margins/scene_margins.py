@@ -23,7 +23,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.engine.showing import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES, metric
+from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 POSES = 5
 """Usual number of poses."""
+
+FIGURES = tuple(each.name for each in fields(LoopMargins) if each.name != "channel")
+"""Names of the margins."""
 
 BETTER_IF_LESS = ("gain_reduction", "sensitivity_peak")
 """Margins that are worse the larger they are."""
@@ -73,14 +76,14 @@ class MarginsResult(Rows):
     def worst(self) -> LoopMargins:
         """The worst value of each margin over all poses, all payloads and all cuts."""
         rows = [row for pose in self.poses for row in pose.loops]
-        found: dict[str, Any] = {"channel": "worst"}
-        for name in (field.name for field in fields(LoopMargins) if field.name != "channel"):
+        found = {}
+        for name in FIGURES:
             values = [value for row in rows if not isnan(value := getattr(row, name))]
-            found[name] = metric(name, (max if name in BETTER_IF_LESS else min)(values, default=nan))
+            found[name] = (max if name in BETTER_IF_LESS else min)(values, default=nan)
         # a loop that is unstable at a pose has neither there
-        if not all(pose.is_stable for pose in self.poses):
-            found |= {name: metric(name, nan) for name in ("sensitivity_peak", "bandwidth")}
-        return LoopMargins(**found)
+        if not self.is_stable:
+            found |= {"sensitivity_peak": nan, "bandwidth": nan}
+        return LoopMargins.of("worst", *found.values())
 
     @property
     def verdict(self) -> str:
@@ -92,11 +95,8 @@ class MarginsResult(Rows):
                 f"{degrees(worst.phase_margin):.3g}°, delay margin {1e3 * worst.delay_margin:.3g} ms."
             )
         several = len({each.payload for each in self.poses}) > 1
-        where = "; ".join(
-            f"{pose.s:.2f}, {pose.payload:.4g} kg" if several else f"{pose.s:.2f}"
-            for pose in self.poses
-            if not pose.is_stable
-        )
+        unstable = [each for each in self.poses if not each.is_stable]
+        where = "; ".join(f"{each.s:.2f}" + (f", {each.payload:.4g} kg" if several else "") for each in unstable)
         growth = max(pose.poles[0].real for pose in self.poses)
         return (
             f"The loop is unstable at path {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
@@ -119,20 +119,12 @@ class MarginsResult(Rows):
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each pose and each cut, in SI units."""
-        names = [field.name for field in fields(LoopMargins)]
-        return [
-            {
-                "s": pose.s,
-                "x": pose.position[0],
-                "y": pose.position[1],
-                "payload": pose.payload,
-                "stable": pose.is_stable,
-            }
-            | {"radius": pose.radius}
-            | {name: getattr(row, name) for name in names}
-            for pose in self.poses
-            for row in pose.loops
-        ]
+        found = []
+        for pose in self.poses:
+            place: dict[str, Any] = {"s": pose.s, "x": pose.position[0], "y": pose.position[1], "payload": pose.payload}
+            place |= {"stable": pose.is_stable, "radius": pose.radius}
+            found += [place | {name: getattr(row, name) for name in ("channel", *FIGURES)} for row in pose.loops]
+        return found
 
 
 @one_blas_thread()
@@ -191,9 +183,6 @@ def scene_margins(
 HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
 """Of the columns, short enough for 80 characters with all others."""
 
-SHOWN_POLES = 4
-"""Poles that the table's last line names: the slowest."""
-
 
 def margins_table(result: MarginsResult) -> list[RenderableType]:
     """The margins of each pose and each cut, the worst ones, and what they say."""
@@ -208,7 +197,7 @@ def margins_table(result: MarginsResult) -> list[RenderableType]:
                 tables[-1].add_row(f"{pose.s:.2f}", row.channel.removesuffix(".torque"), *texts)
     tables[-1].add_row("", "worst", *_texts(result.worst))
     warning = [Text(f"warning: {result.coarse_counts}", style="yellow")] if result.coarse_counts else []
-    return [*tables, Text(result.verdict), Text(_slowest(result)), *warning]
+    return [*tables, Text(result.verdict), *warning]
 
 
 def _texts(row: LoopMargins) -> list[str]:
@@ -219,46 +208,26 @@ def _texts(row: LoopMargins) -> list[str]:
     return ["∞" if value == float("inf") else "-" if value != value else f"{value:.3g}" for value in values]
 
 
-def _slowest(result: MarginsResult) -> str:
-    """The slowest poles at the last pose."""
-    poles = [pole for pole in result.poses[-1].poles if pole.imag >= 0.0][:SHOWN_POLES]
-    texts = [
-        f"{pole.real:.4g}"
-        if pole.imag == 0.0
-        else f"{pole.real:.4g} ± {pole.imag:.4g}j (damping ratio {-pole.real / abs(pole):.3g})"
-        for pole in poles
-    ]
-    return f"slowest poles at path {result.poses[-1].s:.2f}, 1/s: " + "; ".join(texts)
-
-
 def margins_data(result: MarginsResult) -> dict[str, Any]:
     """The margins as plain data, in SI units and rad; None for what is infinite or doesn't exist."""
 
     def plain(value: Any) -> Any:
         return None if isinstance(value, float) and not isfinite(value) else value
 
-    worst = {name: plain(getattr(result.worst, name)) for name in LoopMargins.__dataclass_fields__ if name != "channel"}
+    poles = [(each.s, each.payload, each.poles.real.tolist(), each.poles.imag.tolist()) for each in result.poses]
     return {
         "scene": result.scene.name,
         "stable": result.is_stable,
-        "worst": worst,
+        "worst": {name: plain(getattr(result.worst, name)) for name in FIGURES},
         "coarse_counts": result.coarse_counts,
         "rows": [{name: plain(value) for name, value in row.items()} for row in result.rows()],
-        "poles": [
-            {
-                "s": pose.s,
-                "payload": pose.payload,
-                "real": np.real(pose.poles).tolist(),
-                "imaginary": np.imag(pose.poles).tolist(),
-            }
-            for pose in result.poses
-        ],
+        "poles": [dict(zip(("s", "payload", "real", "imaginary"), each, strict=True)) for each in poles],
     }
 
 
 @one_blas_thread()
 def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
-    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and ``root-locus.png`` into a folder.
+    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and ``root-locus.png`` into a folder; return the files.
 
     Raises:
         ResultsError: a file can't be written.
@@ -267,16 +236,15 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
 
     out = OutputFolder(folder)
     out.prepare()
-    written, name = [out.write("margins.csv", result.to_csv())], result.scene.name
+    name = result.scene.name
     pictures = {
         "bode.png": draw_margins(result.poses, f"{name}. {result.verdict}", nyquist=False),
         "nyquist.png": draw_margins(result.poses, f"{name}: open loops about −1", bode=False),
         "root-locus.png": draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period"),
     }
-    for file, figure in pictures.items():
-        try:
+    try:
+        for file, figure in pictures.items():
             figure.savefig(folder / file, dpi=130)
-        except OSError as error:
-            raise ResultsError(f"can't write {folder / file}: {error.strerror or error}") from None
-        written.append(folder / file)
-    return written
+    except OSError as error:
+        raise ResultsError(f"can't write {folder / file}: {error.strerror or error}") from None
+    return [out.write("margins.csv", result.to_csv()), *(folder / file for file in pictures)]
