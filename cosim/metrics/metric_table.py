@@ -1,6 +1,6 @@
 """Table of the metrics of a run: name, unit, description and computation of each.
 
-A metric is computed from the solution of a motion, by a recording (`flexfmu.cosim.metrics.recorded_solution`) or by an
+A metric is computed from the solution of a motion, by a recording (`flexfmu.cosim.metrics.metrics`) or by an
 estimate (`flexfmu.cosim.design.effects.estimator`): a peak, a root mean square, a final value of a signal, a settling time.
 """
 

@@ -90,7 +90,7 @@ class SampledSignal:
 
 @dataclass(frozen=True, eq=False)
 class EstimatedSolution:
-    """Estimated motion with a set of effects; methods as in `flexfmu.cosim.metrics.recorded_solution.RecordedSolution`.
+    """Estimated motion with a set of effects; methods as in `flexfmu.cosim.metrics.metrics.RecordedSolution`.
 
     Attributes:
         grid: the instants.

@@ -12,8 +12,7 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
-from flexfmu.cosim.metrics.metrics import measure
-from flexfmu.cosim.metrics.recorded_solution import Settings
+from flexfmu.cosim.metrics.metrics import Settings, measure
 from flexfmu.trajectories.trajectory import Trajectory
 
 OMEGA = 2.0 * math.pi

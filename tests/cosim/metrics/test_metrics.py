@@ -15,8 +15,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, METRICS
-from flexfmu.cosim.metrics.metrics import measure, measure_run, measuring
-from flexfmu.cosim.metrics.recorded_solution import Settings
+from flexfmu.cosim.metrics.metrics import Settings, measure, measure_run, measuring
 
 T, DWELL, STEP = 0.4, 0.3, 2e-3
 OMEGA = 2 * math.pi * 20.0
