@@ -65,9 +65,7 @@ class LoopContext:
 _BUILDERS: dict[type[Section], Callable[[Any, LoopContext], Any]] = {}
 
 
-def builds(
-    kind: type[S],
-) -> Callable[[Callable[[S, LoopContext], Any]], Callable[[S, LoopContext], Any]]:
+def builds(kind: type[S]) -> Callable[[Callable[[S, LoopContext], Any]], Callable[[S, LoopContext], Any]]:
     """Register the function that builds sections of a kind.
 
     Args:

@@ -123,10 +123,7 @@ def own_loop(scene: Scene, own: OwnMotion | Trajectory) -> Loop:
 
 
 def _shaped(
-    motion: MotionPlan,
-    shapers: Sequence[Shaper | Slave],
-    names: SlaveNames,
-    repeat: Callable[[MotionPlan], MotionPlan],
+    motion: MotionPlan, shapers: Sequence[Shaper | Slave], names: SlaveNames, repeat: Callable[[MotionPlan], MotionPlan]
 ) -> Loop:
     """Apply the shapers: along the path, then of the joints, then sampled ones as slaves of a loop without controllers.
 

@@ -198,8 +198,7 @@ class CascadeSection(SampledSection):
     def sampling_of(self, loop: LoopOfCascade) -> Sampling:
         """Sample time and offset [s] of a loop."""
         return Sampling(
-            sample_time=loop.sample_time or self.sample_time,
-            offset=self.offset if loop.offset is None else loop.offset,
+            sample_time=loop.sample_time or self.sample_time, offset=self.offset if loop.offset is None else loop.offset
         )
 
 

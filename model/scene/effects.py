@@ -262,9 +262,7 @@ LOADS: Mapping[str, Load] = {
         sentence=lambda gravity: "Gravity of ({:g}, {:g}) m/s2".format(*gravity),
     ),
     "damping": Load(
-        absent=NoDampingSection(),
-        change="without structural damping",
-        sentence=lambda damping: damping.sentence,
+        absent=NoDampingSection(), change="without structural damping", sentence=lambda damping: damping.sentence
     ),
     "motor_inertia": Load(
         absent=0.0,
@@ -272,9 +270,7 @@ LOADS: Mapping[str, Load] = {
         sentence=lambda inertia: f"Inertia of {inertia:g} kg m2 of each motor",
     ),
     "joint_friction": Load(
-        absent=SmoothFrictionSection(),
-        change="without friction",
-        sentence=lambda friction: friction.sentence,
+        absent=SmoothFrictionSection(), change="without friction", sentence=lambda friction: friction.sentence
     ),
     "transmission": Load(
         absent=None,

@@ -34,15 +34,7 @@ EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
 """Compiler flags of an FMU's generated code, so that both round alike; the macro makes CasADi export its functions."""
 
 
-QUIET_FUNCTIONS = (
-    "SXFunction",
-    "MXFunction",
-    "Map",
-    "Switch",
-    "LinearInterpolant",
-    "BSplineInterpolant",
-    "External",
-)
+QUIET_FUNCTIONS = ("SXFunction", "MXFunction", "Map", "Switch", "LinearInterpolant", "BSplineInterpolant", "External")
 """CasADi's classes of functions that need no Python and raise nothing; compiled C is an External."""
 
 LOUD_OPERATIONS = tuple(

@@ -141,12 +141,7 @@ def shape_loop(
 def closed_loop(plant: control.StateSpace, loop: ShapedLoop) -> RealArray:
     """Return the matrix of the loop of a discrete plant without feedthrough, its references at rest."""
     whole = loop.weights * loop.controller
-    return np.block(
-        [
-            [plant.A + plant.B @ whole.D @ plant.C, plant.B @ whole.C],
-            [whole.B @ plant.C, whole.A],
-        ]
-    )
+    return np.block([[plant.A + plant.B @ whole.D @ plant.C, plant.B @ whole.C], [whole.B @ plant.C, whole.A]])
 
 
 @builds(HInfinitySection)

@@ -293,10 +293,7 @@ class FunctionController:
         if not isinstance(result, tuple) or len(result) != 2:
             instead = "; it returns None" if result is None else ""
             raise InputError(f"{self.name} has states and must return two things: outputs, next states{instead}")
-        return (
-            self._flat(result[0], len(self.outputs), "outputs"),
-            self._flat(result[1], len(self.states), "states"),
-        )
+        return (self._flat(result[0], len(self.outputs), "outputs"), self._flat(result[1], len(self.states), "states"))
 
     @property
     def takes_time(self) -> bool:

@@ -219,12 +219,5 @@ def lqg(s: StateFeedbackSection, context: LoopContext) -> SymbolicBlock:
     start = np.asarray(motor_angles(scene.mechanism, scene.start)) - point.coordinates[:2]
     estimate = (reference.Nx @ start).tolist()
     return state_feedback(
-        measured,
-        K,
-        L,
-        offset=s.offset,
-        reference=reference,
-        equilibrium=rest,
-        limits=s.torque_limit,
-        estimate=estimate,
+        measured, K, L, offset=s.offset, reference=reference, equilibrium=rest, limits=s.torque_limit, estimate=estimate
     )

@@ -254,32 +254,27 @@ FORCE: Any = {"signal": "force.x", "amplitude": 1.0}
 NOT_FINITE = "time;force.x\n0;1\n0.1;nan\n"
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"kind": "pulse", **FORCE}, "duration"),
-        ({"kind": "step", **FORCE, "signal": "force.z"}, "signal"),
-        ({"kind": "noise", "signal": "force.x", "standard_deviation": 1.0, "band": [9.0, 5.0]}, "ascend"),
-        ({"kind": "payload"}, "picked_up"),
-        ({"kind": "payload", "dropped": 0.1, "mass": 7.0}, "6 kg"),
-        ({"kind": "payload", "dropped": 0.1, "picked_up": 0.1, "mass": 7.0}, "after"),
-        ({"kind": "payload", "picked_up": 0.1}, "`mass`"),
-        # it would be a value that nobody takes
-        ({"kind": "step", **FORCE, "start": 5.0}, r"_disturbance begins at 5 s, but the run ends at 0\.\d+ s"),
-        ({"kind": "payload", "mass": 1.0, "picked_up": 5.0}, r"_disturbance begins at 5 s, but the run ends at"),
-        # a pulse that is too short would never end
-        (
-            {"kind": "pulse", **FORCE, "start": 0.1, "duration": 1e-10},
-            r"its instants 0\.1 s and 0\.1000000001 s are one at",
-        ),
-        ("", "can't read"),
-        ("time,f\n0,1\n1,2\n", r"line 1: there is no column force\.x \[N\]"),
-        ("time,force.x [kN]\n0,1\n", r"column force\.x is in kN; convert it to N"),
-        ("time [ms],force.x\n0,1\n", r"column time is in ms; convert it to s"),
-        (NOT_FINITE, r"line 3, column force\.x: 'nan' is not a finite number"),
-        ("time,force.x\n0.2,1\n0.1,1\n", r"line 3: 0\.1 s comes after 0\.2 s"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"kind": "pulse", **FORCE}, "duration"),
+    ({"kind": "step", **FORCE, "signal": "force.z"}, "signal"),
+    ({"kind": "noise", "signal": "force.x", "standard_deviation": 1.0, "band": [9.0, 5.0]}, "ascend"),
+    ({"kind": "payload"}, "picked_up"),
+    ({"kind": "payload", "dropped": 0.1, "mass": 7.0}, "6 kg"),
+    ({"kind": "payload", "dropped": 0.1, "picked_up": 0.1, "mass": 7.0}, "after"),
+    ({"kind": "payload", "picked_up": 0.1}, "`mass`"),
+    # it would be a value that nobody takes
+    ({"kind": "step", **FORCE, "start": 5.0}, r"_disturbance begins at 5 s, but the run ends at 0\.\d+ s"),
+    ({"kind": "payload", "mass": 1.0, "picked_up": 5.0}, r"_disturbance begins at 5 s, but the run ends at"),
+    # a pulse that is too short would never end
+    ({"kind": "pulse", **FORCE, "start": 0.1, "duration": 1e-10},
+     r"its instants 0\.1 s and 0\.1000000001 s are one at"),
+    ("", "can't read"),
+    ("time,f\n0,1\n1,2\n", r"line 1: there is no column force\.x \[N\]"),
+    ("time,force.x [kN]\n0,1\n", r"column force\.x is in kN; convert it to N"),
+    ("time [ms],force.x\n0,1\n", r"column time is in ms; convert it to s"),
+    (NOT_FINITE, r"line 3, column force\.x: 'nan' is not a finite number"),
+    ("time,force.x\n0.2,1\n0.1,1\n", r"line 3: 0\.1 s comes after 0\.2 s"),
+])  # fmt: skip
 def test_wrong_keys_and_files_are_refused(changes: dict[str, Any] | str, message: str, tmp_path: Path) -> None:
     """The sentence names the key, the instant, or line and column of a file."""
     if isinstance(changes, str):
@@ -297,14 +292,11 @@ def test_a_motion_driven_robot_takes_no_disturbance() -> None:
         load_scene("barnard2012-6kg").replace({"disturbance": [{"kind": "payload", "dropped": 0.1}]})
 
 
-@pytest.mark.parametrize(
-    ("text", "scale"),
-    [
-        ("time,force.x\n0.001,2\n0.003,4\n", 1.0),
-        ("# a log\nt [s];other;force.x [N]\n0.001;7;2\n0.003;7;4\n", 1.0),
-        ("time\tforce.x [kN]\n0.001\t0.002\n0.003\t0.004\n", 1000.0),
-    ],
-)
+@pytest.mark.parametrize(("text", "scale"), [
+    ("time,force.x\n0.001,2\n0.003,4\n", 1.0),
+    ("# a log\nt [s];other;force.x [N]\n0.001;7;2\n0.003;7;4\n", 1.0),
+    ("time\tforce.x [kN]\n0.001\t0.002\n0.003\t0.004\n", 1000.0),
+])  # fmt: skip
 def test_a_csv_file_may_have_units_and_semicolons(text: str, scale: float, tmp_path: Path) -> None:
     """As those of motions and logs; with a scale any unit is allowed."""
     file = tmp_path / "force.csv"

@@ -204,21 +204,15 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        ("nowhere:Thing", "can't import nowhere"),
-        ("math:thing", "module math has no 'thing'"),
-        ("math:sqrt", "math:sqrt\\(\\)"),
-        ("math:pi", "a float can't be a slave"),
-        ("broken_class:Mine", r"Mine\(\): KeyError: 'gain' \(.*broken_class\.py, line 3\)"),
-        (
-            "broken_module:Mine",
-            r"can't import broken_module: ZeroDivisionError: .* \(.*broken_module\.py, line 1\)",
-        ),
-        ("broken_syntax:Mine", r"broken_syntax isn't valid Python: .*line 1"),
-    ],
-)
+@pytest.mark.parametrize(("source", "message"), [
+    ("nowhere:Thing", "can't import nowhere"),
+    ("math:thing", "module math has no 'thing'"),
+    ("math:sqrt", "math:sqrt\\(\\)"),
+    ("math:pi", "a float can't be a slave"),
+    ("broken_class:Mine", r"Mine\(\): KeyError: 'gain' \(.*broken_class\.py, line 3\)"),
+    ("broken_module:Mine", r"can't import broken_module: ZeroDivisionError: .* \(.*broken_module\.py, line 1\)"),
+    ("broken_syntax:Mine", r"broken_syntax isn't valid Python: .*line 1"),
+])  # fmt: skip
 def test_own_sources_that_fail_are_named(robot: Scene, tmp_path: Path, source: str, message: str) -> None:
     """Module, name, call and kind are checked, each with its sentence; what a user's file raises is told with its line."""
     for name, text in BROKEN.items():

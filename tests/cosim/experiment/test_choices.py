@@ -24,14 +24,11 @@ def robot() -> Path:
     return build_scene(load_scene("barnard2012-6kg")).path
 
 
-@pytest.mark.parametrize(
-    ("parameters", "numbers"),
-    [
-        ({"initial": "static", "integrator": "automatic"}, [1, 1]),
-        ({"initial": "undeformed", "integrator": "radau3"}, [2, 5]),
-        ({"initial": 2, "integrator": 7}, [2, 7]),
-    ],
-)
+@pytest.mark.parametrize(("parameters", "numbers"), [
+    ({"initial": "static", "integrator": "automatic"}, [1, 1]),
+    ({"initial": "undeformed", "integrator": "radau3"}, [2, 5]),
+    ({"initial": 2, "integrator": 7}, [2, 7]),
+])  # fmt: skip
 def test_names_stand_for_numbers(robot: Path, parameters: dict[str, int | str], numbers: list[int]) -> None:
     """A script says what it means; importers without the names give the numbers."""
     found = settings(settable_variables(open_fmu(robot).description), parameters)

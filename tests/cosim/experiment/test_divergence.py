@@ -55,17 +55,11 @@ def test_growth_is_that_of_the_linearised_loop(robot: Scene, derivative: float) 
 
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
-@pytest.mark.parametrize(
-    ("changes", "remedy"),
-    [
-        (
-            {"imperfection": [{"kind": "delay", "signal": "torque", "time": 0.02}]},
-            r"shorten the delays \(0.02\d* s of delay.joint\d.torque -> plant.joint\d.torque\)",
-        ),
-        ({"effects.motor_inertia": 0.0}, r"give the motors their inertia \(`effects.motor_inertia`\)"),
-    ],
-    ids=["delay", "no motor inertia"],
-)
+@pytest.mark.parametrize(("changes", "remedy"), [
+    ({"imperfection": [{"kind": "delay", "signal": "torque", "time": 0.02}]},
+     r"shorten the delays \(0.02\d* s of delay.joint\d.torque -> plant.joint\d.torque\)"),
+    ({"effects.motor_inertia": 0.0}, r"give the motors their inertia \(`effects.motor_inertia`\)"),
+], ids=["delay", "no motor inertia"])  # fmt: skip
 def test_remedies_are_those_of_the_cause(robot: Scene, changes: dict[str, Any], remedy: str) -> None:
     """Neither a singularity nor the assembly is blamed first, and what the scene has done wrong is named."""
     run = controlled(robot, 100.0, **changes)

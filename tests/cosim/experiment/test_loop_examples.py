@@ -66,10 +66,7 @@ PROMISES: dict[str, tuple[str, Callable[..., bool]]] = {
         ),
     ),
     # each better model of the robot leaves the PD less
-    "controller_flexible.py": (
-        "tracking error",
-        lambda none, rigid, flexible: flexible < 0.2 * rigid < 0.04 * none,
-    ),
+    "controller_flexible.py": ("tracking error", lambda none, rigid, flexible: flexible < 0.2 * rigid < 0.04 * none),
     # more bandwidth costs robustness
     "controller_h_infinity.py": ("disk margin", lambda _, slow, fast: fast < slow < 1.0),
     # a disturbed robot goes astray, more with a force than with noise; dropping the payload lifts it by a force of 58.9 N

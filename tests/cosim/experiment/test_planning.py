@@ -42,21 +42,18 @@ def test_joints_follow_the_end_effector(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("blend", ["lame", "clothoid", "polar"])
-@pytest.mark.parametrize(
-    ("profile", "jumps"),
-    [
-        ({"kind": "poly7"}, ()),
-        ({"kind": "poly5"}, ()),
-        ({"kind": "bang-bang"}, (0.5,)),
-        ({"kind": "trapezoidal", "ramp": 0.25}, (0.25, 0.75)),
-        ({"kind": "double-s", "ramp": 0.3, "jerk_phase": 0.1}, (0.1, 0.2, 0.3, 0.7, 0.8, 0.9)),
-        ({"kind": "harmonic"}, ()),
-        ({"kind": "cycloidal"}, ()),
-        ({"kind": "modified-sine"}, (0.125, 0.875)),
-        ({"kind": "modified-trapezoid"}, (0.125, 0.375, 0.625, 0.875)),
-        ({"kind": "polynomial", "coefficients": [0, 0, 6, -8, 3]}, ()),
-    ],
-)
+@pytest.mark.parametrize(("profile", "jumps"), [
+    ({"kind": "poly7"}, ()),
+    ({"kind": "poly5"}, ()),
+    ({"kind": "bang-bang"}, (0.5,)),
+    ({"kind": "trapezoidal", "ramp": 0.25}, (0.25, 0.75)),
+    ({"kind": "double-s", "ramp": 0.3, "jerk_phase": 0.1}, (0.1, 0.2, 0.3, 0.7, 0.8, 0.9)),
+    ({"kind": "harmonic"}, ()),
+    ({"kind": "cycloidal"}, ()),
+    ({"kind": "modified-sine"}, (0.125, 0.875)),
+    ({"kind": "modified-trapezoid"}, (0.125, 0.375, 0.625, 0.875)),
+    ({"kind": "polynomial", "coefficients": [0, 0, 6, -8, 3]}, ()),
+])  # fmt: skip
 def test_every_blend_and_profile(
     scene: Scene, blend: str, profile: dict[str, object], jumps: tuple[float, ...]
 ) -> None:

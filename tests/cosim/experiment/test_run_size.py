@@ -25,15 +25,12 @@ LOOP: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize(
-    ("changes", "selection"),
-    [
-        ({}, EVERYTHING),
-        ({"cosimulation.step": 1e-3}, EVERYTHING),
-        (LOOP, EVERYTHING),
-        ({"cosimulation.step": 1e-4}, Selection(["joint1.torque"], 0, 1e-3)),
-    ],
-)
+@pytest.mark.parametrize(("changes", "selection"), [
+    ({}, EVERYTHING),
+    ({"cosimulation.step": 1e-3}, EVERYTHING),
+    (LOOP, EVERYTHING),
+    ({"cosimulation.step": 1e-4}, Selection(["joint1.torque"], 0, 1e-3)),
+])  # fmt: skip
 def test_the_estimate_is_what_is_recorded(changes: dict[str, Any], selection: Selection) -> None:
     """Within a fifth of the values that a run has in the end, and its companion's."""
     scene = load_scene("barnard2012-6kg").replace({**changes, "trajectory.dwell": 0.1})

@@ -93,20 +93,15 @@ def test_variants_of_parameters_run_side_by_side_over_all_cycles() -> None:
     assert found[15].value == pytest.approx(metrics_of(run, ["peak_torque_1"]), rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"trajectory.cycles": 3}, '`cycles` = 3 needs a way back: add `way_back = "same-path"`'),
-        ({"trajectory.pause": 0.1}, '`pause` = 0.1 needs a way back: add `way_back = "same-path"`'),
-        ({**TWICE, "trajectory.cycles": 0}, "`trajectory.cycles` must be at least 1"),
-        ({**TWICE, "trajectory.pause": -0.1}, "`trajectory.pause` must be at least 0.0 s, got -0.1 s"),
-        ({"trajectory.way_back": "other"}, "`trajectory.way_back`"),
-        (
-            {**TWICE, "controller": [LEARNING], "cosimulation.drive": "torque"},
-            "controllers that learn repeat the motion there and back by their own `cycles`",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"trajectory.cycles": 3}, '`cycles` = 3 needs a way back: add `way_back = "same-path"`'),
+    ({"trajectory.pause": 0.1}, '`pause` = 0.1 needs a way back: add `way_back = "same-path"`'),
+    ({**TWICE, "trajectory.cycles": 0}, "`trajectory.cycles` must be at least 1"),
+    ({**TWICE, "trajectory.pause": -0.1}, "`trajectory.pause` must be at least 0.0 s, got -0.1 s"),
+    ({"trajectory.way_back": "other"}, "`trajectory.way_back`"),
+    ({**TWICE, "controller": [LEARNING], "cosimulation.drive": "torque"},
+     "controllers that learn repeat the motion there and back by their own `cycles`"),
+])  # fmt: skip
 def test_cycles_without_sense_are_refused(changes: dict[str, Any], message: str) -> None:
     """What is wrong and what would be right, on one line."""
     with pytest.raises(SceneError, match=message):

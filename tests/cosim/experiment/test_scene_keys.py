@@ -63,25 +63,15 @@ def test_noise_sections_have_numbers_of_their_own(robot: Scene) -> None:
     assert abs(np.corrcoef(*(each[1:] - np.arange(1.0, 200.0) for each in jitters))[0, 1]) < 0.25
 
 
-@pytest.mark.parametrize(
-    ("keys", "expected"),
-    [
-        ({}, CouplingMethod(GaussSeidel(), None, None)),
-        ({"algorithm": "jacobi"}, CouplingMethod(Jacobi(), None, None)),
-        (
-            {"algorithm": "implicit", "loop_solver": {"kind": "fixed-point", "relaxation": 0.5, "iterations": 7}},
-            CouplingMethod(Implicit(FixedPoint(0.5, rounds=7)), FixedPoint(0.5, rounds=7), None),
-        ),
-        (
-            {"loop_solver": {"kind": "anderson", "iterations": 9}},
-            CouplingMethod(GaussSeidel(), Anderson(rounds=9), None),
-        ),
-        (
-            {"step_control": {"tolerance": 1e-3, "minimum": 1e-7, "maximum": 2e-3}},
-            CouplingMethod(GaussSeidel(), None, StepDoubling(1e-3, smallest=1e-7, largest=2e-3)),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("keys", "expected"), [
+    ({}, CouplingMethod(GaussSeidel(), None, None)),
+    ({"algorithm": "jacobi"}, CouplingMethod(Jacobi(), None, None)),
+    ({"algorithm": "implicit", "loop_solver": {"kind": "fixed-point", "relaxation": 0.5, "iterations": 7}},
+     CouplingMethod(Implicit(FixedPoint(0.5, rounds=7)), FixedPoint(0.5, rounds=7), None)),
+    ({"loop_solver": {"kind": "anderson", "iterations": 9}}, CouplingMethod(GaussSeidel(), Anderson(rounds=9), None)),
+    ({"step_control": {"tolerance": 1e-3, "minimum": 1e-7, "maximum": 2e-3}},
+     CouplingMethod(GaussSeidel(), None, StepDoubling(1e-3, smallest=1e-7, largest=2e-3))),
+])  # fmt: skip
 def test_coupling_keys(robot: Scene, keys: dict[str, Any], expected: CouplingMethod) -> None:
     """Algorithm, solver and step control of the master are what the scene names."""
     scene = robot.replace({f"cosimulation.{key}": value for key, value in keys.items()})
@@ -117,17 +107,14 @@ def test_a_scene_chooses_its_steps(robot: Scene) -> None:
 PID = {"kind": "pid", "proportional": 1e4, "integral": 1e5, "derivative": 100.0, "sample_time": 1e-3}
 
 
-@pytest.mark.parametrize(
-    ("pid", "others", "first"),
-    [
-        ({"setpoint_weight": 0.5}, [], 1.0),
-        ({"setpoint_weight": 0.9, "torque_limit": 80.0, "anti_windup": "none"}, [], 1.0),
-        ({"setpoint_weight": 0.0}, [{"kind": "gravity-feedforward", "sample_time": 1e-3}], 1.0),
-        ({}, [], 1.0),
-        ({"setpoint_weight": 0.5, "initial_torque": 0.0}, [], 0.0),
-        ({"setpoint_weight": 0.5, "integral": 0.0}, [], 0.0),
-    ],
-)
+@pytest.mark.parametrize(("pid", "others", "first"), [
+    ({"setpoint_weight": 0.5}, [], 1.0),
+    ({"setpoint_weight": 0.9, "torque_limit": 80.0, "anti_windup": "none"}, [], 1.0),
+    ({"setpoint_weight": 0.0}, [{"kind": "gravity-feedforward", "sample_time": 1e-3}], 1.0),
+    ({}, [], 1.0),
+    ({"setpoint_weight": 0.5, "initial_torque": 0.0}, [], 0.0),
+    ({"setpoint_weight": 0.5, "integral": 0.0}, [], 0.0),
+])  # fmt: skip
 def test_pid_starts_without_a_bump(robot: Scene, pid: Any, others: list[Any], first: float) -> None:
     """The torque begins at the static one, or where `initial_torque` says, and a weight only makes it smaller."""
     torques = []

@@ -37,15 +37,12 @@ BEAMS = {"effects.beam": "timoshenko", "effects.basis": "craig-bampton"}
 SAME_LINKS = {key: value for key, value in OTHER.items() if not key.startswith("mechanism")}
 
 
-@pytest.mark.parametrize(
-    ("kind", "other"),
-    [
-        pytest.param({}, OTHER, id="motion"),
-        pytest.param(DRIVEN, OTHER, id="torque", marks=pytest.mark.slow),
-        pytest.param({"effects.basis": "craig-bampton"}, OTHER, id="craig-bampton", marks=pytest.mark.slow),
-        pytest.param(BEAMS, SAME_LINKS, id="timoshenko", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("kind", "other"), [
+    pytest.param({}, OTHER, id="motion"),
+    pytest.param(DRIVEN, OTHER, id="torque", marks=pytest.mark.slow),
+    pytest.param({"effects.basis": "craig-bampton"}, OTHER, id="craig-bampton", marks=pytest.mark.slow),
+    pytest.param(BEAMS, SAME_LINKS, id="timoshenko", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_results_are_those_of_the_own_fmu(kind: dict[str, Any], other: dict[str, Any]) -> None:
     """Signals and metrics, by the FMU that the first scene of its kind has built."""
     first = run_scene(ROBOT.replace(kind))
@@ -79,16 +76,13 @@ def test_other_values_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (len(_unpacked), load_calls.cache_info().currsize) == (unpacked, loaded)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"payload.mass": 0.0},
-        {"effects.gravity": [0.0, 0.0]},
-        {"effects.proximal_bending": 2},
-        {"name": "another"},
-        DRIVEN,
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    {"payload.mass": 0.0},
+    {"effects.gravity": [0.0, 0.0]},
+    {"effects.proximal_bending": 2},
+    {"name": "another"},
+    DRIVEN,
+])  # fmt: skip
 def test_other_structures_have_their_own(changes: dict[str, Any]) -> None:
     """What a value of zero leaves out, modes, name and drive are in the generated C."""
     assert shared_key(ROBOT.replace(changes)) != shared_key(ROBOT)

@@ -139,19 +139,16 @@ def test_out_of_reach(known: MotionPlan, folder: Path, text: str, said: str) -> 
         flexfmu.reference_motion(tabulated(known, file).replace({"mechanism.distal.length": 0.3}))
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"degree": 4}, "`trajectory.degree` must be 3, 5 or 7"),
-        ({"degree": 5}, "task.csv gives derivatives up to order 3, which need `degree` = 7, got 5"),
-        ({"noise": 1e-5}, "`noise` smooths positions, but .*task.csv has vx, vy, ax, ay, jx, jy: remove these columns"),
-        ({"noise": 0.0}, "`trajectory.noise` must be above 0.0 m or rad, got 0.0 m or rad"),
-        ({"start": [0.0, 0.3]}, "`trajectory.start` is not a known key"),
-        ({"duration": 0.0}, "`trajectory.duration` must be above 0.0 s"),
-        ({"kind": "spline"}, "`trajectory.kind` must be one of 'pick-and-place', 'table', got 'spline'"),
-        ({"file": "nowhere.csv"}, "cannot read the motion nowhere.csv: No such file"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "said"), [
+    ({"degree": 4}, "`trajectory.degree` must be 3, 5 or 7"),
+    ({"degree": 5}, "task.csv gives derivatives up to order 3, which need `degree` = 7, got 5"),
+    ({"noise": 1e-5}, "`noise` smooths positions, but .*task.csv has vx, vy, ax, ay, jx, jy: remove these columns"),
+    ({"noise": 0.0}, "`trajectory.noise` must be above 0.0 m or rad, got 0.0 m or rad"),
+    ({"start": [0.0, 0.3]}, "`trajectory.start` is not a known key"),
+    ({"duration": 0.0}, "`trajectory.duration` must be above 0.0 s"),
+    ({"kind": "spline"}, "`trajectory.kind` must be one of 'pick-and-place', 'table', got 'spline'"),
+    ({"file": "nowhere.csv"}, "cannot read the motion nowhere.csv: No such file"),
+])  # fmt: skip
 def test_wrong_keys(known: MotionPlan, folder: Path, keys: dict[str, object], said: str) -> None:
     """Each names the key, the value and what would be right."""
     section = {"kind": "table", "file": str(folder / "task.csv"), **keys}

@@ -63,26 +63,12 @@ def test_signals_pass_in_the_order_given() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("controllers", "inline_blocks", "explicit", "expected"),
-    [
-        (
-            [Names("damper", ["v"], ["torque"])],
-            [Names("encoder", ["q.input"], ["q", "v"])],
-            {},
-            "encoder.v -> damper.v",
-        ),
-        ([], [Names("spring", ["q"], ["q"])], {"plant.force": "spring.q"}, "spring.q -> plant.force"),
-        (
-            [PD, Names("forward", ["q.reference"], ["q.feedforward"])],
-            [],
-            {},
-            "forward.q.feedforward -> pd.q.feedforward",
-        ),
-        ([Names("lqg", ["q_reference", "q"], ["torque"])], [], {}, "trajectory.q.reference -> lqg.q_reference"),
-    ],
-    ids=["two signals made of one", "no controller", "feedforward", "underscores for dots"],
-)
+@pytest.mark.parametrize(("controllers", "inline_blocks", "explicit", "expected"), [
+    ([Names("damper", ["v"], ["torque"])], [Names("encoder", ["q.input"], ["q", "v"])], {}, "encoder.v -> damper.v"),
+    ([], [Names("spring", ["q"], ["q"])], {"plant.force": "spring.q"}, "spring.q -> plant.force"),
+    ([PD, Names("forward", ["q.reference"], ["q.feedforward"])], [], {}, "forward.q.feedforward -> pd.q.feedforward"),
+    ([Names("lqg", ["q_reference", "q"], ["torque"])], [], {}, "trajectory.q.reference -> lqg.q_reference"),
+], ids=["two signals made of one", "no controller", "feedforward", "underscores for dots"])  # fmt: skip
 def test_sources_are_found(
     controllers: list[Names], inline_blocks: list[Names], explicit: dict[str, str], expected: str
 ) -> None:
@@ -139,33 +125,26 @@ def test_units_say_what_fits() -> None:
         wire(motion, plant, [mine])
 
 
-@pytest.mark.parametrize(
-    ("controllers", "inline_blocks", "explicit", "message"),
-    [
-        ([Names("c", ["q.refernce"], ["torque"])], [], {}, "c.q.refernce has no source"),
-        ([Names("c", ["q.refernce"], ["torque"])], [], {}, "did you mean 'q.reference'"),
-        ([Names("c", ["q"], ["torque", "forces"])], [], {}, "c.forces is connected to nothing, and plant.force has no"),
-        ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both output torque"),
-        ([Names("c", [], ["q"])], [], {}, "c outputs q, but so does the robot: a signal has one source"),
-        ([Names("c", ["q"], ["y"])], [], {}, r"\(c\.y\) reaches the robot, which takes torque, force"),
-        ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
-        ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
-        ([], [Names("n", ["a.torque"], ["a.torque"])], {}, "needs a controller"),
-        (
-            [Names("c", ["q"], ["u1"])],
-            [Names("n", ["torque"], ["torque"])],
-            {},
-            r"output c\.u1: call the output torque, or",
-        ),
-        ([], [Names("n", ["q"], ["q"])], {}, "^n acts on q, which nothing takes: add a controller, or leave n out$"),
-        ([], [Names("m", ["q"], ["q"]), Names("n", ["q"], ["q"])], {}, "^n acts on q"),
-        ([], [Names("s", ["q.reference"], ["shaped.q.reference"])], {}, "^s acts on q.reference, which nothing takes"),
-        ([PD], [], {"pd.x": "q"}, "pd has no input 'x'"),
-        ([PD], [], {"pdd.q": "q"}, "no slave 'pdd'"),
-        ([PD], [], {"pd.q": "plant.qq"}, "plant has no output 'qq'; did you mean 'q'"),
-        ([PD], [], {"pd.q": "x"}, "no signal 'x'"),
-    ],
-)
+@pytest.mark.parametrize(("controllers", "inline_blocks", "explicit", "message"), [
+    ([Names("c", ["q.refernce"], ["torque"])], [], {}, "c.q.refernce has no source"),
+    ([Names("c", ["q.refernce"], ["torque"])], [], {}, "did you mean 'q.reference'"),
+    ([Names("c", ["q"], ["torque", "forces"])], [], {}, "c.forces is connected to nothing, and plant.force has no"),
+    ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both output torque"),
+    ([Names("c", [], ["q"])], [], {}, "c outputs q, but so does the robot: a signal has one source"),
+    ([Names("c", ["q"], ["y"])], [], {}, r"\(c\.y\) reaches the robot, which takes torque, force"),
+    ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
+    ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
+    ([], [Names("n", ["a.torque"], ["a.torque"])], {}, "needs a controller"),
+    ([Names("c", ["q"], ["u1"])], [Names("n", ["torque"], ["torque"])], {},
+     r"output c\.u1: call the output torque, or"),
+    ([], [Names("n", ["q"], ["q"])], {}, "^n acts on q, which nothing takes: add a controller, or leave n out$"),
+    ([], [Names("m", ["q"], ["q"]), Names("n", ["q"], ["q"])], {}, "^n acts on q"),
+    ([], [Names("s", ["q.reference"], ["shaped.q.reference"])], {}, "^s acts on q.reference, which nothing takes"),
+    ([PD], [], {"pd.x": "q"}, "pd has no input 'x'"),
+    ([PD], [], {"pdd.q": "q"}, "no slave 'pdd'"),
+    ([PD], [], {"pd.q": "plant.qq"}, "plant has no output 'qq'; did you mean 'q'"),
+    ([PD], [], {"pd.q": "x"}, "no signal 'x'"),
+])  # fmt: skip
 def test_what_fits_nothing_is_named(
     controllers: list[Names], inline_blocks: list[Names], explicit: dict[str, str], message: str
 ) -> None:

@@ -17,17 +17,14 @@ from flexfmu.model.scene.keys import parse_toml
 TEXT = scene_path("barnard2012-6kg").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (f"x = {'9' * 5000}", "a number has thousands of digits"),
-        (f"x = {'[' * 5000}{']' * 5000}", "nested deeper than 50 levels"),
-        (f"{'a.' * 500}a = 1", "nested deeper than 50 levels"),
-        (f"[effects.{'n' * 100_000}]", "`effects.nnn.* \\.\\.\\. .*x.toml"),
-        ("".join(f"[faulty{i}]\na = 1\n" for i in range(2000)), "`faulty19` are not known keys"),
-        (f"x = '{LARGEST_SCENE * 'n'}'", "larger than 4 MB"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    (f"x = {'9' * 5000}", "a number has thousands of digits"),
+    (f"x = {'[' * 5000}{']' * 5000}", "nested deeper than 50 levels"),
+    (f"{'a.' * 500}a = 1", "nested deeper than 50 levels"),
+    (f"[effects.{'n' * 100_000}]", "`effects.nnn.* \\.\\.\\. .*x.toml"),
+    ("".join(f"[faulty{i}]\na = 1\n" for i in range(2000)), "`faulty19` are not known keys"),
+    (f"x = '{LARGEST_SCENE * 'n'}'", "larger than 4 MB"),
+])  # fmt: skip
 def test_sizes_and_depths(tmp_path: Path, text: str, message: str) -> None:
     """Long numbers, deep arrays, long names and many mistakes are one line of a few hundred characters."""
     path = tmp_path / "x.toml"

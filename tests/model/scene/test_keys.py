@@ -20,27 +20,24 @@ SCENE = load_scene("barnard2012-6kg").replace(
 )
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "unit"),
-    [
-        ("payload.mass", 2.5, "kg"),
-        ("trajectory.duration", 0.3, "s"),
-        ("trajectory.blend.height", 0.02, "m"),
-        ("trajectory.start[0]", -0.17, "m"),
-        ("effects.gravity[1]", 0.0, "m/s2"),
-        ("cosimulation.step", 1e-3, "s"),
-        ("controller[0].derivative[1]", 30.0, "N.m.s/rad"),
-        ("controller[1].sample_time", 5e-4, "s"),
-        ("controller.second.sample_time", 5e-4, "s"),
-        ("controller.feedforward.payload", 4.0, "kg"),
-        ("controller.1.sample_time", 5e-4, "s"),
-        ("controller.0.kd[1]", 30.0, "N.m.s/rad"),
-        ("second.sample_time", 5e-4, "s"),
-        ("second.kp[0]", 4e3, "N.m/rad"),
-        ("feedforward.payload", 4.0, "kg"),
-        ("trajectory.profile.kind", "bang-bang", ""),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "unit"), [
+    ("payload.mass", 2.5, "kg"),
+    ("trajectory.duration", 0.3, "s"),
+    ("trajectory.blend.height", 0.02, "m"),
+    ("trajectory.start[0]", -0.17, "m"),
+    ("effects.gravity[1]", 0.0, "m/s2"),
+    ("cosimulation.step", 1e-3, "s"),
+    ("controller[0].derivative[1]", 30.0, "N.m.s/rad"),
+    ("controller[1].sample_time", 5e-4, "s"),
+    ("controller.second.sample_time", 5e-4, "s"),
+    ("controller.feedforward.payload", 4.0, "kg"),
+    ("controller.1.sample_time", 5e-4, "s"),
+    ("controller.0.kd[1]", 30.0, "N.m.s/rad"),
+    ("second.sample_time", 5e-4, "s"),
+    ("second.kp[0]", 4e3, "N.m/rad"),
+    ("feedforward.payload", 4.0, "kg"),
+    ("trajectory.profile.kind", "bang-bang", ""),
+])  # fmt: skip
 def test_every_value_has_a_key(key: str, value: Any, unit: str) -> None:
     """The changed scene has the value, and nothing else changes."""
     changed = SCENE.replace({key: value}).model_dump()

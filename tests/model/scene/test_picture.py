@@ -25,14 +25,11 @@ def drawn(scene: Scene) -> tuple[str, list[list[tuple[float, float]]], tuple[flo
     return html, points, (float(root.attrib["width"]), float(root.attrib["height"]))
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"mechanism.working_mode": "left", "mechanism.assembly_mode": "left"},
-        {"trajectory.lift": [1.0, 0.0], "trajectory.start": [0.0, 0.3], "trajectory.width": 0.2},
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    {},
+    {"mechanism.working_mode": "left", "mechanism.assembly_mode": "left"},
+    {"trajectory.lift": [1.0, 0.0], "trajectory.start": [0.0, 0.3], "trajectory.width": 0.2},
+])  # fmt: skip
 def test_mechanism_and_path_are_to_scale_and_within(changes: dict[str, object]) -> None:
     """Links have their lengths, at one scale, at three poses; all of it is within the picture."""
     scene = load_scene("barnard2012-6kg").replace(changes)

@@ -73,18 +73,11 @@ def test_junk_is_a_scene_or_a_scene_error_never_a_crash(key: str, value: object)
     assert "\n" not in message
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "hint"),
-    [
-        ("youngs_modulus = 70e9", "youngs_modulus = 210.0", r"= 210 Pa is below 1e8 Pa: it is in Pa, 1 GPa is 1e9 Pa"),
-        ("density = 2710.0", "density = 2.71", r"= 2\.71 kg/m3 is below 100 kg/m3: 1 g/cm3 is 1000 kg/m3"),
-        (
-            "diameter = 0.035",
-            "diameter = 35.0",
-            r"`mechanism.proximal.diameter` = 35 m is above half the length, 0.24 m",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "hint"), [
+    ("youngs_modulus = 70e9", "youngs_modulus = 210.0", r"= 210 Pa is below 1e8 Pa: it is in Pa, 1 GPa is 1e9 Pa"),
+    ("density = 2710.0", "density = 2.71", r"= 2\.71 kg/m3 is below 100 kg/m3: 1 g/cm3 is 1000 kg/m3"),
+    ("diameter = 0.035", "diameter = 35.0", r"`mechanism.proximal.diameter` = 35 m is above half the length, 0.24 m"),
+])  # fmt: skip
 def test_values_that_suggest_another_unit_are_hinted_at(tmp_path: Path, old: str, new: str, hint: str) -> None:
     """Soft, light or thick links can be meant, so the scene is read; the warning names key, value and the likely unit."""
     path = tmp_path / "scene.toml"

@@ -55,25 +55,22 @@ def test_our_scenes_are_accepted(path: Path, accepts: Callable[[dict[str, Any]],
     assert accepts(tomllib.loads(path.read_text(encoding="utf-8")))
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "valid"),
-    [
-        ("effects.damping", "none", True),
-        ("effects.joint_friction", {"coulomb": 1.0}, True),
-        ("cosimulation.step", "auto", True),
-        ("cosimulation.loop_solver", "anderson", True),
-        ("shaper", [{"kind": "zvd", "modes": "along-path"}], True),
-        ("controller", [{"kind": "pd", "proportional": [1e3, 2e3], "derivative": 10.0, "sample_time": 1e-3}], True),
-        ("payload.mass", -1.0, False),
-        ("payload.weight", 6.0, False),
-        ("mechanism.working_mode", "up", False),
-        ("mechanism.proximal", {"length": 0.24}, False),
-        ("effects.proximal_bending", 2.5, False),
-        ("effects.damping", {"kind": "modal"}, False),
-        ("trajectory.start", [0.1, 0.2, 0.3], False),
-        ("controller", [{"kind": "pd", "proportional": 1e3}], False),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "valid"), [
+    ("effects.damping", "none", True),
+    ("effects.joint_friction", {"coulomb": 1.0}, True),
+    ("cosimulation.step", "auto", True),
+    ("cosimulation.loop_solver", "anderson", True),
+    ("shaper", [{"kind": "zvd", "modes": "along-path"}], True),
+    ("controller", [{"kind": "pd", "proportional": [1e3, 2e3], "derivative": 10.0, "sample_time": 1e-3}], True),
+    ("payload.mass", -1.0, False),
+    ("payload.weight", 6.0, False),
+    ("mechanism.working_mode", "up", False),
+    ("mechanism.proximal", {"length": 0.24}, False),
+    ("effects.proximal_bending", 2.5, False),
+    ("effects.damping", {"kind": "modal"}, False),
+    ("trajectory.start", [0.1, 0.2, 0.3], False),
+    ("controller", [{"kind": "pd", "proportional": 1e3}], False),
+])  # fmt: skip
 def test_schema_and_flexfmu_agree(key: str, value: Any, valid: bool, accepts: Callable[[dict[str, Any]], bool]) -> None:
     """Short forms that flexfmu reads, editors don't underline; wrong values, words and missing keys they do."""
     scene = tomllib.loads(SIX.read_text(encoding="utf-8"))

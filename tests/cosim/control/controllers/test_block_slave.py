@@ -16,11 +16,7 @@ from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.cosim.engine.slave import (
-    Indices,
-    RealArray,
-    SlaveVariable,
-)
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 

@@ -61,12 +61,7 @@ def write(tmp_path_factory: pytest.TempPathFactory) -> Write:
 def robot() -> Scene:
     """The paper's robot, driven by torques."""
     return load_scene("barnard2012-6kg").replace(
-        {
-            "name": "c",
-            "cosimulation.drive": "torque",
-            "effects.motor_inertia": 0.1,
-            "trajectory.dwell": 0.0,
-        }
+        {"name": "c", "cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
     )
 
 
@@ -245,21 +240,16 @@ def test_an_output_that_the_function_does_not_write_is_no_number(write: Write, r
     assert "half failed at 0 s: joint2.torque became nan" in run.message
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"function": "other"},
-            r"own_pd\.c: there is no function 'other'; name one of theirs as `function` \(own_pd\), or",
-        ),
-        ({"function": "no name"}, "is no name of a C function"),
-        ({"outputs": []}, "needs `outputs`"),
-        ({"inputs": ["a", "a"]}, "two variables are named 'a'"),
-        ({"units": {"joint1.torqe": "N.m"}}, "did you mean 'joint1.torque'"),
-        ({"source": "missing.c"}, "can't read the C file missing.c"),
-        ({"source": 3}, "`source`.*got 3"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"function": "other"},
+     r"own_pd\.c: there is no function 'other'; name one of theirs as `function` \(own_pd\), or"),
+    ({"function": "no name"}, "is no name of a C function"),
+    ({"outputs": []}, "needs `outputs`"),
+    ({"inputs": ["a", "a"]}, "two variables are named 'a'"),
+    ({"units": {"joint1.torqe": "N.m"}}, "did you mean 'joint1.torque'"),
+    ({"source": "missing.c"}, "can't read the C file missing.c"),
+    ({"source": 3}, "`source`.*got 3"),
+])  # fmt: skip
 def test_wrong_input_is_named(write: Write, changes: dict[str, Any], message: str) -> None:
     """Every mistake is said in a sentence with what would do."""
     with pytest.raises((InputError, SceneError), match=message):
@@ -269,25 +259,12 @@ def test_wrong_input_is_named(write: Write, changes: dict[str, Any], message: st
 HALF = "double half(double x);\ndouble half(double x) { return 0.5 * x; }\n"
 
 
-@pytest.mark.parametrize(
-    ("body", "front", "more", "message"),
-    [
-        (
-            None,
-            "void f(double t, double *y) { y[0] = t; }\n",
-            "",
-            r"void f\(double t, const double \*u, const double \*p",
-        ),
-        (
-            "y[0] = absent(u[0]) + gone();",
-            "double absent(double x);\ndouble gone(void);",
-            "",
-            "nothing defines absent, gone; add the C file or library that does to `source`",
-        ),
-        ("y[0] = half(u[0]);", "double half(double x) { return x; }", HALF, "half"),
-    ],
-    ids=["another signature", "a missing symbol", "one that is defined twice"],
-)
+@pytest.mark.parametrize(("body", "front", "more", "message"), [
+    (None, "void f(double t, double *y) { y[0] = t; }\n", "", r"void f\(double t, const double \*u, const double \*p"),
+    ("y[0] = absent(u[0]) + gone();", "double absent(double x);\ndouble gone(void);", "",
+     "nothing defines absent, gone; add the C file or library that does to `source`"),
+    ("y[0] = half(u[0]);", "double half(double x) { return x; }", HALF, "half"),
+], ids=["another signature", "a missing symbol", "one that is defined twice"])  # fmt: skip
 def test_what_compiler_and_linker_say(write: Write, body: str | None, front: str, more: str, message: str) -> None:
     """The compiler sees the prototype; the linker's own lines say which symbol is missing or there twice, without noise."""
     path = write("f", body or "", front)

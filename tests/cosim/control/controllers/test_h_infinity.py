@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 
 import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.h_infinity import (
-    closed_loop,
-    coprime_controller,
-    shape_loop,
-    shaped_block,
-    to_w,
-)
+from flexfmu.cosim.control.controllers.h_infinity import closed_loop, coprime_controller, shape_loop, shaped_block, to_w
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock

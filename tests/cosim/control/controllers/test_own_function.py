@@ -31,11 +31,7 @@ SINGLE: dict[str, Any] = {"inputs": ["a.reference.x", "b.reference.y", "c", "d"]
 def robot() -> Scene:
     """The paper's robot, driven by torques."""
     return flexfmu.load_scene("barnard2012-6kg").replace(
-        {
-            "cosimulation.drive": "torque",
-            "effects.motor_inertia": 0.1,
-            "trajectory.dwell": 0.0,
-        }
+        {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
     )
 
 
@@ -179,33 +175,25 @@ def test_impure_functions_are_refused() -> None:
     assert not sums
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: law_of(lambda reference, gain: 0.0),
-            "argument 'gain' without a default: the arguments are t, reference",
-        ),
-        (lambda: law_of(lambda reference: reference).slave(), "returns 2 values for its 1 outputs"),
-        (lambda: law_of(lambda state: 0.0, state=[0.0]).slave(), "must return two things: outputs, next states"),
-        (lambda: law_of(lambda reference: None).slave(), "returns None for its 1 outputs: every way through it"),
-        (lambda: law_of(lambda reference: [None]).slave(), "returns None among its 1 outputs"),
-        (lambda: law_of(lambda state: None, state=[0.0]).slave(), "outputs, next states; it returns None"),
-        (lambda: law_of(lambda state: (0.0, None), state=[0.0]).slave(), "returns None for its 1 states"),
-        (lambda: law_of(lambda reference: 1.0 / 0).slave(), r"fails: ZeroDivisionError: .*test_own_function\.py, line"),
-        (lambda: law_of(lambda reference: 0.0, sample_time=-1.0), "the sample time must be positive, got -1.0 s"),
-        (lambda: law_of(lambda reference: 0.0, inputs="a"), r"inputs must be a list of names, such as \["),
-        (lambda: law_of(lambda reference: 0.0, outputs=["c"]).slave(), "two variables are named 'c'"),
-        (lambda: law_of(lambda reference, k=1.0: k, units={"q": "N"}), "`units` names 'q', which is no variable"),
-        (lambda: springs.changed({"stifness": 1.0}), "has no parameter 'stifness'; did you mean 'stiffness'"),
-        (lambda: springs.changed({"stiffness": "high"}), "springs: stiffness must be a number, got 'high'"),
-        (lambda: springs.changed({"sample_time": None}), "springs: sample_time must be a number, got None"),
-        (
-            lambda: law_of(branching.function, symbolic=True, inputs=None, outputs=None).slave(),
-            "CasADi can't trace the function: RuntimeError: Cannot",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: law_of(lambda reference, gain: 0.0), "argument 'gain' without a default: the arguments are t, reference"),
+    (lambda: law_of(lambda reference: reference).slave(), "returns 2 values for its 1 outputs"),
+    (lambda: law_of(lambda state: 0.0, state=[0.0]).slave(), "must return two things: outputs, next states"),
+    (lambda: law_of(lambda reference: None).slave(), "returns None for its 1 outputs: every way through it"),
+    (lambda: law_of(lambda reference: [None]).slave(), "returns None among its 1 outputs"),
+    (lambda: law_of(lambda state: None, state=[0.0]).slave(), "outputs, next states; it returns None"),
+    (lambda: law_of(lambda state: (0.0, None), state=[0.0]).slave(), "returns None for its 1 states"),
+    (lambda: law_of(lambda reference: 1.0 / 0).slave(), r"fails: ZeroDivisionError: .*test_own_function\.py, line"),
+    (lambda: law_of(lambda reference: 0.0, sample_time=-1.0), "the sample time must be positive, got -1.0 s"),
+    (lambda: law_of(lambda reference: 0.0, inputs="a"), r"inputs must be a list of names, such as \["),
+    (lambda: law_of(lambda reference: 0.0, outputs=["c"]).slave(), "two variables are named 'c'"),
+    (lambda: law_of(lambda reference, k=1.0: k, units={"q": "N"}), "`units` names 'q', which is no variable"),
+    (lambda: springs.changed({"stifness": 1.0}), "has no parameter 'stifness'; did you mean 'stiffness'"),
+    (lambda: springs.changed({"stiffness": "high"}), "springs: stiffness must be a number, got 'high'"),
+    (lambda: springs.changed({"sample_time": None}), "springs: sample_time must be a number, got None"),
+    (lambda: law_of(branching.function, symbolic=True, inputs=None, outputs=None).slave(),
+     "CasADi can't trace the function: RuntimeError: Cannot"),
+])  # fmt: skip
 def test_wrong_input_is_named(make: Callable[[], Any], message: str) -> None:
     """Every mistake is said with the controller, the argument and what would do."""
     with pytest.raises(InputError, match=message):

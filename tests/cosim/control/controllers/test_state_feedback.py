@@ -155,15 +155,12 @@ def test_refused(change: dict[str, Any], message: str) -> None:
         state_feedback(plant, **({"K": K, "L": L} | change))
 
 
-@pytest.mark.parametrize(
-    ("plant", "tracked", "message"),
-    [
-        (two_masses(), ["position"], "the plant has no output 'position'; choose from angle"),
-        (two_masses(), [], "1 inputs can track as many outputs, got 0"),
-        # a plant that differentiates can't hold an output at rest
-        (linear_system([[0.5]], [[1.0]], [[0.5]], [[-1.0]], H), ["y[0]"], "can't be set independently at rest"),
-    ],
-)
+@pytest.mark.parametrize(("plant", "tracked", "message"), [
+    (two_masses(), ["position"], "the plant has no output 'position'; choose from angle"),
+    (two_masses(), [], "1 inputs can track as many outputs, got 0"),
+    # a plant that differentiates can't hold an output at rest
+    (linear_system([[0.5]], [[1.0]], [[0.5]], [[-1.0]], H), ["y[0]"], "can't be set independently at rest"),
+])  # fmt: skip
 def test_refused_tracking(plant: LinearSystem, tracked: list[str], message: str) -> None:
     """As many outputs as inputs, by name, which rest independently."""
     with pytest.raises(InputError, match=message):

@@ -71,16 +71,13 @@ def test_bad_values_are_told_with_their_key(value: float, key: str) -> None:
         load_scene("barnard2012-6kg").replace({"filter": [keys]})
 
 
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"kind": "notch", "frequency": 50.0, "at": "mode 1"}, "either `frequency` in Hz, or `at`"),
-        ({"kind": "notch"}, "either `frequency` in Hz, or `at`"),
-        ({"kind": "notch", "at": "mode one"}, "name a frequency as"),
-        ({"kind": "biquad", "numerator": [1, 0, 0], "denominator": [1, 1]}, "must not exceed"),
-        ({"kind": "biquad", "numerator": [1], "denominator": [0, 0]}, "isn't 0"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "message"), [
+    ({"kind": "notch", "frequency": 50.0, "at": "mode 1"}, "either `frequency` in Hz, or `at`"),
+    ({"kind": "notch"}, "either `frequency` in Hz, or `at`"),
+    ({"kind": "notch", "at": "mode one"}, "name a frequency as"),
+    ({"kind": "biquad", "numerator": [1, 0, 0], "denominator": [1, 1]}, "must not exceed"),
+    ({"kind": "biquad", "numerator": [1], "denominator": [0, 0]}, "isn't 0"),
+])  # fmt: skip
 def test_contradictions_are_told(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         load_scene("barnard2012-6kg").replace({"filter": [keys]})
