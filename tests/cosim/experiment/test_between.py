@@ -135,21 +135,6 @@ def test_delays_and_lags_begin_with_the_static_torque(robot: Scene) -> None:
     assert "lag.joint1.torque" in run.recording.columns
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
-def test_a_lag_without_a_sample_time_is_the_limit_of_short_ones(robot: Scene, signal: str) -> None:
-    """In torques, measurements and references: samples that are half as long are half as far from continuous time."""
-    short = robot.replace({"trajectory.dwell": 0.0, "trajectory.duration": 0.2, "controller": [COMPUTED_TORQUE]})
-
-    def halfway(**keys: float) -> float:
-        section = {"kind": "lag", "signal": signal, "time_constant": 4e-4, **keys}
-        run = run_scene(short.replace({"imperfection": [section], "cosimulation.step": 1e-3}))
-        assert run.completed, run.message
-        return float(np.interp(0.1, run.recording.time, run.recording["joint1.position"].values))
-
-    coarse, fine = halfway(sample_time=1e-4), halfway(sample_time=5e-5)
-    assert halfway() == pytest.approx(2.0 * fine - coarse, abs=0.1 * abs(fine - coarse))
-
-
 def test_an_exported_controller(robot: Scene, tmp_path: Path) -> None:
     """The FMU of a controller moves the robot as its Python twin does: from the scene file, with its parameters, and by its path,
     which stands for the block that it was exported from, sampled at the same instants, no step late."""

@@ -90,20 +90,6 @@ def test_specified_insensitivity(robot: Scene) -> None:
     assert loop.motion.duration - plan(robot).duration > 0.5 / 57.5
 
 
-def test_a_scene_chooses_its_steps(robot: Scene) -> None:
-    """A controlled robot with step control and Jacobi coupling moves as with short steps, and takes steps that differ."""
-    scene = robot.replace({"controller": [PD], "trajectory.dwell": 0.0})
-    fine = run_scene(scene)
-    chosen = run_scene(
-        scene.replace({"cosimulation.algorithm": "jacobi", "cosimulation.step_control": {"tolerance": 1e-4}})
-    )
-    assert chosen.completed, chosen.message
-    steps = np.diff(np.unique(chosen.recording.time))
-    assert steps.max() > 3.0 * steps.min()
-    angles = [np.interp(0.2, each.recording.time, each.recording["joint1.position"].values) for each in (fine, chosen)]
-    assert angles[0] == pytest.approx(angles[1], abs=1e-5)
-
-
 PID = {"kind": "pid", "proportional": 1e4, "integral": 1e5, "derivative": 100.0, "sample_time": 1e-3}
 
 

@@ -163,19 +163,6 @@ def test_sample_and_hold(offset: float) -> None:
     np.testing.assert_array_equal(now[time < offset - 1e-9], 3.0)
 
 
-def test_not_a_number_stops_the_run() -> None:
-    """A controller whose result is not a number stops the run with its name, time and output."""
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        return casadi.sqrt(0.45 - u), x
-
-    variables = [Variable("u", "1", "Input", "input", 0.0)], [Variable("y", "1", "Output", "output")]
-    slave = BlockSlave(block("root", "Root", equations, sample_time=0.1, inputs=variables[0], outputs=variables[1]))
-    result = simulate(connect([Clock(), slave], [("clock.y", "root.u")]), stop=1.0, step=0.1)
-    assert result.outcome is Outcome.NOT_FINITE
-    assert result.message.startswith("root failed at 0.5 s: y became nan")
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ({"sample_time": 0.0}, r"sample time of block 'sum' must be positive, got 0.0 s"),
     ({"sample_time": np.nan}, r"sample time of block 'sum' must be positive, got nan s"),

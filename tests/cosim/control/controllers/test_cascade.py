@@ -30,20 +30,6 @@ LOOP, CURRENT = {"proportional": 1.0}, {"time_constant": 1e-3}
 BACK_CALCULATION = {"kind": "back-calculation", "tracking_time": 0.01}
 
 
-def test_position_loop_is_its_formula() -> None:
-    """Gain, share of the reference velocity and limit of each joint."""
-    rng = np.random.default_rng(0)
-    position = {"proportional": [50.0, 70.0], "velocity_feedforward": [1.0, 0.25], "velocity_limit": [40.0, 60.0]}
-    block = cascade(position, LOOP, sample_time=H)[0]
-    signals = {each.name: rng.normal(size=50) for each in block.inputs}
-    found = responses(block, signals)
-    for joint, gain, share, limit in (("joint1", 50.0, 1.0, 40.0), ("joint2", 70.0, 0.25, 60.0)):
-        error = signals[f"{joint}.reference.position"] - signals[f"{joint}.position"]
-        command = np.clip(gain * error + share * signals[f"{joint}.reference.velocity"], -limit, limit)
-        assert (abs(command) == limit).any()
-        np.testing.assert_allclose(found[f"{joint}.command.velocity"], command, rtol=1e-14, atol=1e-13)
-
-
 def test_velocity_loop_is_its_transfer_function() -> None:
     """P and the trapezoidal I against `control.forced_response`, with the torque of the reference acceleration and a feedforward."""
     k_p, k_i, inertia = 40.0, 3e3, 0.3

@@ -8,14 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from axis_slave import Axis
-from blocks import disturbance_observer, friction_compensation, gravity_feedforward, pd, responses
+from blocks import disturbance_observer, friction_compensation, gravity_feedforward, responses
 from numpy.typing import NDArray
 
-from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.simulator import Outcome, simulate
-from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.assembly import elbows, motor_angles
@@ -117,44 +113,6 @@ def test_observer_with_the_robot_as_its_model() -> None:
     for joint, extra in zip(JOINTS, (2.0, -1.0), strict=True):
         expected = extra * (1.0 - np.exp(-k * H / 5e-3))
         np.testing.assert_allclose(found[f"{joint}.feedforward"], expected, rtol=0.0, atol=1e-12 * abs(torque).max())
-
-
-AXIS = Axis((0.1, 0.0))
-
-
-def test_observer_in_a_loop() -> None:
-    """PD, observer and an inertia under a load that the observer assumes too small: to 1e-12 at every instant, and no error is left."""
-    k_p, k_d, assumed, time_constant, count = 80.0, 6.0, 0.15, 8e-3, 1500
-    slaves = [
-        AXIS,
-        BlockSlave(pd(k_p, k_d, sample_time=H)),
-        BlockSlave(disturbance_observer(time_constant, assumed, sample_time=H), "observer"),
-    ]
-    wires = [
-        *((f"plant.joint1.{kind}", f"{name}.joint1.{kind}") for kind, name in [("position", "pd"), ("velocity", "pd"), ("velocity", "observer")]),
-        ("pd.joint1.torque", "plant.joint1.torque"),
-        ("pd.joint1.torque", "observer.joint1.torque"),
-        ("observer.joint1.feedforward", "pd.joint1.feedforward"),
-    ]  # fmt: skip
-    result = simulate(connect(slaves, wires), stop=count * H, step=H / 2.0)
-    assert result.outcome is Outcome.COMPLETED, result.message
-    # by hand
-    angle, rate, before, last, estimate = 0.1, 0.0, 0.0, 0.0, 0.0
-    a, rows = np.exp(-H / time_constant), []
-    for k in range(count):
-        if k:
-            estimate = a * estimate + (1.0 - a) * (before - assumed * (rate - last) / H)
-        torque = -k_p * angle - k_d * rate + estimate
-        rows.append((angle, rate, torque))
-        before, last = torque, rate
-        acceleration = (torque - AXIS.load) / AXIS.inertia
-        angle, rate = angle + H * rate + H**2 / 2.0 * acceleration, rate + H * acceleration
-    exact, recording = np.array(rows), result.recording
-    at = np.searchsorted(recording.time, H * np.arange(count) + H / 4.0) - 1
-    for column, name in enumerate(("plant.joint1.position", "plant.joint1.velocity", "pd.joint1.torque")):
-        scale = abs(exact[:, column]).max()
-        np.testing.assert_allclose(recording[name].values[at], exact[:, column], rtol=0.0, atol=1e-12 * scale)
-    assert abs(angle) < 1e-9
 
 
 PD: dict[str, Any] = {"proportional": 1e3, "derivative": 10.0, "sample_time": H}

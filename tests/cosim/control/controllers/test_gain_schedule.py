@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from blocks import cascade, pd, pid, responses
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from python_slave import PythonSlave
 
@@ -184,28 +181,3 @@ def test_a_signal_that_there_isnt(robot: Scene) -> None:
         InputError, match=r"end_efector.position.x.* has no source.*did you mean 'end_effector.position.x'"
     ):
         run_scene(robot.replace({"controller": [{**PD, "schedule": misspelt}]}))
-
-
-ANY = st.one_of(st.floats(), st.floats(-5.0, 5.0), st.sampled_from([-1.0, 0.0, 1.0, 2.0]))
-
-
-@settings(max_examples=80)
-@given(st.lists(ANY, min_size=1, max_size=4), st.floats(-6.0, 6.0), st.data())
-def test_any_table_is_interpolated_or_refused(at: list[float], signal: float, data: st.DataObject) -> None:
-    """`numpy.interp` for ascending values and factors that aren't negative, one sentence for all others."""
-    table = data.draw(st.lists(st.one_of(ANY, st.floats(0.0, 9.0)), min_size=len(at), max_size=len(at)))
-
-    def make() -> SymbolicBlock:
-        schedule = {"over": "load", "at": at, "proportional": table}
-        block: SymbolicBlock = pd(1.0, 0.0, sample_time=H, schedule=schedule)
-        return block
-
-    ascending = len(at) > 1 and all(a < b for a, b in pairwise(at))
-    if ascending and np.isfinite(at).all() and all(0.0 <= each < np.inf for each in table):
-        u, p = [1.0, *[0.0] * 9, signal], [1.0, 1.0, 0.0, 0.0]
-        found = float(make().output([], u, p)[0])
-        assert found == pytest.approx(np.interp(signal, at, table), rel=1e-9, abs=1e-12 * max(table))
-        return
-    with pytest.raises(SceneError) as refused:
-        make()
-    assert "\n" not in str(refused.value)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import backlash, dead_zone, sampled
 
 import flexfmu
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
@@ -15,26 +14,6 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 H = 1e-3
-
-
-def test_a_dead_zone_takes_small_values_and_shortens_large_ones() -> None:
-    u = np.linspace(-3.0, 3.0, 101)
-    expected = np.sign(u) * np.maximum(np.abs(u) - 0.7, 0.0)
-    np.testing.assert_allclose(sampled(dead_zone(0.7, sample_time=H), u)[:, 0], expected, atol=1e-15)
-
-
-def test_backlash_is_half_a_gap_behind_and_stands_still_at_reversals() -> None:
-    up, down = np.linspace(0.0, 2.0, 201), np.linspace(2.0, 0.0, 201)
-    found = sampled(backlash(0.5, sample_time=H), np.concatenate([up, down]))[:, 0]
-    # from the middle of the gap, half a gap behind, still for a whole gap, half a gap ahead
-    np.testing.assert_allclose(found[:201], np.maximum(up - 0.25, 0.0), atol=1e-15)
-    np.testing.assert_allclose(found[201:], np.minimum(down + 0.25, 1.75), atol=1e-15)
-
-
-def test_no_backlash_and_no_dead_zone_pass_the_signal() -> None:
-    u = np.random.default_rng(0).normal(size=50)
-    for block in (backlash(0.0, sample_time=H), dead_zone(0.0, sample_time=H)):
-        np.testing.assert_array_equal(sampled(block, u)[:, 0], u)
 
 
 def scene(*imperfections: dict[str, Any]) -> Scene:

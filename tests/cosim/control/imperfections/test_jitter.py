@@ -6,7 +6,6 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-import pytest
 from blocks import jitter, sampled
 from scipy.stats import kstest
 
@@ -45,14 +44,3 @@ def test_channels_of_a_block_share_the_clock_and_blocks_do_not() -> None:
     np.testing.assert_array_equal(y[:, 0], y[:, 1])
     assert abs(np.corrcoef(delays(300), delays(300, name="other"))[0, 1]) < SIX_SIGMA / sqrt(300)
     assert abs(np.corrcoef(delays(300), delays(300, seed=2))[0, 1]) < SIX_SIGMA / sqrt(300)
-
-
-@pytest.mark.parametrize("largest", [0.0, 1e-3])
-def test_largest_delay_is_a_parameter(largest: float) -> None:
-    """Zero is a perfect clock, to the last bit; a whole sample reaches back to the last value."""
-    u = np.random.default_rng(2).normal(size=200)
-    y = sampled(jitter(4e-4, 1, sample_time=H), u, {"largest_delay": largest})[:, 0]
-    if not largest:
-        np.testing.assert_array_equal(y, u)
-    lower, upper = np.minimum(u[1:], u[:-1]), np.maximum(u[1:], u[:-1])
-    assert ((lower <= y[1:]) & (y[1:] <= upper)).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import factorial
 from typing import Any
 
-import control
 import mpmath
 import numpy as np
 import pytest
@@ -18,15 +17,6 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-
-
-def test_held_inputs_are_exact() -> None:
-    """It is the zero-order-hold equivalent of 1 / (T s + 1), as the control library has it."""
-    h, u = 2.5e-4, np.random.default_rng(2).normal(size=400)
-    y = sampled(lag(1.1e-3, sample_time=h, initial=(0.0, 0.0)), u)[:, 0]
-    system = control.sample_system(control.tf([1.0], [1.1e-3, 1.0]), h, "zoh")
-    expected = control.forced_response(system, T=h * np.arange(400), U=u).outputs
-    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-13)
 
 
 def test_time_constants_are_parameters_and_zero_is_one_sample_of_delay() -> None:

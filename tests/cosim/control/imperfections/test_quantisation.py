@@ -12,16 +12,6 @@ from hypothesis import strategies as st
 H = 1e-3
 
 
-@settings(max_examples=100)
-@given(signal=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=20), resolution=st.floats(1e-6, 1.0))
-def test_error_bound(signal: list[float], resolution: float) -> None:
-    """The output is a whole multiple of the resolution, at most half of it away, as NumPy's floor has it."""
-    u = np.array(signal)
-    y = sampled(quantisation(resolution, sample_time=H), u)[:, 0]
-    np.testing.assert_array_equal(y, resolution * np.floor(u / resolution + 0.5))
-    assert (np.abs(y - u) <= resolution / 2 * (1 + 1e-9) + 1e-15).all()
-
-
 def test_zero_resolution_switches_it_off() -> None:
     """A perfect sensor is a value of the parameter, with a finite result."""
     u = np.random.default_rng(3).normal(size=(30, 2))

@@ -52,13 +52,6 @@ def test_standstill_stays(motion: MotionPlan) -> None:
     np.testing.assert_allclose(sampled(block, np.tile(pose, (60, 1))), np.tile(pose, (60, 1)), rtol=1e-15)
 
 
-def test_a_step_becomes_the_staircase_of_the_impulses() -> None:
-    """A unit step in a signal that was zero before leaves the sums of the split amplitudes."""
-    sequence = ImpulseSequence((0.0, 2.25e-3), (0.4, 0.6))
-    found = sampled(shaper_block(sequence, 1e-3), np.ones((6, 6)))
-    np.testing.assert_allclose(found[:, 2], [0.4, 0.4, 0.85, 1.0, 1.0, 1.0], atol=1e-15)
-
-
 def test_variables_and_feedthrough() -> None:
     """Outputs are named after the inputs and depend directly on their own input alone."""
     block = shaper_block(design("ei", [MODE]), 1e-3, offset=5e-4, name="zv1")
@@ -66,12 +59,6 @@ def test_variables_and_feedthrough() -> None:
     assert [variable.unit for variable in block.outputs] == list(JOINT_REFERENCES.values())
     assert block.feedthrough == {f"shaped.{name}": (name,) for name in JOINT_REFERENCES}
     assert (block.sample_time, block.offset, block.name) == (1e-3, 5e-4, "zv1")
-
-
-def test_no_shaping_passes_signals_through() -> None:
-    """One impulse needs no delay line; each position keeps its own origin."""
-    u = np.random.default_rng(0).normal(size=(3, 6))
-    np.testing.assert_allclose(sampled(shaper_block(UNSHAPED, 1e-3), u), u, rtol=1e-15, atol=1e-15)
 
 
 def test_bad_sample_times_are_refused() -> None:
