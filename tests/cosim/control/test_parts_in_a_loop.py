@@ -40,9 +40,9 @@ def rejecting() -> Law:
     return law
 
 
-def remembering(rule: Callable[[float, float], float]) -> Law:
-    """A rule (last output, input) → output; the first output is the first input."""
-    last: list[float] = []
+def remembering(rule: Callable[[float, float], float], *last_output: float) -> Law:
+    """A rule (last output, input) → output; without an output before the first one it is the first input."""
+    last = [*last_output]
 
     def law(u: float) -> float:
         last[:] = [rule(last[0], u) if last else u]
@@ -82,7 +82,12 @@ PARTS: dict[str, tuple[Callable[..., SymbolicBlock], tuple[Any, ...], Any, Calla
     "dead zone": (dead_zone, (0.5,), {}, lambda: lambda u: max(u - 0.5, 0.0) + min(u + 0.5, 0.0)),
     "backlash": (backlash, (0.02,), {}, lambda: remembering(lambda last, u: min(max(last, u - 0.01), u + 0.01))),
     "saturation": (saturation, (), {"lower": -3.0, "upper": 2.0}, lambda: lambda u: min(max(u, -3.0), 2.0)),
-    "rate limit": (rate_limit, (60.0, 40.0), {}, lambda: remembering(lambda y, u: min(max(u, y - 0.04), y + 0.06))),
+    "rate limit": (
+        rate_limit,
+        (60.0, 40.0),
+        {"initial": (0.5, 0.0)},
+        lambda: remembering(lambda y, u: min(max(u, y - 0.04), y + 0.06), 0.5),
+    ),
     "quantisation": (quantisation, (2e-3,), {}, lambda: lambda u: float(np.floor(u / 2e-3 + 0.5) * 2e-3)),
     "whole delay": (delay, (3 * H,), POSITION, lambda: late(3.0)),
     "delay": (delay, (2.3 * H,), POSITION, lambda: late(2.3)),

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
+from blocks import looped
 
 import flexfmu
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.schema import Scene
 
 H = 1e-3
 
 
-def scene(*imperfections: dict[str, Any]) -> Scene:
-    """The paper's robot with few modes and a PD controller."""
-    return load_scene("barnard2012-6kg").replace(
-        {
-            "cosimulation.drive": "torque",
-            "effects.motor_inertia": 0.1,
-            "effects.proximal_bending": 1,
-            "effects.distal_axial": 1,
-            "trajectory.dwell": 0.1,
-            "controller": [{"kind": "pid", "proportional": 4e3, "integral": 1e4, "derivative": 40.0, "sample_time": H}],
-            "imperfection": list(imperfections),
-        }
-    )
+PID = {"kind": "pid", "proportional": 4e3, "integral": 1e4, "derivative": 40.0, "sample_time": H}
 
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 def test_references_of_a_known_delay_are_as_late_as_the_measurement() -> None:
-    run = flexfmu.run(scene({"kind": "delay", "signal": "position", "time": 2e-3, "known": True}))
+    run = flexfmu.run(looped(PID, {"kind": "delay", "signal": "position", "time": 2e-3, "known": True}))
     time, joints = run.recording.time, run.plan.joints
     at_samples = np.flatnonzero(np.abs(time / H - np.round(time / H)) < 1e-9)[20:400]
     found = run.recording["delay.joint1.reference.position"].values[at_samples]
@@ -45,10 +30,10 @@ def test_references_of_a_known_delay_are_as_late_as_the_measurement() -> None:
 
 def test_a_known_delay_is_one_of_a_measurement() -> None:
     with pytest.raises(SceneError, match='a `known` delay is one of `signal = "position"` or "velocity", got "torque"'):
-        scene({"kind": "delay", "time": 2e-3, "known": True})
+        looped(PID, {"kind": "delay", "time": 2e-3, "known": True})
 
 
 def test_margins_are_those_of_large_signals() -> None:
-    plain = scene_margins(scene(), poses=1).worst.gain_margin
+    plain = scene_margins(looped(PID), poses=1).worst.gain_margin
     rough = [{"kind": "dead-zone", "half_width": 0.5}, {"kind": "backlash", "gap": 1e-4}]
-    assert scene_margins(scene(*rough), poses=1).worst.gain_margin == pytest.approx(plain, rel=1e-6)
+    assert scene_margins(looped(PID, *rough), poses=1).worst.gain_margin == pytest.approx(plain, rel=1e-6)

@@ -1,0 +1,181 @@
+"""Laws of imperfections of sampled signals against NumPy: limits, quantisation, encoders, noise, jitter, and payload errors."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from blocks import encoder, jitter, noise, quantisation, rate_limit, sampled, saturation
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import kstest
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.imperfections.signal_blocks import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.cosim.control.sections import with_payload_error
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.file import load_scene
+
+H = 1e-3
+SIX_SIGMA = 6.0
+
+
+def test_limits_for_each_channel_are_parameters() -> None:
+    """Each channel has limits of its own, which can be tuned."""
+    block = saturation(lower=[-1.0, -2.0], upper=[3.0, 4.0], sample_time=H)
+    u = np.outer([-9.0, 0.5, 9.0], [1.0, 1.0])
+    np.testing.assert_array_equal(sampled(block, u), [[-1.0, -2.0], [0.5, 0.5], [3.0, 4.0]])
+    changed = {"joint1.torque.minimum": -0.1, "joint2.torque.maximum": 0.1}
+    np.testing.assert_array_equal(sampled(block, u, changed), [[-0.1, -2.0], [0.5, 0.1], [3.0, 0.1]])
+
+
+@pytest.mark.parametrize("falling", [None, 7.0])
+def test_rates_are_parameters_with_units(falling: float | None) -> None:
+    """The rates can be tuned; one number counts for both directions."""
+    block = rate_limit(5.0, falling, signal="velocity", sample_time=H)
+    assert [(each.name, each.unit, each.start, each.tunable) for each in block.parameters[::2]] == [
+        ("joint1.velocity.rising_rate", "rad/s2", 5.0, True),
+        ("joint1.velocity.falling_rate", "rad/s2", falling or 5.0, True),
+    ]
+
+
+def test_zero_resolution_switches_it_off() -> None:
+    """A perfect sensor is a value of the parameter, with a finite result."""
+    u = np.random.default_rng(3).normal(size=(30, 2))
+    block = quantisation(1e-2, sample_time=H)
+    y = sampled(block, u, {"joint2.position.resolution": 0.0})
+    np.testing.assert_array_equal(y[:, 1], u[:, 1])
+    assert (y[:, 0] != u[:, 0]).all()
+
+
+@settings(max_examples=40)
+@given(counts=st.floats(1.0, 1e6), window=st.integers(1, 6), seed=st.integers(0, 99))
+def test_encoder_law(counts: float, window: int, seed: int) -> None:
+    """Counts, angle and difference quotient as in plain NumPy, for any window."""
+    u = np.random.default_rng(seed).normal(size=(25, 2))
+    y = sampled(encoder(counts, sample_time=H, window=window), u)
+    q = 2 * pi / counts
+    c = np.floor(u / q + 0.5)
+    past = np.vstack([np.tile(c[0], (window, 1)), c])[:25]
+    np.testing.assert_array_equal(y[:, :2], q * c)
+    np.testing.assert_allclose(y[:, 2:], (c - past) * q / (window * H), rtol=1e-14, atol=0)
+
+
+def test_encoder_variables_fit_a_controller() -> None:
+    """Angle and rate have the names and units that joint controllers measure."""
+    block = encoder(40_000, sample_time=H)
+    assert [(each.name, each.unit) for each in block.outputs] == [
+        ("joint1.position", "rad"),
+        ("joint2.position", "rad"),
+        ("joint1.velocity", "rad/s"),
+        ("joint2.velocity", "rad/s"),
+    ]
+    assert [(each.name, each.start, each.tunable) for each in block.parameters] == [
+        ("joint1.position.counts_per_turn", 40_000.0, True),
+        ("joint2.position.counts_per_turn", 40_000.0, True),
+    ]
+
+
+def delays(count: int, **options: Any) -> np.ndarray:
+    """Delays of a ramp's samples [s]."""
+    t = H * np.arange(count)
+    block = jitter(4e-4, options.pop("seed", 1), sample_time=H, initial=(-H, -H), **options)
+    return t - sampled(block, t)[:, 0]
+
+
+def test_delays_are_uniform() -> None:
+    """A signal that is the time itself shows the delays: uniform from zero to the largest, white."""
+    late = delays(50_000)
+    assert kstest(late, "uniform", args=(0.0, 4e-4)).pvalue > 1e-6
+    assert abs(late.mean() - 2e-4) < SIX_SIGMA * 4e-4 / sqrt(12 * 50_000)
+    assert abs(np.corrcoef(late[1:], late[:-1])[0, 1]) < SIX_SIGMA / sqrt(50_000)
+
+
+def test_law() -> None:
+    """Each output lies between this sample and the last one, at the place that the ramp's delay tells."""
+    part = delays(400)[:, None] / H
+    u = np.random.default_rng(1).normal(size=(400, 2))
+    y = sampled(jitter(4e-4, 1, sample_time=H, initial=(0.5, -0.5)), u)
+    last = np.vstack([[0.5, -0.5], u[:-1]])
+    np.testing.assert_allclose(y, u - part * (u - last), rtol=0, atol=1e-12)
+
+
+def test_channels_of_a_block_share_the_clock_and_blocks_do_not() -> None:
+    """One converter samples all its channels at the same instant; another name or seed is another clock."""
+    t = np.tile(H * np.arange(300)[:, None], 2)
+    y = sampled(jitter(4e-4, 1, sample_time=H), t)
+    np.testing.assert_array_equal(y[:, 0], y[:, 1])
+    assert abs(np.corrcoef(delays(300), delays(300, name="other"))[0, 1]) < SIX_SIGMA / sqrt(300)
+    assert abs(np.corrcoef(delays(300), delays(300, seed=2))[0, 1]) < SIX_SIGMA / sqrt(300)
+
+
+def uniform_numbers(name: str, seed: int, count: int) -> np.ndarray:
+    """The stream in whole-number NumPy."""
+    s = [pow(a, JUMP * seed, m) * s % m for a, m, s in zip(MULTIPLIERS, MODULI, start_states(name), strict=True)]
+    numbers = []
+    for _ in range(count):
+        s = [a * each % m for a, each, m in zip(MULTIPLIERS, s, MODULI, strict=True)]
+        numbers.append((s[0] - s[1] - 1) % (MODULI[0] - 1) + 1)
+    return np.array(numbers) / MODULI[0]
+
+
+def test_gaussian_law() -> None:
+    """y = u + sigma sqrt(-2 ln U) cos(2 pi V) with the streams' numbers in pairs, in plain NumPy."""
+    u = np.random.default_rng(1).normal(size=(500, 2))
+    y = sampled(noise([0.1, 0.2], seed=99, sample_time=H), u)
+    for i, scale in enumerate((0.1, 0.2)):
+        radius, angle = uniform_numbers(f"noise/joint{i + 1}.position", 99, 1000).reshape(-1, 2).T
+        expected = u[:, i] + scale * np.sqrt(-2 * np.log(radius)) * np.cos(2 * pi * angle)
+        np.testing.assert_allclose(y[:, i], expected, rtol=0, atol=2e-15)
+
+
+def test_uniform_law() -> None:
+    """y = u + half_width (2 U - 1), in plain NumPy."""
+    y = sampled(noise(half_width=0.25, seed=4, signal="torque", sample_time=H, name="ripple"), np.full(500, 3.0))[:, 0]
+    np.testing.assert_allclose(
+        y, 3.0 + 0.25 * (2 * uniform_numbers("ripple/joint1.torque", 4, 500) - 1), rtol=0, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("key", ["standard_deviation", "half_width"])
+def test_seed_is_a_parameter(key: str) -> None:
+    """The same seed gives the same noise, another one another; an importer can choose it."""
+    silence = np.zeros((50, 2))
+    first, other = (sampled(noise(**{key: 1.0}, seed=seed, sample_time=H), silence) for seed in (1, 2))
+    again = noise(**{key: 1.0}, seed=1, sample_time=H)
+    np.testing.assert_array_equal(sampled(again, silence), first)
+    np.testing.assert_array_equal(sampled(again, silence, {"seed": 2.0}), other)
+    assert not np.isin(first, other).any()
+
+
+def test_seeds_out_of_range_are_refused_at_run_time() -> None:
+    """A parameter set later is checked like an argument."""
+    slave = BlockSlave(noise(1.0, seed=3, sample_time=H))
+    with pytest.raises(InputError, match=r"seed must be at most 1048575.0 1, got 2000000.0"):
+        slave.set(np.array([4]), np.array([2e6]))
+
+
+@pytest.mark.parametrize("relative", [-1.0, -0.3, 0.0, 0.3])
+def test_only_the_mass_changes(relative: float) -> None:
+    """The scene is the same but for the payload, so that nothing else explains a difference."""
+    scene = load_scene("barnard2012-6kg")
+    wrong = with_payload_error(scene, relative)
+    assert wrong.payload.mass == 6.0 * (1.0 + relative)
+    assert wrong.replace({"payload.mass": 6.0}) == scene
+
+
+@pytest.mark.parametrize("relative", [-1.1, float("nan"), float("inf")])
+def test_impossible_errors(relative: float) -> None:
+    """A mass is zero or positive and finite."""
+    with pytest.raises(InputError, match=r"at least -1 \(no payload\), got"):
+        with_payload_error(load_scene("barnard2012-6kg"), relative)
+
+
+def test_no_payload_to_be_wrong_about() -> None:
+    """A part of nothing is nothing; saying nothing would hide that."""
+    empty = load_scene("barnard2012-6kg").replace({"payload.mass": 0.0})
+    assert with_payload_error(empty, 0.0) == empty
+    with pytest.raises(InputError, match=r"has no payload, so -30% of it changes nothing"):
+        with_payload_error(empty, -0.3)
