@@ -1,34 +1,58 @@
-"""Unit names such as ``N.m`` or ``rad/s2``: exponents of the SI base units, display units and physical quantities."""
+"""Unit names such as ``N.m`` or ``rad/s2``: factor and exponents of the SI base units, display units, physical quantities."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import pi
+from math import isnan, nan, pi
 
 from flexfmu.fmu_build.errors import ModelError
 
 DIMENSIONLESS = "1"
 
-COHERENT: Mapping[str, Mapping[str, int]] = {
+Exponents = Mapping[str, int]
+"""Base unit → exponent."""
+
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+"""Base units in the order of FMI's schema."""
+
+_COHERENT: dict[str, Exponents] = {
     "1": {},
-    "kg": {"kg": 1},
-    "m": {"m": 1},
-    "s": {"s": 1},
-    "A": {"A": 1},
-    "K": {"K": 1},
-    "rad": {"rad": 1},
+    **{base: {base: 1} for base in BASE_UNITS},
     "Hz": {"s": -1},
     "N": {"kg": 1, "m": 1, "s": -2},
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "J": {"kg": 1, "m": 2, "s": -2},
     "W": {"kg": 1, "m": 2, "s": -3},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "S": {"kg": -1, "m": -2, "s": 3, "A": 2},
+    "F": {"kg": -1, "m": -2, "s": 4, "A": 2},
+    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
+    "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
+    "T": {"kg": 1, "s": -2, "A": -1},
 }
-"""Coherent units → exponents of the base units; the models use no prefixes."""
+"""Coherent units → exponents of the base units; the models use no others."""
 
-_BASE_UNITS = ("kg", "m", "s", "A", "K", "rad")
-"""Base units in the order of FMI's schema."""
+_OTHERS: dict[str, tuple[float, Exponents]] = {
+    "g": (1e-3, {"kg": 1}),
+    "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
+    "Hz": (nan, {"s": -1}),  # with or without 2 pi: both are in use
+    "deg": (pi / 180.0, {"rad": 1}),
+    "min": (60.0, {"s": 1}),
+    "h": (3600.0, {"s": 1}),
+    "d": (86400.0, {"s": 1}),
+    "degC": (1.0, {"K": 1}),
+}
+"""Other units, in descriptions of other tools → factor to SI units and exponents."""
+
+_SYMBOLS = {symbol: (1.0, exponents) for symbol, exponents in _COHERENT.items()} | _OTHERS
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
+_NEVER_PREFIXED = {"1", "kg", "rad", "Hz", "deg", "min", "h", "d", "degC"}
+_FACTOR = re.compile(r"(?P<symbol>1|[A-Za-z]+)\^?(?P<power>-?\d+)?")
+_QUOTIENT = re.compile(r"(?P<above>[^/()]+)(/\((?P<product>[^/()]+)\)|(?P<factors>(/[^/().*]+)*))")
+"""a.b, a/b, a/b/c and a/(b.c), but not a/b.c, which is ambiguous."""
 
 _DEGREE = 180.0 / pi
 
@@ -54,8 +78,6 @@ _DISPLAY_UNITS: Mapping[str, tuple[DisplayUnit, ...]] = {
 
 _READ_AS_THEY_ARE = {"m/s", "s"}
 """Units that are themselves the default for display."""
-
-_FACTOR = re.compile(r"(?P<sign>^|[./])(?P<symbol>1|[A-Za-z]+)(?P<power>\d*)")
 
 
 @dataclass(frozen=True)
@@ -119,26 +141,45 @@ class RealType:
     display_unit: str | None
 
 
+def meaning(name: str) -> tuple[float, dict[str, int]] | None:
+    """Factor to SI units (NaN if ambiguous) and exponents of all base units that the name of a unit implies.
+
+    None if the name is unknown or ambiguous. Source: BIPM, The International System of Units, 9th edition.
+    """
+    factor, exponents = 1.0, dict.fromkeys(BASE_UNITS, 0)
+    form = _QUOTIENT.fullmatch(name.replace(" ", ""))
+    if form is None:
+        return None
+    # factors of the numerator, then of the denominator
+    below = [form["product"]] if form["product"] else form["factors"].split("/")[1:]
+    for sign, product in ((1, form["above"]), *((-1, part) for part in below)):
+        for part in re.split(r"[.*]", product):
+            match = _FACTOR.fullmatch(part)
+            symbol, prefix = match["symbol"] if match else "", 1.0
+            if symbol not in _SYMBOLS and symbol[1:] not in _NEVER_PREFIXED:
+                symbol, prefix = symbol[1:], _PREFIXES.get(symbol[:1], nan)
+            if match is None or symbol not in _SYMBOLS or isnan(prefix):
+                return None
+            size, units = _SYMBOLS[symbol]
+            power = sign * int(match["power"] or 1)
+            factor *= (prefix * size) ** power
+            for base, exponent in units.items():
+                exponents[base] += power * exponent
+    return factor, exponents
+
+
 def unit_exponents(name: str) -> dict[str, int]:
-    """Base unit → exponent of the unit ``name``; ``.`` multiplies, ``/`` divides by the next symbol only.
+    """Base unit → exponent of a coherent unit, without zeros, in the schema's order.
 
     Raises:
-        ModelError: the name has an unknown symbol or a wrong syntax.
+        ModelError: the name has an unknown symbol, a prefix or a wrong syntax.
     """
-    # factors of the name
-    factors = list(_FACTOR.finditer(name))
-    if "".join(factor.group() for factor in factors) != name or not factors:
-        raise ModelError(f"unit '{name}' is not understood; write it like N.m or rad/s2")
-    # sum of the exponents
-    total = dict.fromkeys(_BASE_UNITS, 0)
-    for factor in factors:
-        symbol = factor["symbol"]
-        if symbol not in COHERENT:
-            raise ModelError(f"unit '{name}' has the unknown symbol '{symbol}'; known are {', '.join(COHERENT)}")
-        power = int(factor["power"] or 1) * (-1 if factor["sign"] == "/" else 1)
-        for base, exponent in COHERENT[symbol].items():
-            total[base] += power * exponent
-    return {base: exponent for base, exponent in total.items() if exponent}
+    known = meaning(name) if re.fullmatch(r"[A-Za-z0-9./()]+", name) else None
+    if known is None or not (known[0] == 1.0 or isnan(known[0])):
+        raise ModelError(
+            f"unit '{name}' isn't known; write it like N.m or rad/s2, with the symbols {', '.join(_COHERENT)}"
+        )
+    return {base: exponent for base, exponent in known[1].items() if exponent}
 
 
 def display_unit(name: str) -> str | None:

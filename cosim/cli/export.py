@@ -223,7 +223,7 @@ def validate(
             findings = validate_fmu(fmu, limit, not static)
     except ArchiveError as error:
         # a file that is no archive is an error here, in JSON a finding too
-        findings, broken = [Finding("archive", str(error))], error
+        findings, broken = [Finding(str(error), check="archive")], error
     data = {"fmu": str(fmu), "time_limit": limit, "findings": [asdict(finding) for finding in findings]}
     if json or broken is None:
         print_result(json, data, *(map(str, findings) if findings else [f"{fmu}: no findings"]))

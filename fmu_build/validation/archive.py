@@ -49,10 +49,12 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
             raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
     if "modelDescription.xml" not in files:
         # usual mistakes: an extra folder level, or another spelling
-        nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
-        where = f": it is at {nested}, pack the content of that folder" if nested else ""
-        other = next((name for name in files if name.lower() == "modeldescription.xml"), None)
-        where = f": it is called {other}, rename it" if other else where
+        where = ""
+        for name in files:
+            if name.endswith("/modelDescription.xml"):
+                where = f": it is at {name}, pack the content of that folder"
+            elif name.lower() == "modeldescription.xml":
+                where = f": it is called {name}, rename it"
         raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing{where}")
     return entries, files, encrypted
 
@@ -95,26 +97,23 @@ def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ())
     """
     # encrypted files and repeated paths
     for name in encrypted:
-        yield _archive(f"{name} is marked as encrypted in its own header", "pack it without a password", name)
+        yield Finding(f"{name} is marked as encrypted in its own header", "pack it without a password", subject=name)
     for name, count in repeated(entries).items():
-        yield _archive(f"{name} is there {count} times", "keep one: tools take any of them", name)
-    # paths, symbolic links, compression methods
-    for entry in entries:
-        name = entry.filename
-        if problem := unsafe(entry):
-            yield _archive(f"the archive {problem}", "use a/b/c paths and whole files", entry.orig_filename)
-        elif "\\" in entry.orig_filename:
-            yield _archive(f"{entry.orig_filename} has a backslash", "use a/b/c paths", entry.orig_filename)
-        if entry.compress_type not in _METHODS:
-            yield _archive(
-                f"{name} is packed by method {entry.compress_type}", "use deflate, most tools know no other", name
-            )
-    # names that differ only by case
+        yield Finding(f"{name} is there {count} times", "keep one: tools take any of them", subject=name)
+    # paths, symbolic links, compression methods, names that differ only by case
     alike = Counter(entry.filename.rstrip("/").lower() for entry in entries)
     for entry in entries:
-        if alike[entry.filename.rstrip("/").lower()] > 1 and entry.filename != entry.filename.lower():
-            message = f"{entry.filename} differs from another path in upper and lower case only"
-            yield _archive(message, "Windows and macOS keep one of them", entry.filename, Severity.WARNING)
+        name, original = entry.filename, entry.orig_filename
+        if problem := unsafe(entry):
+            yield Finding(f"the archive {problem}", "use a/b/c paths and whole files", subject=original)
+        elif "\\" in original:
+            yield Finding(f"{original} has a backslash", "use a/b/c paths", subject=original)
+        if entry.compress_type not in _METHODS:
+            message = f"{name} is packed by method {entry.compress_type}"
+            yield Finding(message, "use deflate, most tools know no other", subject=name)
+        if alike[name.rstrip("/").lower()] > 1 and name != name.lower():
+            message = f"{name} differs from another path in upper and lower case only"
+            yield Finding(message, "Windows and macOS keep one of them", Severity.WARNING, name)
 
 
 def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
@@ -129,40 +128,30 @@ def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
         if (rest and first not in FOLDERS) or (not rest and first not in FILES):
             known = {each.lower(): each for each in FOLDERS | FILES}
             remedy = f"call it {known[first.lower()]}" if first.lower() in known else "put it into resources or extra"
-            yield _archive(f"{name} is where no tool looks", remedy, name, Severity.WARNING)
-    yield from _check_documentation(files)
+            yield Finding(f"{name} is where no tool looks", remedy, Severity.WARNING, name)
+    # the entry point of the documentation (FMI 2.0.4, section 2.3)
+    pages = [name for name in files if name.startswith("documentation/")]
+    if pages and "documentation/index.html" not in files:
+        message = f"documentation/ holds {pages[0]} but no index.html"
+        yield Finding(message, "tools open documentation/index.html: add it", Severity.WARNING)
     if "model.png" in files and not files["model.png"].startswith(_PNG):
-        yield _archive("model.png is no PNG picture", "convert it", "", Severity.WARNING)
+        yield Finding("model.png is no PNG picture", "convert it", Severity.WARNING)
     # sources listed in the description or the build description
     listed = _names(files, "modelDescription.xml", "File") | _names(files, "sources/buildDescription.xml", "SourceFile")
     for file in sorted(listed):
         path = f"sources/{PurePosixPath(file)}"
         if path not in files:
-            yield Finding("sources", f"{path} is listed but missing", "add the file or drop the entry", subject=path)
+            yield Finding(
+                f"{path} is listed but missing", "add the file or drop the entry", subject=path, check="sources"
+            )
         elif not files[path].strip():
-            yield Finding("sources", f"{path} is empty", "add its content", Severity.WARNING, path)
-
-
-def _archive(message: str, remedy: str, subject: str, severity: Severity = Severity.ERROR) -> Finding:
-    return Finding("archive", message, remedy, severity, subject)
+            yield Finding(f"{path} is empty", "add its content", Severity.WARNING, path, check="sources")
 
 
 def _names(files: Mapping[str, bytes], path: str, element: str) -> set[str]:
     """The attributes ``name`` of all elements with a tag in an XML file; empty if the file is missing or malformed."""
     try:
-        return {
-            item.attrib.get("name", "") for item in ElementTree.fromstring(files.get(path, b"<none/>")).iter(element)
-        }
+        root = ElementTree.fromstring(files.get(path, b"<none/>"))
     except ElementTree.ParseError:
         return set()
-
-
-def _check_documentation(files: Mapping[str, bytes]) -> Iterator[Finding]:
-    """Check that a documentation folder has its entry point index.html (FMI 2.0.4, section 2.3)."""
-    pages = [name for name in files if name.startswith("documentation/")]
-    if pages and "documentation/index.html" not in files:
-        message, remedy = (
-            f"documentation/ holds {pages[0]} but no index.html",
-            "tools open documentation/index.html: add it",
-        )
-        yield _archive(message, remedy, "", Severity.WARNING)
+    return {item.attrib.get("name", "") for item in root.iter(element)}

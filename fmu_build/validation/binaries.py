@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -15,48 +14,23 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.gnuversions import GNUVerNeedSection
 from elftools.elf.sections import SymbolTableSection
 
+from flexfmu.fmu_build.toolchain import fmi_header_folder
 from flexfmu.fmu_build.validation.description import interfaces
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
-_FUNCTIONS = (
-    "GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment EnterInitializationMode "
-    "ExitInitializationMode Terminate Reset GetReal GetInteger GetBoolean GetString SetReal SetInteger SetBoolean SetString "
-    "GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize SerializeFMUstate DeSerializeFMUstate "
-    "GetDirectionalDerivative"
+_COMMON, _EXCHANGE, _COSIMULATION, *_ = (
+    frozenset(re.findall(r"fmi2FullName\((fmi2\w+)\)", part))
+    for part in (fmi_header_folder() / "fmi2Functions.h").read_text(encoding="utf-8").split("Functions for FMI2 for")
 )
-_COSIMULATION = (
-    "SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep GetStatus GetRealStatus GetIntegerStatus "
-    "GetBooleanStatus GetStringStatus"
-)
-_EXCHANGE = (
-    "EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates "
-    "GetDerivatives GetEventIndicators GetContinuousStates GetNominalsOfContinuousStates"
-)
+"""Functions of FMI 2.0 by the sections of the standard's header, of which an FMU exports all of its interfaces."""
 
-
-def _names(text: str) -> frozenset[str]:
-    return frozenset(f"fmi2{name}" for name in text.split())
-
-
-COSIMULATION_FUNCTIONS = _names(f"{_FUNCTIONS} {_COSIMULATION}")
-"""All functions that an FMU for co-simulation exports (FMI 2.0.4, section 2.1 and fmi2Functions.h)."""
-
-EXCHANGE_FUNCTIONS = _names(f"{_FUNCTIONS} {_EXCHANGE}")
-"""All functions that an FMU for model exchange exports (FMI 2.0.4, section 2.1 and fmi2Functions.h)."""
+COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS = _COMMON | _COSIMULATION, _COMMON | _EXCHANGE
+"""All functions that an FMU for co-simulation, or for model exchange, exports (FMI 2.0.4, section 2.1)."""
 
 SUFFIXES = {
-    "linux64": ".so",
-    "linux32": ".so",
-    "win64": ".dll",
-    "win32": ".dll",
-    "darwin64": ".dylib",
-    "darwin32": ".dylib",
-    "x86_64-linux": ".so",
-    "aarch64-linux": ".so",
-    "x86_64-windows": ".dll",
-    "aarch64-windows": ".dll",
-    "x86_64-darwin": ".dylib",
-    "aarch64-darwin": ".dylib",
+    **dict.fromkeys(("linux64", "linux32", "x86_64-linux", "aarch64-linux"), ".so"),
+    **dict.fromkeys(("win64", "win32", "x86_64-windows", "aarch64-windows"), ".dll"),
+    **dict.fromkeys(("darwin64", "darwin32", "x86_64-darwin", "aarch64-darwin"), ".dylib"),
 }
 """Platform folder of FMI 2.0 or 3.0 → file suffix of its libraries."""
 
@@ -87,52 +61,24 @@ _TEXTS = {"DT_NEEDED": "needed", "DT_RPATH": "rpath", "DT_RUNPATH": "runpath"}
 """Tag of the dynamic section → attribute of pyelftools with its text."""
 
 
-class NotElfError(ValueError):
-    """Not a 64-bit little-endian ELF file, or a damaged one."""
+def read_elf(library: bytes) -> tuple[set[str], list[str], list[str], tuple[int, int]]:
+    """Read exports and dependencies of a 64-bit shared library in ELF; a damaged file raises any type of exception.
 
-
-@dataclass(frozen=True)
-class ElfFacts:
-    """Exports and dependencies of an ELF shared library.
-
-    Attributes:
-        exports: names of the exported symbols.
-        needed: names of the required libraries (DT_NEEDED).
-        search_path: folders that are searched for them (RPATH, RUNPATH).
-        glibc: required version of glibc; (0, 0) if it needs none.
+    Returns:
+        Names of the exported symbols; names of the required libraries (DT_NEEDED); folders that are searched for them (RPATH,
+        RUNPATH); the required version of glibc, (0, 0) if it needs none.
     """
-
-    exports: frozenset[str]
-    needed: tuple[str, ...]
-    search_path: tuple[str, ...]
-    glibc: tuple[int, int]
-
-
-def read_elf(library: bytes) -> ElfFacts:
-    """Read exports and dependencies of a shared library.
-
-    Raises:
-        NotElfError: not a 64-bit little-endian ELF file, or damaged.
-    """
-    if not library.startswith(_ELF64):
-        raise NotElfError("not a 64-bit ELF file")
-    try:
-        return _elf_facts(library)
-    except Exception as error:  # pyelftools does not validate: a damaged file raises any type
-        raise NotElfError("damaged ELF file") from error
-
-
-def _elf_facts(library: bytes) -> ElfFacts:
-    """Read exports and dependencies; a damaged file raises exceptions of pyelftools."""
     elf = ELFFile(io.BytesIO(library))
     # a damaged section count would make pyelftools run for ever
     if elf["e_shoff"] and elf.num_sections() * _SECTION_HEADER > len(library):
         raise ValueError("more sections than the file has room for")
-    exports: set[str] = set()
-    needed, search_path, glibc = [], [], (0, 0)
+    exports, needed, search_path, glibc = set[str](), [], [], (0, 0)
     for section in elf.iter_sections():
         if isinstance(section, SymbolTableSection) and section["sh_type"] == "SHT_DYNSYM":
-            exports |= {symbol.name for symbol in section.iter_symbols() if _is_exported(symbol)}
+            for symbol in section.iter_symbols():
+                is_visible = symbol["st_other"]["visibility"] not in ("STV_INTERNAL", "STV_HIDDEN")
+                if is_visible and symbol["st_shndx"] != "SHN_UNDEF" and symbol["st_info"]["bind"] != "STB_LOCAL":
+                    exports.add(symbol.name)
         elif isinstance(section, DynamicSection):
             for tag in section.iter_tags():
                 text = getattr(tag, _TEXTS.get(tag.entry.d_tag, ""), "")
@@ -146,13 +92,7 @@ def _elf_facts(library: bytes) -> ElfFacts:
             text = library[names["sh_offset"] : names["sh_offset"] + names["sh_size"]]
             for major, minor in re.findall(rb"\0GLIBC_(\d+)\.(\d+)", text):
                 glibc = max(glibc, (int(major), int(minor)))
-    return ElfFacts(frozenset(exports), tuple(needed), tuple(search_path), glibc)
-
-
-def _is_exported(symbol: Any) -> bool:
-    """Whether a library defines and exports a symbol."""
-    visible = symbol["st_other"]["visibility"] not in ("STV_INTERNAL", "STV_HIDDEN")
-    return visible and symbol["st_shndx"] != "SHN_UNDEF" and symbol["st_info"]["bind"] != "STB_LOCAL"
+    return exports, needed, search_path, glibc
 
 
 def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Finding]:
@@ -172,7 +112,6 @@ def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Fin
     if fmpy.platform not in folders:
         has = ", ".join(folders) or "no platform at all"
         yield Finding(
-            "binary",
             f"{library_name(description, fmpy.platform)} is missing, the FMU has {has}",
             "build it for this machine; what needs running was not checked",
             Severity.WARNING if folders else Severity.ERROR,
@@ -186,73 +125,66 @@ def library_name(description: Any, platform: str) -> str:
 
 def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> Iterator[Finding]:
     if folder not in SUFFIXES:
-        known = ", ".join(list(SUFFIXES)[:6])
-        yield Finding("binary", f"no tool looks into binaries/{folder}/", f"use {known}", Severity.WARNING)
+        known = ", ".join(name for name in SUFFIXES if "-" not in name)
+        yield Finding(f"no tool looks into binaries/{folder}/", f"use {known}", Severity.WARNING)
         return
     # a library for each model identifier, with the functions of its interfaces
     required: dict[str, frozenset[str]] = {}
-    for element, functions in (
-        (description.coSimulation, COSIMULATION_FUNCTIONS),
-        (description.modelExchange, EXCHANGE_FUNCTIONS),
-    ):
-        if element is not None:
-            required[element.modelIdentifier] = required.get(element.modelIdentifier, frozenset()) | functions
+    for element in interfaces(description):
+        functions = COSIMULATION_FUNCTIONS if element is description.coSimulation else EXCHANGE_FUNCTIONS
+        required[element.modelIdentifier] = required.get(element.modelIdentifier, frozenset()) | functions
     for identifier, functions in required.items():
         name = f"binaries/{folder}/{identifier}{SUFFIXES[folder]}"
         if name not in files:
             there = sorted(file for file in files if file.startswith(f"binaries/{folder}/"))
             # Windows ignores case
             same = folder.startswith("win") and name.lower() in map(str.lower, there)
-            yield Finding(
-                "binary",
-                f"{name} is missing, {folder}/ has {', '.join(there)}",
-                "name it like the modelIdentifier",
-                Severity.WARNING if same else Severity.ERROR,
-            )
+            severity = Severity.WARNING if same else Severity.ERROR
+            message = f"{name} is missing, {folder}/ has {', '.join(there)}"
+            yield Finding(message, "name it like the modelIdentifier", severity)
         elif folder.endswith(("linux64", "-linux")):
             yield from _check_elf(name, files, functions)
         elif not files[name].startswith(_MAGIC[SUFFIXES[folder]]):
-            yield Finding("binary", f"{name} is no library for {folder}", "compile it for this platform")
+            yield Finding(f"{name} is no library for {folder}", "compile it for this platform")
 
 
 def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str]) -> Iterator[Finding]:
+    if not files[name].startswith(_ELF64):
+        yield Finding(f"{name}: not a 64-bit ELF file", "compile it for this platform")
+        return
     try:
-        facts = read_elf(files[name])
-    except NotElfError as error:
-        yield Finding("binary", f"{name}: {error}", "compile it for this platform")
+        exports, needed, search_path, glibc = read_elf(files[name])
+    except Exception:  # pyelftools does not validate
+        yield Finding(f"{name}: damaged ELF file", "compile it for this platform")
         return
     # processor
     machine = int.from_bytes(files[name][18:20], "little")
     if machine != _MACHINES.get(PurePosixPath(name).parts[1], machine):
-        yield Finding(
-            "binary", f"{name} is for another processor (ELF machine {machine})", "compile it for this platform"
-        )
+        yield Finding(f"{name} is for another processor (ELF machine {machine})", "compile it for this platform")
     # exports: all FMI functions of the interface, nothing else
-    if missing := sorted(functions - facts.exports):
-        yield Finding("binary", f"{name} does not export {_few(missing)}", "implement and export them all")
-    if foreign := sorted(symbol for symbol in facts.exports if not symbol.startswith("fmi2")):
+    if missing := sorted(functions - exports):
+        yield Finding(f"{name} does not export {_few(missing)}", "implement and export them all")
+    if foreign := sorted(symbol for symbol in exports if not symbol.startswith("fmi2")):
         yield Finding(
-            "binary",
             f"{name} exports {_few(foreign)} besides the FMI functions",
             "hide them (-fvisibility=hidden): they collide with those of other FMUs",
             Severity.WARNING,
         )
     # dependencies
     beside = {PurePosixPath(file).name for file in files if PurePosixPath(file).parent == PurePosixPath(name).parent}
-    found = {}
-    # libraries that other machines may lack, or have elsewhere
-    if others := sorted(library for library in facts.needed if not SYSTEM_LIBRARIES.fullmatch(library)):
+    found = {}  # problem → remedy
+    if others := sorted(library for library in needed if not SYSTEM_LIBRARIES.fullmatch(library)):
         bundled = " (some lie beside it)" if beside & set(others) else ""
         needs = f"needs {_few(others)} at run time{bundled}"
         found[needs] = "link statically, or it will not load where they are missing"
-    if outside := [path for path in facts.search_path if not path.startswith("$ORIGIN")]:
+    if outside := [path for path in search_path if not path.startswith("$ORIGIN")]:
         found[f"looks for libraries in {_few(outside)}"] = "use $ORIGIN"
     # an older glibc can't load the binary
-    if facts.glibc > OLD_GLIBC:
-        version, old = (".".join(map(str, number)) for number in (facts.glibc, OLD_GLIBC))
+    if glibc > OLD_GLIBC:
+        version, old = (".".join(map(str, number)) for number in (glibc, OLD_GLIBC))
         found[f"needs glibc {version}"] = f"build against glibc {old} or older to run on older machines"
     for problem, remedy in found.items():
-        yield Finding("dependencies", f"{name} {problem}", remedy, Severity.WARNING)
+        yield Finding(f"{name} {problem}", remedy, Severity.WARNING, check="dependencies")
 
 
 def _few(names: list[str], most: int = 5) -> str:

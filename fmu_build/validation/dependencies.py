@@ -59,7 +59,7 @@ def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
         # the same findings, with messages for this mode
         for finding in _violations(unknowns, knowns, instance, set()):
             message, remedy = f"in Initialization Mode {finding.message}", "declare it in InitialUnknowns"
-            yield Finding(finding.check, message, remedy, Severity.WARNING, finding.subject)
+            yield Finding(message, remedy, Severity.WARNING, finding.subject, check="dependencies of variables")
 
 
 def answers(
@@ -134,4 +134,4 @@ def _violations(
                     remedy = "declare it as dependent"
             if message:
                 reported.add(name)
-                yield Finding("dependencies of variables", message, remedy, subject=name)
+                yield Finding(message, remedy, subject=name)

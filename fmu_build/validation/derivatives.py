@@ -120,7 +120,6 @@ def _not_linear(
         row = int(np.argmax(apart))
         if apart[row] > SEED_TOLERANCE:
             yield Finding(
-                "directional derivatives",
                 f"the derivative of {unknowns[row].name} along {_listed(known.name for known in knowns)} with the seeds "
                 f"{_listed(f'{s:.3g}' for s in seed)} is {given[row]:.6g}, the sum of "
                 f"those along each is {expected[row]:.6g}",
@@ -153,7 +152,6 @@ def _compare(
     row, column = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
     if apart[row, column] > DIRECTIONAL_TOLERANCE:
         yield Finding(
-            "directional derivatives",
             f"d {unknowns[row].name} / d {knowns[column].name} is {matrix[row, column]:.6g}, differences give "
             f"{differences[row, column]:.6g}",
             "correct fmi2GetDirectionalDerivative, or don't claim providesDirectionalDerivative",
@@ -181,7 +179,6 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         against = f", differences give {found.differences:.5g}" if is_number else ""
         remedy = "correct fmi2GetRealOutputDerivatives" if is_number else "return fmi2Error where there is none"
         yield Finding(
-            "output derivatives",
             f"derivative {found.order} of {name} is {found.given:.5g} at {found.time:.6g} s{against}",
             f"{remedy}, or claim a lower maxOutputDerivativeOrder",
         )
@@ -199,7 +196,6 @@ def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> 
             for variable, value in zip(fmu.smooth_outputs, given, strict=True):
                 if not np.isfinite(value):
                     yield Finding(
-                        "output derivatives",
                         f"derivative {order} of {variable.name} is {value:.5g} right after the initialisation",
                         "return fmi2Error where there is none, or claim a lower maxOutputDerivativeOrder",
                         subject=variable.name,
@@ -221,7 +217,6 @@ def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
         if found is not None and np.isfinite(found.given):
             state, rate = pairs[found.column]
             yield Finding(
-                "rates",
                 f"{state.name} changes by {found.differences:.5g} a second at {found.time:.6g} s, its derivative {rate.name} is "
                 f"{found.given:.5g}",
                 "integrate over the whole step, or correct the derivative",

@@ -73,7 +73,6 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
         second = instance.derivatives()
     if not np.array_equal(first, second, equal_nan=True):
         yield Finding(
-            "derivatives",
             f"the states' derivatives differ by {np.nanmax(np.abs(first - second)):.3g} after a look at other states",
             "they must depend on time, states and inputs alone",
         )
@@ -108,12 +107,12 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
         if apart.any():
             n = int(np.argmax(apart))
             message = f"{function} gives {values[n]:.9g} for {fmu.states[n].name}, {other} {expected[n]:.9g}"
-            yield Finding("states", message, "keep to the order of ModelStructure/Derivatives")
+            yield Finding(message, "keep to the order of ModelStructure/Derivatives")
             return
     if not (nominals > 0.0).all():
         n = int(np.argmin(nominals > 0.0))
         message = f"fmi2GetNominalsOfContinuousStates gives {nominals[n]:g} for {fmu.states[n].name}"
-        yield Finding("states", message, "a nominal is above 0")
+        yield Finding(message, "a nominal is above 0")
 
 
 def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -140,7 +139,7 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
             if (apart > _TINY * np.maximum(np.abs(x), 1e-6)).any():
                 k = int(np.argmax(apart))
                 message = f"fmi2CompletedIntegratorStep changes {fmu.states[k].name} by {apart[k]:.3g} without an event"
-                yield Finding("integrator steps", message, "set enterEventMode, and change states in Event Mode")
+                yield Finding(message, "set enterEventMode, and change states in Event Mode")
                 return
 
 
@@ -161,14 +160,14 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
                 message = (
                     f"fmi2GetEventIndicators of {count}, which is numberOfEventIndicators, gives status {error.status}"
                 )
-                yield Finding("event indicators", message, "give them all, or correct numberOfEventIndicators")
+                yield Finding(message, "give them all, or correct numberOfEventIndicators")
                 return
             # finite and equal
             alike = np.isfinite(z) & np.isclose(z, again, rtol=1e-3, atol=1e-6)
             if not alike.all():
                 k = int(np.argmin(alike))
                 message = f"event indicator {k + 1} is {z[k]:.6g}, at a second call {again[k]:.6g}"
-                yield Finding("event indicators", message, "they must depend on time, states and inputs alone")
+                yield Finding(message, "they must depend on time, states and inputs alone")
                 return
             if n % 2:  # an event triggered by the importing tool
                 instance.library.enterEventMode()
@@ -209,7 +208,6 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
         worst = int(np.argmax(apart))
         if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
             yield Finding(
-                "interfaces",
                 f"{fmu.smooth_outputs[worst].name} differs by {apart[worst]:.1%} of its motion between model exchange, "
                 f"integrated by CVODE, and co-simulation",
                 "both have to solve the same equations over the whole step",

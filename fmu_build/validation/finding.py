@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -71,20 +71,20 @@ class Finding:
     """A defect of an FMU, of one or many of its variables or files.
 
     Attributes:
-        check: name of the check, for example ``binary``.
         message: location and defect, one sentence with the value found.
         remedy: what to do.
         severity: error, warning or note.
         subject: variable or file concerned; may be empty.
+        check: name of the check, for example ``binary``; what runs the check fills it in, see `named`.
         section: section of FMI 2.0.4, or of another named standard; by default the section of the check.
         others: subjects of further findings of the same kind, or names of other checks with the same message.
     """
 
-    check: str
     message: str
     remedy: str = ""
     severity: Severity = Severity.ERROR
     subject: str = ""
+    check: str = ""
     section: str = ""
     others: tuple[str, ...] = ()
 
@@ -101,16 +101,19 @@ class Finding:
         return f"{self.severity}: {self.check}: {self.message}{more}{remedy}{section}"
 
 
+def named(check: str, findings: Iterable[Finding]) -> Iterator[Finding]:
+    """Yield the findings, with the name of the check where they have none."""
+    for finding in findings:
+        yield finding if finding.check else replace(finding, check=check)
+
+
 def ranked(findings: Iterable[Finding]) -> list[Finding]:
     """Findings with equal ones merged; errors first, then the most harmful checks.
 
     Findings are equal if they differ only by subject and values, or have the same message in several checks.
     """
     # merge findings that differ only by subject and values
-    groups: dict[object, list[Finding]] = {}
-    for finding in dict.fromkeys(findings):
-        groups.setdefault(_kind(finding), []).append(finding)
-    alike = [_joined(group, [each.subject or each.message for each in group[1:]]) for group in groups.values()]
+    alike = _merged(findings, _kind, lambda finding: finding.subject or finding.message)
     # the worst first
     checks, severities = list(SECTIONS), list(Severity)
     alike.sort(
@@ -120,15 +123,17 @@ def ranked(findings: Iterable[Finding]) -> list[Finding]:
         )
     )
     # merge checks with the same message: one cause may end several checks
-    causes: dict[object, list[Finding]] = {}
-    for finding in alike:
-        causes.setdefault((finding.severity, finding.message), []).append(finding)
-    return [_joined(group, [each.check for each in group[1:]]) for group in causes.values()]
+    return _merged(alike, lambda finding: (finding.severity, finding.message), lambda finding: finding.check)
 
 
-def _joined(group: list[Finding], others: list[str]) -> Finding:
-    """The first finding of a group, with ``others`` added."""
-    return replace(group[0], others=group[0].others + tuple(others))
+def _merged(
+    findings: Iterable[Finding], kind: Callable[[Finding], object], name: Callable[[Finding], str]
+) -> list[Finding]:
+    """The first finding of each kind, with the names of the others."""
+    groups: dict[object, list[Finding]] = {}
+    for finding in dict.fromkeys(findings):
+        groups.setdefault(kind(finding), []).append(finding)
+    return [replace(first, others=first.others + tuple(map(name, rest))) for first, *rest in groups.values()]
 
 
 _DIFFERING = re.compile(r"""'[^']*'|"[^"]*"|\b(True|False|nan|inf)\b|[-+]?\d+(\.\d*)?([eE][-+]?\d+)?""")

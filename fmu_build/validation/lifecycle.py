@@ -47,13 +47,13 @@ def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
         version, types = instance.library.getVersion(), instance.library.getTypesPlatform()
     if (version, types) != ("2.0", "default"):
         message = f"the binary says version {version}, types platform {types}"
-        yield Finding("instantiation", message, "say 2.0 and default", section="2.1.4")
+        yield Finding(message, "say 2.0 and default", section="2.1.4")
 
 
 def refuses_wrong_guid(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2Instantiate refuses the GUID of another FMU."""
     with suppress(RuntimeError), fmu.instance("wrong_guid", guid="{00000000-0000-0000-0000-000000000000}"):
-        yield Finding("guid", "fmi2Instantiate accepts a wrong GUID", "compare it with the one of the description")
+        yield Finding("fmi2Instantiate accepts a wrong GUID", "compare it with the one of the description")
 
 
 def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -75,7 +75,7 @@ def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
             problem = _starts_with(fmu, uri)
             if problem is not None:
                 message = f"with {shown} the FMU fails: {problem}"
-                yield Finding("resource location", message, remedy or "take the resources from there", severity)
+                yield Finding(message, remedy or "take the resources from there", severity)
 
 
 def _starts_with(fmu: FmuUnderTest, uri: str) -> str | None:
@@ -110,7 +110,7 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
             if not abs(value - expected) <= 1.5 * fmu.step + LAG * (fmu.stop - fmu.start):
                 name, remedy = times[0].name, "give the time of the communication point"
                 message = f"{name} is {value:.9g} s after a run to {expected:.9g} s"
-                yield Finding("time", message, remedy, Severity.WARNING, name)
+                yield Finding(message, remedy, Severity.WARNING, name, check="time")
             instance.library.terminate()
     # a warning at every second call carries no information
     for function in ("fmi2DoStep", "fmi2GetDerivatives", "fmi2GetReal"):
@@ -118,12 +118,12 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
             logged = f": {fmu.messages[-1]}" if fmu.messages else ""
             often = f"in {Watch.warnings[function]} of {Watch.calls[function]} calls"
             message = " ".join(f"{function} returns fmi2Warning {often}{logged}".split())
-            yield Finding("simulation", message, "keep fmi2Warning for what is unusual", Severity.NOTE)
+            yield Finding(message, "keep fmi2Warning for what is unusual", Severity.NOTE)
     # a slow FMU may not reach the end
     if done < fmu.all_steps and not instance.finished:
         until, end = (fmu.start + n * fmu.step for n in (done, fmu.all_steps))
         message = f"simulated to {until:.6g} s of {end:.6g} s: a step of {fmu.step:g} s takes {fmu.step_seconds:.2g} s"
-        yield Finding("simulation", message, "what comes later was not checked", Severity.NOTE)
+        yield Finding(message, "what comes later was not checked", Severity.NOTE)
     if rows:
         yield from _judged(fmu, np.vstack(rows))
 
@@ -138,7 +138,7 @@ def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
         row = int(np.argmax(bad[:, column]))
         what = names[column - first] if column >= first else f"derivative {column + 1}"
         message = f"{what} is {rows[row, column]} at {fmu.start + (row + 1) * fmu.step:.6g} s"
-        yield Finding("simulation", message, "give a number, or return fmi2Error", subject=what)
+        yield Finding(message, "give a number, or return fmi2Error", subject=what)
     # ranges
     for variable, values in zip(fmu.outputs, rows[:, first:].T, strict=True):
         for n, bound in _outside(variable, values):
@@ -146,7 +146,7 @@ def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
             yield _beyond(variable, values[n], when, bound)
         if variable.type == "Boolean" and not np.isin(values, (0.0, 1.0)).all():
             message = f"{variable.name} is neither fmi2True nor fmi2False"
-            yield Finding("range", message, "give 1 or 0", subject=variable.name)
+            yield Finding(message, "give 1 or 0", subject=variable.name, check="range")
 
 
 def _outside(variable: Any, values: Any) -> Iterator[tuple[int, float]]:
@@ -160,7 +160,7 @@ def _outside(variable: Any, values: Any) -> Iterator[tuple[int, float]]:
 
 def _beyond(variable: Any, value: float, when: str, bound: float) -> Finding:
     message = f"{variable.name} is {value:.6g} {when}, beyond its bound {bound:g}"
-    return Finding("range", message, "correct min and max, or the value", Severity.WARNING, variable.name)
+    return Finding(message, "correct min and max, or the value", Severity.WARNING, variable.name, check="range")
 
 
 def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
@@ -180,17 +180,17 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     fmu.misuse.clear()
     _short_run(fmu)
     for misuse in dict.fromkeys(fmu.misuse):
-        yield Finding("memory", f"the FMU {misuse}", "run it under AddressSanitizer")
+        yield Finding(f"the FMU {misuse}", "run it under AddressSanitizer")
     if any(not is_guarded(block) for block in fmu.memory.values()):
-        yield Finding("memory", "the FMU writes beyond a block of allocateMemory", "run it under AddressSanitizer")
+        yield Finding("the FMU writes beyond a block of allocateMemory", "run it under AddressSanitizer")
     if fmu.memory:
         message = f"fmi2FreeInstance leaves {len(fmu.memory)} blocks of allocateMemory behind"
-        yield Finding("memory", message, "free them all", Severity.WARNING)
+        yield Finding(message, "free them all", Severity.WARNING)
     # memory from malloc
     lost = _lost_bytes(fmu)
     if lost and not fmu.memory:
         message = f"each instance leaves {lost} bytes of malloc behind"
-        yield Finding("memory", message, "free in fmi2FreeInstance what was allocated", Severity.WARNING)
+        yield Finding(message, "free in fmi2FreeInstance what was allocated", Severity.WARNING)
     if lost or fmu.memory or not fmu.can_save:
         return
     # memory of saved states, and of states saved again into the same memory
@@ -198,10 +198,10 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     again = _lost_bytes(fmu, savings=1 + MORE_SAVINGS) - lost
     if lost:
         message, remedy = f"fmi2FreeFMUstate leaves {lost} bytes of a state behind", "free all of it"
-        yield Finding("memory", message, remedy, Severity.WARNING, section="2.1.8")
+        yield Finding(message, remedy, Severity.WARNING, section="2.1.8")
     if again >= MORE_SAVINGS:
         message = f"fmi2GetFMUstate leaves {again // MORE_SAVINGS} bytes behind where it shall use the memory of an earlier state"
-        yield Finding("memory", message, "use its memory, or free it", Severity.WARNING, section="2.1.8")
+        yield Finding(message, "use its memory, or free it", Severity.WARNING, section="2.1.8")
 
 
 def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
@@ -270,14 +270,14 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
         try:
             instance.library.getReal([])
         except FMICallException as error:
-            yield Finding("calls", f"fmi2GetReal of no variable fails: {error}", "nvr = 0 is legal", Severity.WARNING)
+            yield Finding(f"fmi2GetReal of no variable fails: {error}", "nvr = 0 is legal", Severity.WARNING)
         if variables := [variable for variable in fmu.outputs if variable.type == "Real"][:1]:
             values = (c_double * 4)(*[CANARY] * 4)
             references = (c_uint * 1)(variables[0].valueReference)
             instance.library.fmi2GetReal(instance.library.component, references, 1, values)
             if any(value != CANARY for value in values[1:]):
                 message = "fmi2GetReal writes more values than nvr"
-                yield Finding("memory", message, "fill nvr values", section="2.1.7")
+                yield Finding(message, "fill nvr values", section="2.1.7", check="memory")
     # unknown value references
     when = f"for the value reference {NO_VARIABLE}, which no variable has"
     yield from _accepted(fmu, _UNKNOWN, True, when, Severity.WARNING)
@@ -311,4 +311,4 @@ def _accepted(
                 accepted.append(name)
     if accepted:
         remedy = "return fmi2Error: mistakes of the importing tool stay hidden otherwise"
-        yield Finding("calls", f"{', '.join(accepted)} gives fmi2OK {when}", remedy, severity)
+        yield Finding(f"{', '.join(accepted)} gives fmi2OK {when}", remedy, severity)

@@ -53,7 +53,7 @@ def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
     if random and set(random) == set(differing):
         names = ", ".join(variable.name for variable in random)
         message = f"{names}: different at each run, not looked at any further"
-        yield Finding("repeatability", message, "the same inputs should give the same outputs", Severity.WARNING)
+        yield Finding(message, "the same inputs should give the same outputs", Severity.WARNING)
         fmu.outputs = [variable for variable in fmu.outputs if variable not in random]
     else:
         yield from _compare(
@@ -153,7 +153,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
         if any(state[0].value for state in states):
             message = "fmi2FreeFMUstate leaves the pointer to the state as it was"
             remedy = "set it to null: a second call would free the state twice"
-            yield Finding("state", message, remedy, Severity.WARNING)
+            yield Finding(message, remedy, Severity.WARNING)
     # saving and freeing the state in each step changes nothing
     if not saving:
         with fmu.instance("saving") as instance:
@@ -190,7 +190,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
                 f"{variable.name} was {before:.9g} when the state was saved, and is {after:.9g} after fmi2SetFMUstate"
             )
             severity = Severity.WARNING if variable in times else Severity.ERROR
-            yield Finding("inputs in the state", message, _STATE_REMEDY, severity, variable.name)
+            yield Finding(message, _STATE_REMEDY, severity, variable.name)
 
 
 def reads_leave_the_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -321,7 +321,7 @@ def _compare(
         ends = " and ".join(f"{fmu.start + len(rows) * fmu.step:.6g} s" for rows in (first, second))
         # tools hardly ever reset an FMU that has terminated the simulation
         severity = Severity.WARNING if check == "reset" else Severity.ERROR
-        yield Finding(check, f"the run ends at different times {when}: {ends}", remedy, severity)
+        yield Finding(f"the run ends at different times {when}: {ends}", remedy, severity)
         return
     offset = first.shape[1] - len(fmu.outputs)
     if first.shape != second.shape or offset < 0 or np.array_equal(first, second, equal_nan=True):
@@ -338,7 +338,7 @@ def _compare(
     if worst <= least * scale[column]:
         return
     severity = Severity.ERROR if worst > negligible * scale[column] else Severity.WARNING
-    yield Finding(check, f"{name} differs by up to {worst:.3g} {when}; it should be identical", remedy, severity)
+    yield Finding(f"{name} differs by up to {worst:.3g} {when}; it should be identical", remedy, severity)
 
 
 def _main() -> None:

@@ -70,7 +70,6 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
     if failing.any():
         worst = int(np.argmax(np.where(failing, second, 0.0)))
         yield Finding(
-            "variable step",
             f"{fmu.smooth_outputs[worst].name} changes by {first[worst]:.1%} of its motion where steps are "
             f"halved, and by {second[worst]:.1%} where they are halved again",
             "advance by all of communicationStepSize, or don't claim canHandleVariableCommunicationStepSize",
@@ -115,7 +114,7 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
     if spread < 1e-3 < 0.1 * abs(off) and abs(off + 1.0) > 1e-3:
         where = "ahead of" if off > 0.0 else "behind"
         message = f"{times[0].name} is {abs(off):.3g} communication steps {where} the communication point"
-        yield Finding("time", message, "give the time of the communication point", Severity.WARNING, times[0].name)
+        yield Finding(message, "give the time of the communication point", Severity.WARNING, times[0].name)
 
 
 def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -131,7 +130,6 @@ def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
         if found is not None:
             n, missed, ignored = found
             yield Finding(
-                "input derivatives",
                 f"with a derivative of {variable.name} {outputs[n].name} is {missed:.3g} off, with a constant input "
                 f"{ignored:.3g}",
                 "use fmi2SetRealInputDerivatives within the step, or don't claim canInterpolateInputs",

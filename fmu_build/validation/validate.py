@@ -11,14 +11,8 @@ import fmpy
 from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.archive import check_archive, check_entries, read_archive, unpack
 from flexfmu.fmu_build.validation.binaries import check_binaries, library_name
-from flexfmu.fmu_build.validation.description import (
-    check_description,
-    fmi_version,
-    interfaces,
-    is_fmpy_error,
-    read_description,
-)
-from flexfmu.fmu_build.validation.finding import Finding, Severity, ranked
+from flexfmu.fmu_build.validation.description import fmi_version, interfaces, read_description
+from flexfmu.fmu_build.validation.finding import Finding, Severity, named, ranked
 from flexfmu.fmu_build.validation.fmu import InterfaceType
 from flexfmu.fmu_build.validation.supervisor import run_checks
 from flexfmu.fmu_build.validation.worker import CHECKS
@@ -27,10 +21,10 @@ TIME_LIMIT = 120.0
 """Time limit of the dynamic checks [s]; the paper's scene needs a few seconds."""
 
 _FMI3 = Finding(
-    "model description",
     "an FMU of FMI 3.0: its description is checked by fmpy, what it does is not",
     "run it, and compare with the tool that it comes from",
     Severity.NOTE,
+    check="model description",
     section="FMI 3.0, 2.4",
 )
 
@@ -54,23 +48,18 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
     entries, files, encrypted = read_archive(path)
-    # FMI 3.0: only the description
     version = fmi_version(files["modelDescription.xml"])
-    if version.startswith("3."):
-        broken = [replace(finding, section=_FMI3.section) for finding in read_description(path)[1]]
-        return ranked([*broken, _FMI3])
-    if version != "2.0":
+    if version != "2.0" and not version.startswith("3."):
         message = f"fmiVersion is {version or 'missing'}: FMUs of version 2.0 are checked, of 3.0 the description"
-        return [Finding("model description", message, "export the model as FMI 2.0", section="2.2.1")]
-    # static checks
-    description, findings = read_description(path)
-    described = list(check_description(files["modelDescription.xml"]))
-    if any(finding.severity is Severity.ERROR for finding in described):
-        findings = [finding for finding in findings if not is_fmpy_error(finding)]
-    findings += [*described, *check_entries(entries, encrypted), *check_archive(files)]
+        return [Finding(message, "export the model as FMI 2.0", check="model description", section="2.2.1")]
+    description, findings = read_description(path, files["modelDescription.xml"])
+    # FMI 3.0: only the description
+    if version != "2.0":
+        return ranked([*(replace(finding, section=_FMI3.section) for finding in findings), _FMI3])
+    findings += [*named("archive", check_entries(entries, encrypted)), *named("archive", check_archive(files))]
     # binaries, then dynamic checks
     if description is not None and interfaces(description):
-        findings += check_binaries(description, files)
+        findings += named("binary", check_binaries(description, files))
         if run and library_name(description, fmpy.platform) in files:
             findings += _check_dynamically(description, path, time_limit)
     return ranked(findings)
@@ -92,7 +81,7 @@ def _check_dynamically(description: Any, fmu: Path, limit: float) -> list[Findin
         found[kind.value] = reported[kind.name]
         if element.needsExecutionTool and any(finding.check == "instantiation" for finding in found[kind.value]):
             message = f"for {kind.value} the FMU needs its own tool (needsExecutionTool) and makes no instance here"
-            found[kind.value] = [Finding("instantiation", message, "run this where the tool is", Severity.NOTE)]
+            found[kind.value] = [Finding(message, "run this where the tool is", Severity.NOTE, check="instantiation")]
     return _merged(found)
 
 

@@ -43,7 +43,7 @@ def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
         start, got = start_value(variable), [value for value in seen if value is not None]
         if got and not any(_is_close(variable, value, start) for value in got):
             message = f"{variable.name} is {_shown(variable, got[-1])} at the start, the description says {start!r}"
-            yield Finding("start value", message, "start with what the description says", subject=variable.name)
+            yield Finding(message, "start with what the description says", subject=variable.name)
 
 
 def _read(instance: Any, variables: Sequence[Any]) -> list[Any]:
@@ -94,7 +94,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
                         f"{variable.name} is {value!r} after the initialisation, it was set to {group[variable]!r}"
                     )
                     remedy = "keep it in double precision"
-                    yield Finding("parameters", message, remedy, Severity.WARNING, variable.name)
+                    yield Finding(message, remedy, Severity.WARNING, variable.name)
             # fmi2Reset restores the start values
             instance.library.reset()
             instance.enter_initialization()
@@ -120,7 +120,7 @@ def _kept(instance: Any, changes: dict[Any, Any], variables: Sequence[Any] | Non
 
 def _forgotten(variable: Any, value: Any, expected: Any, when: str, check: str = "parameters") -> Finding:
     message = f"{variable.name} is {_shown(variable, value)} {when} {expected!r}"
-    return Finding(check, message, "keep what fmi2SetXXX sets until fmi2Reset", subject=variable.name)
+    return Finding(message, "keep what fmi2SetXXX sets until fmi2Reset", subject=variable.name, check=check)
 
 
 def one_call_does_what_several_do(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -183,4 +183,4 @@ def _differs(variable: Any, one: Any, other: Any) -> bool:
 def _together(variable: Any, done: str, one: Any, other: Any) -> Finding:
     message = f"{variable.name} is {_shown(variable, other)} where several variables are {done} in one call, "
     message += f"{_shown(variable, one)} where it is {done} alone"
-    return Finding("several variables", message, "take value n for value reference n", subject=variable.name)
+    return Finding(message, "take value n for value reference n", subject=variable.name, check="several variables")

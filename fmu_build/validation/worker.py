@@ -12,6 +12,7 @@ import json
 import locale
 import os
 import platform
+import re
 import shutil
 import signal
 import sys
@@ -27,7 +28,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.validation import dependencies, derivatives, exchange, lifecycle, replay, steps, values
-from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.finding import Finding, Severity, named
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
 from flexfmu.fmu_build.validation.instance import Watch, announce
 
@@ -77,16 +78,13 @@ def surroundings(fmu: Path) -> dict[str, Any]:
     Args:
         fmu: folder of the extracted FMU.
     """
+    resources = (path for path in (fmu / "resources").rglob("*") if path.is_file())
     seen: dict[str, Any] = {
         "working directory": os.getcwd(),
         "locale for numbers": locale.setlocale(locale.LC_NUMERIC),
         "rounding of numbers": float(np.float64(1.0) / np.float64(3.0)) + float(np.float64(-1.0) / np.float64(3.0)),
         "treatment of denormal numbers": bool(np.float64(5e-324) * np.float64(1.0)),
-        "resources": {
-            str(path.relative_to(fmu)): path.stat().st_mtime_ns
-            for path in (fmu / "resources").rglob("*")
-            if path.is_file()
-        },
+        "resources": {str(path.relative_to(fmu)): path.stat().st_mtime_ns for path in resources},
     }
     # state of the C library: rounding mode, environment, umask
     if os.name == "posix":
@@ -98,10 +96,7 @@ def surroundings(fmu: Path) -> dict[str, Any]:
     # on Linux: signal handlers and open files
     status = Path("/proc/self/status")
     if status.exists():
-        lines = (
-            line.split(":", 1) for line in status.read_text().splitlines() if line.startswith(("SigCgt", "SigIgn"))
-        )
-        seen["signal handlers"] = [value.strip() for _, value in lines]
+        seen["signal handlers"] = re.findall(r"^Sig(?:Cgt|Ign):.*", status.read_text(), re.MULTILINE)
         seen["open files"] = len(os.listdir("/proc/self/fd"))
     return seen
 
@@ -139,7 +134,7 @@ def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Find
                 change += f" to {_ROUNDING.get(new, new)}"
             case _ if what != "signal handlers":
                 change += f" to {new}"
-        yield Finding("process", f"the FMU {change}{whose}", remedy, Severity.WARNING)
+        yield Finding(f"the FMU {change}{whose}", remedy, Severity.WARNING)
 
 
 _RESTORE = "restore it before each FMI call returns"
@@ -163,37 +158,13 @@ def closed_streams(standard: list[int]) -> Iterator[Finding]:
         except OSError:
             os.dup2(copy, number)
             message = f"the FMU closes standard {name}, which belongs to the importing tool"
-            yield Finding("process", message, "leave it open", Severity.WARNING)
+            yield Finding(message, "leave it open", Severity.WARNING)
 
 
 def printed_bytes() -> int:
     """Size of the file behind standard output, after a flush [bytes]."""
     ctypes.CDLL(None).fflush(None)
     return os.fstat(1).st_size
-
-
-def printed_text(before: int) -> Iterator[Finding]:
-    """Yield a finding if standard output has grown beyond ``before`` bytes."""
-    now = printed_bytes()
-    if now > before:
-        text = os.pread(1, min(now - before, 200), before).decode(errors="replace").strip().splitlines()
-        message = "the FMU prints to standard output" + (f": {text[0]!r}" if text else "")
-        yield Finding(
-            "process", message, "log through the callback: the importing tool's output is its own", Severity.WARNING
-        )
-
-
-def files_left() -> Iterator[Finding]:
-    """Yield a finding for each file that the FMU leaves in the working directory, and remove it."""
-    for path in sorted(Path.cwd().iterdir()):
-        yield Finding(
-            "process",
-            f"{path.name} is left in the working directory",
-            "write where the importing tool says, or nowhere",
-            Severity.WARNING,
-            path.name,
-        )
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 LOOK = 0.1
@@ -262,23 +233,40 @@ def _findings(
     """
     printed, folder = printed_bytes(), Path.cwd()
     try:
-        yield from check(fmu)
+        yield from named(name, check(fmu))
     except OnlyOnceError:
         return
     except NoMoreInstancesError as error:
         raise NoMoreInstancesError(_with_messages(error, fmu)) from error
     except Exception as error:  # a failed FMI call is a finding and doesn't end the validation
+        what, remedy = str(error), getattr(error, "remedy", "the call is legal here: carry it out")
+        if isinstance(error, FMICallException):
+            status, remedy = _STATUS.get(
+                error.status, (f"the status {error.status}, which there is not", "return a fmi2Status")
+            )
+            what = f"{error.function} returns {status}"
         severity = Severity.WARNING if name == "calls" else Severity.ERROR
-        what, remedy = _explained(error)
-        yield Finding(name, _with_messages(what, fmu), remedy, severity)
+        yield Finding(_with_messages(what, fmu), remedy, severity, check=name)
     finally:
         # changes to the process
         fmu.messages.clear()
-        yield from closed_streams(standard)
-        yield from disturbances(before, surroundings(fmu.folder))
-        yield from printed_text(printed)
+        yield from named("process", closed_streams(standard))
+        yield from named("process", disturbances(before, surroundings(fmu.folder)))
+        now = printed_bytes()
+        if now > printed:
+            text = os.pread(1, min(now - printed, 200), printed).decode(errors="replace").strip().splitlines()
+            message = "the FMU prints to standard output" + (f": {text[0]!r}" if text else "")
+            remedy = "log through the callback: the importing tool's output is its own"
+            yield Finding(message, remedy, Severity.WARNING, check="process")
+        # files in the working directory, which are removed
         os.chdir(folder)
-        yield from files_left()
+        for path in sorted(folder.iterdir()):
+            message, remedy = (
+                f"{path.name} is left in the working directory",
+                "write where the importing tool says, or nowhere",
+            )
+            yield Finding(message, remedy, Severity.WARNING, path.name, check="process")
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def _with_messages(error: Exception | str, fmu: FmuUnderTest) -> str:
@@ -294,16 +282,6 @@ _STATUS = {
     5: ("fmi2Pending", "return fmi2Pending from fmi2DoStep alone, and claim canRunAsynchronuously"),
 }
 """fmi2Status → its name, and the remedy where the call should succeed."""
-
-
-def _explained(error: Exception) -> tuple[str, str]:
-    """Description of an exception in the standard's terms, and the remedy."""
-    if isinstance(error, FMICallException):
-        name, remedy = _STATUS.get(
-            error.status, (f"the status {error.status}, which there is not", "return a fmi2Status")
-        )
-        return f"{error.function} returns {name}", remedy
-    return str(error), getattr(error, "remedy", "the call is legal here: carry it out")
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ def test_nothing_is_exported_by_accident(tmp_path: Path) -> None:
     visible = '__attribute__((visibility("default"))) int answer(void) { return 42; } int hidden(void) { return 1; }'
     library = _build(tmp_path, visible)
     assert ctypes.CDLL(str(library)).answer() == 42
-    assert read_elf(library.read_bytes()).exports == {"answer"}
+    assert read_elf(library.read_bytes())[0] == {"answer"}
 
 
 def test_errors_of_the_compiler_are_one_line_with_the_place(tmp_path: Path) -> None:

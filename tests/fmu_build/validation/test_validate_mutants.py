@@ -68,7 +68,7 @@ def found(library: bytes, tmp_path: Path) -> Found:
         try:
             return validate_fmu(path, time_limit, run if isinstance(what, bytes) else what.runs)
         except ArchiveError as error:
-            return [Finding("archive", str(error))]
+            return [Finding(str(error), check="archive")]
 
     return validate
 
