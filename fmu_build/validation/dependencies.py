@@ -37,8 +37,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     # knowns: in co-simulation also discrete inputs
     inputs, reported, done = fmu.real_inputs, set[str](), 0
     states = fmu.states if fmu.kind is InterfaceType.EXCHANGE else []
-    with fmu.instance("dependencies") as instance:
-        instance.initialize()
+    with fmu.initialized("dependencies") as instance:
         # at several instants: a dependency may vanish at one of them
         for instant in (min(fmu.steps, 3), fmu.steps // 2, fmu.steps):
             instance.advance(done, instant)
@@ -91,6 +90,12 @@ def answers(
         ends.append(np.asarray(instance.get(unknowns)))
     set_known(value)
     return ends[0], ends[1], step
+
+
+def slope(instance: Any, unknowns: Sequence[Any], known: Any, share: float, states: Sequence[Any]) -> RealArray:
+    """Central differences of the unknowns by a known, shape (unknowns,); arguments as for `answers`."""
+    up, down, step = answers(instance, unknowns, known, share, states)
+    return (up - down) / (2.0 * step)
 
 
 def _violations(

@@ -8,17 +8,16 @@ spaced grids, Mathematics of Computation 51 (1988)).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.validation.dependencies import answers
+from flexfmu.fmu_build.validation.dependencies import slope
 from flexfmu.fmu_build.validation.finding import Finding
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
@@ -82,24 +81,13 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         matrix = np.column_stack([instance.directional(unknowns, [known], np.ones(1)) for known in knowns])
         seeded = [(seed, instance.directional(unknowns, knowns, seed)) for seed in _seeds(len(knowns))]
         fine, coarse = (
-            np.column_stack(
-                [
-                    (up - down) / (2.0 * step)
-                    for up, down, step in (answers(instance, unknowns, known, share, states) for known in knowns)
-                ]
-            )
+            np.column_stack([slope(instance, unknowns, known, share, states) for known in knowns])
             for share in DIFFERENCES
         )
     # ignore outputs that are aliases of states: some tools omit these derivatives
     same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
     wrong = list(_compare(unknowns, knowns, np.where(same, fine, matrix), fine, coarse))
     yield from wrong or _not_linear(unknowns, knowns, matrix, seeded)
-
-
-def _listed(items: Iterable[str]) -> str:
-    """The first four items as text."""
-    first = list(islice(items, 5))
-    return ", ".join(first[:4]) + ", ..." * (len(first) > 4)
 
 
 def _seeds(knowns: int) -> Iterator[RealArray]:
@@ -119,12 +107,12 @@ def _not_linear(
         apart = np.where(np.isfinite(apart), apart, np.inf) / np.maximum(scale, 1e-300)
         row = int(np.argmax(apart))
         if apart[row] > SEED_TOLERANCE:
-            yield Finding(
-                f"the derivative of {unknowns[row].name} along {_listed(known.name for known in knowns)} with the seeds "
-                f"{_listed(f'{s:.3g}' for s in seed)} is {given[row]:.6g}, the sum of "
-                f"those along each is {expected[row]:.6g}",
-                "multiply by dvKnown and add up",
+            along = ", ".join(
+                f"{known.name} ({value:.3g})" for known, value in islice(zip(knowns, seed, strict=True), 4)
             )
+            more = ", ..." * (len(knowns) > 4)
+            message = f"the derivative of {unknowns[row].name} along {along}{more} is {given[row]:.6g}, the sum of those along "
+            yield Finding(f"{message}each is {expected[row]:.6g}", "multiply by dvKnown and add up")
             return
 
 
@@ -186,8 +174,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> Iterator[Finding]:
     """Yield a finding for each derivative that is not finite right after initialisation; an error status is legal there."""
-    with fmu.instance("first_derivatives") as instance:
-        instance.initialize()
+    with fmu.initialized("first_derivatives") as instance:
         for order in range(1, most + 1):
             try:
                 given = instance.library.getRealOutputDerivatives(references, [order] * len(references))
@@ -223,16 +210,11 @@ def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
             )
 
 
-@dataclass(frozen=True)
-class _Contradiction:
+class _Contradiction(NamedTuple):
     """A derivative that contradicts the differences of the next lower order.
 
-    Attributes:
-        order: order of the derivative.
-        column: index of the variable.
-        time: instant of the contradiction [s].
-        given: value from the FMU.
-        differences: value by differences; NaN if ``given`` is not finite.
+    Its order, the column of the variable, the instant [s], the value from the FMU, and that by differences (NaN if the FMU's isn't
+    finite).
     """
 
     order: int
@@ -260,13 +242,8 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Rea
             return None
         if not np.isfinite(jets).all():
             point, order, column = map(int, np.argwhere(~np.isfinite(jets))[0])
-            return _Contradiction(
-                order,
-                column,
-                fmu.start + _begin(fmu) * fmu.step + (point + 1) * step,
-                jets[point, order, column],
-                np.nan,
-            )
+            time = fmu.start + _begin(fmu) * fmu.step + (point + 1) * step
+            return _Contradiction(order, column, time, jets[point, order, column], np.nan)
         given, differences, clear = _comparison(jets, step, fmu.accuracy, size)
         lag = 0.0
         if not fmu.has_variable_step:
@@ -306,9 +283,8 @@ def _comparison(
     differences = (4.0 * near - wide) / 3.0
     noise = (accuracy * np.abs(lower).max(axis=0) + SMALL * size) / step
     scale = np.maximum(np.abs(differences), np.abs(differences).max(axis=0) * 1e-2)
-    moves = (np.diff(lower, axis=0) != 0.0).mean(
-        axis=0
-    ) > 0.9  # an FMU with a larger internal step is constant at times
+    # an FMU with a larger internal step is constant at times
+    moves = (np.diff(lower, axis=0) != 0.0).mean(axis=0) > 0.9
     return given, differences, moves & (np.abs(near - wide) <= RESOLVED * scale) & (noise <= RESOLVED * scale)
 
 

@@ -60,8 +60,7 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that the state derivatives at the same states are equal bit by bit after an evaluation at other states."""
     if fmu.kind is not InterfaceType.EXCHANGE:
         return
-    with fmu.instance("pure") as instance:
-        instance.initialize()
+    with fmu.initialized("pure") as instance:
         if not instance.states or instance.finished:
             return
         # evaluate at x, elsewhere, and at x again
@@ -83,8 +82,7 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
     if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
         return
     rates = [unknown.variable for unknown in fmu.description.derivatives]
-    with fmu.instance("states") as instance:
-        instance.initialize()
+    with fmu.initialized("states") as instance:
         if instance.finished:
             return
         # different values for all states reveal swapped ones
@@ -119,8 +117,7 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2CompletedIntegratorStep does not change the states without requesting an event."""
     if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
         return
-    with fmu.instance("integrator_step") as instance:
-        instance.initialize()
+    with fmu.initialized("integrator_step") as instance:
         for n in range(1, STEPS + 1):
             if instance.finished or fmu.start + n * fmu.step >= instance.next_event:
                 return
@@ -148,8 +145,7 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
     count = int(fmu.description.numberOfEventIndicators or 0)
     if fmu.kind is not InterfaceType.EXCHANGE or not count:
         return
-    with fmu.instance("event_indicators") as instance:
-        instance.initialize()
+    with fmu.initialized("event_indicators") as instance:
         for n in range(STEPS):
             if instance.finished:
                 return
@@ -259,7 +255,7 @@ def _integrated(
 
 def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, parts: int) -> RealArray:
     """Outputs of co-simulation after each step with constant inputs, shape (steps, outputs)."""
-    slave = replace(fmu, kind=InterfaceType.COSIMULATION, _library=None)
+    slave = replace(fmu, kind=InterfaceType.COSIMULATION)
     with slave.instance("stepped") as instance:
         instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
         return np.asarray(instance.read_steps(fmu.smooth_outputs, min(fmu.steps, POINTS), parts))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -11,6 +10,7 @@ from copy import copy
 from ctypes import byref
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -91,23 +91,21 @@ class FmuUnderTest:
     memory: dict[int, Any] = field(default_factory=dict)
     misuse: list[str] = field(default_factory=list)
     _instances: int = 0
-    _library: Any = None
-    _kept_callbacks: Any = None
     _functions: Any = None
 
     def __post_init__(self) -> None:
         # times from the default experiment, defaults where it has none
         experiment = self.description.defaultExperiment
-        self.start = _time(experiment, "startTime") or 0.0
-        stop = _time(experiment, "stopTime") or 0.0
+        given = {key: float(getattr(experiment, key, None) or 0.0) for key in ("startTime", "stopTime", "stepSize")}
+        self.start, stop = given["startTime"], given["stopTime"]
         if stop <= self.start:
             stop = self.start + 1.0
-        step = _time(experiment, "stepSize") or 0.0
-        self.step = step if step > 0.0 else (stop - self.start) / _DEFAULT_STEPS
+        self.step = given["stepSize"] if given["stepSize"] > 0.0 else (stop - self.start) / _DEFAULT_STEPS
         self.all_steps = max(1, round((stop - self.start) / self.step))
         self.stop = max(stop, self.start + self.all_steps * self.step)
         # errors below the accuracy are due to the solver
-        self.tolerance = _time(experiment, "tolerance")
+        tolerance = getattr(experiment, "tolerance", None)
+        self.tolerance = None if tolerance is None else float(tolerance)
         self.accuracy = max(self.tolerance or 0.0, SOLVER_TOLERANCE)
         # observed and excited variables; some FMUs have only local variables
         self.outputs = self._variables("output", types=_NUMBERS) or self._variables("local")[:_MOST_LOCALS]
@@ -147,14 +145,9 @@ class FmuUnderTest:
 
     def input_values(self, n: int, size: float = 1.0) -> RealArray:
         """Inputs at step ``n``, shape (inputs,): start values plus a sinusoidal excitation, multiplied by ``size``."""
-        return np.array(
-            [
-                within(
-                    variable, start_of(variable) + size * EXCITATION * size_of(variable) * math.sin(0.1 * (n + 7.0 * k))
-                )
-                for k, variable in enumerate(self.inputs)
-            ]
-        )
+        wave = size * EXCITATION * np.sin(0.1 * (n + 7.0 * np.arange(len(self.inputs))))
+        changes = zip(self.inputs, wave.tolist(), strict=True)
+        return np.array([within(each, start_of(each) + change * size_of(each)) for each, change in changes])
 
     @property
     def smooth_outputs(self) -> list[Any]:
@@ -214,8 +207,8 @@ class FmuUnderTest:
         self._instances += 1
         # a copy of the loaded library with its own component
         is_slave = self.kind is InterfaceType.COSIMULATION
-        library: Any = copy(self.library())
-        library.callbacks = self._callbacks()
+        library: Any = copy(self.library)
+        library.callbacks = self._callbacks
         library.component = library.fmi2Instantiate(
             name.encode(),
             fmi2.fmi2CoSimulation if is_slave else fmi2.fmi2ModelExchange,
@@ -242,20 +235,31 @@ class FmuUnderTest:
             _alive[self.folder] -= 1
             library.fmi2FreeInstance(library.component)
 
+    @contextmanager
+    def initialized(self, name: str) -> Iterator[Any]:
+        """An initialised instance; errors as for `instance`."""
+        with self.instance(name) as instance:
+            instance.initialize()
+            yield instance
+
+    def record(self, name: str) -> RealArray:
+        """The results of a whole run in an instance of its own, one row per step."""
+        with self.instance(name) as instance:
+            return np.asarray(instance.run())
+
+    @cached_property
     def library(self) -> Any:
         """The loaded library.
 
         Raises:
             Exception: fmpy can't load it; its type depends on the cause.
         """
-        if self._library is None:
-            self._library = (FMU2SlaveLibrary if self.kind is InterfaceType.COSIMULATION else FMU2ModelLibrary)(
-                guid=self.description.guid,
-                modelIdentifier=self.element.modelIdentifier,
-                unzipDirectory=str(self.folder),
-                instanceName="validated",
-            )
-        return self._library
+        return (FMU2SlaveLibrary if self.kind is InterfaceType.COSIMULATION else FMU2ModelLibrary)(
+            guid=self.description.guid,
+            modelIdentifier=self.element.modelIdentifier,
+            unzipDirectory=str(self.folder),
+            instanceName="validated",
+        )
 
     def _variables(self, causality: str, variability: str | None = None, types: set[str] | None = None) -> list[Any]:
         return [
@@ -266,13 +270,10 @@ class FmuUnderTest:
             and variability in (None, variable.variability or "continuous")
         ]
 
+    @cached_property
     def _callbacks(self) -> Any:
         """The callbacks of all instances, kept because they must outlive them."""
-        if self._kept_callbacks is None:
-            self._kept_callbacks = self._new_callbacks()
-        return self._kept_callbacks
 
-    def _new_callbacks(self) -> Any:
         def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
             self.messages.append((message or b"").decode(errors="replace"))
 
@@ -299,8 +300,3 @@ class FmuUnderTest:
             self._functions = callbacks.logger, callbacks.allocateMemory, callbacks.freeMemory
             addLoggerProxy(byref(callbacks))
         return callbacks
-
-
-def _time(experiment: Any, key: str) -> float | None:
-    value = getattr(experiment, key, None)
-    return None if value is None else float(value)

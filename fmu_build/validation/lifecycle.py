@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from ctypes import c_double, c_uint
 from pathlib import Path
@@ -72,31 +72,27 @@ def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
         for uri, remedy, severity in tries:
             shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
             announce(shown)
-            problem = _starts_with(fmu, uri)
-            if problem is not None:
-                message = f"with {shown} the FMU fails: {problem}"
+            try:
+                with fmu.instance("uri", uri=uri) as instance:
+                    instance.initialize()
+            except (OnlyOnceError, NoMoreInstancesError):
+                raise
+            except Exception as error:  # fmpy's own kinds of errors
+                message = f"with {shown} the FMU fails: {' '.join(str(error).split())}"
                 yield Finding(message, remedy or "take the resources from there", severity)
-
-
-def _starts_with(fmu: FmuUnderTest, uri: str) -> str | None:
-    """Error message of instantiation and initialisation with this resource location; None if they succeed."""
-    try:
-        with fmu.instance("uri", uri=uri) as instance:
-            instance.initialize()
-    except (OnlyOnceError, NoMoreInstancesError):
-        raise
-    except Exception as error:  # fmpy's own kinds of errors
-        return " ".join(str(error).split())
-    return None
 
 
 def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that outputs are finite and within range over the default experiment; measure the wall time per step."""
     Watch.calls.clear()
     Watch.warnings.clear()
-    with fmu.instance("finite") as instance:
-        instance.initialize()
-        yield from _beyond_bounds(fmu, instance)
+    with fmu.initialized("finite") as instance:
+        # variables other than outputs after the initialisation
+        for variable in fmu.description.modelVariables:
+            if variable.type in ("Real", "Integer") and variable not in fmu.outputs:
+                with suppress(FMICallException):
+                    values = np.array(instance.read([variable]), dtype=float)
+                    yield from _beyond_bounds(variable, values, lambda _: "after the initialisation")
         # the whole experiment, as far as the time limit allows
         begin, rows, done = monotonic(), [], 0
         while done < fmu.all_steps and monotonic() - begin < WHOLE_RUN and not instance.finished:
@@ -141,36 +137,21 @@ def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
         yield Finding(message, "give a number, or return fmi2Error", subject=what)
     # ranges
     for variable, values in zip(fmu.outputs, rows[:, first:].T, strict=True):
-        for n, bound in _outside(variable, values):
-            when = f"at {fmu.start + (n + 1) * fmu.step:.6g} s"
-            yield _beyond(variable, values[n], when, bound)
+        yield from _beyond_bounds(variable, values, lambda n: f"at {fmu.start + (n + 1) * fmu.step:.6g} s")
         if variable.type == "Boolean" and not np.isin(values, (0.0, 1.0)).all():
             message = f"{variable.name} is neither fmi2True nor fmi2False"
             yield Finding(message, "give 1 or 0", subject=variable.name, check="range")
 
 
-def _outside(variable: Any, values: Any) -> Iterator[tuple[int, float]]:
-    """Yield the first index at which values are beyond a bound of the variable, with a tolerance for rounding, and the bound."""
+def _beyond_bounds(variable: Any, values: Any, when: Callable[[int], str]) -> Iterator[Finding]:
+    """Yield a finding about the first value beyond each bound of the variable, with a tolerance for rounding."""
     room = _OUTSIDE * float(np.abs(values).max(initial=0.0))
     for name, sign in (("min", -1.0), ("max", 1.0)):
         bound = attribute(variable, name)
         if bound is not None and (outside := sign * (values - bound) > room).any():
-            yield int(np.argmax(outside)), bound
-
-
-def _beyond(variable: Any, value: float, when: str, bound: float) -> Finding:
-    message = f"{variable.name} is {value:.6g} {when}, beyond its bound {bound:g}"
-    return Finding(message, "correct min and max, or the value", Severity.WARNING, variable.name, check="range")
-
-
-def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
-    """Yield findings about variables other than outputs that are out of range after initialisation."""
-    for variable in fmu.description.modelVariables:
-        if variable.type in ("Real", "Integer") and variable not in fmu.outputs:
-            with suppress(FMICallException):
-                values = np.array(instance.read([variable]), dtype=float)
-                for _, bound in _outside(variable, values):
-                    yield _beyond(variable, values[0], "after the initialisation", bound)
+            n = int(np.argmax(outside))
+            message = f"{variable.name} is {values[n]:.6g} {when(n)}, beyond its bound {bound:g}"
+            yield Finding(message, "correct min and max, or the value", Severity.WARNING, variable.name, check="range")
 
 
 def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -206,8 +187,7 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
     """Run some steps, then save the state ``savings`` times into the same memory and free it."""
-    with fmu.instance("memory") as instance:
-        instance.initialize()
+    with fmu.initialized("memory") as instance:
         instance.advance(0, min(fmu.steps, 5 if savings else 20))
         state = None
         for _ in range(savings):
@@ -265,8 +245,7 @@ _UNKNOWN: FmiCalls = {
 def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check illegal calls (unknown value references, wrong state), calls without variables, and writes out of bounds."""
     # calls without variables, and writes out of bounds
-    with fmu.instance("calls") as instance:
-        instance.initialize()
+    with fmu.initialized("calls") as instance:
         try:
             instance.library.getReal([])
         except FMICallException as error:

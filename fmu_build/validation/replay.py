@@ -2,7 +2,7 @@
 
 The same calls with the same values run the same arithmetic. A difference reveals memory that is not part of the state.
 
-    python -m flexfmu.fmu_build.validation.replay FOLDER KIND STEP_SECONDS STATE RESULT    # in a separate process
+    python -m flexfmu.fmu_build.validation.replay FOLDER KIND STEP_SECONDS RESULT < STATE    # in a separate process
 """
 
 from __future__ import annotations
@@ -40,30 +40,23 @@ NEGLIGIBLE = 1e-9
 
 def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that a second instance reproduces the first; exclude outputs that are random from all later checks."""
-    with fmu.instance("first") as instance:
-        first = instance.run()
-    with fmu.instance("second") as instance:
-        second = instance.run()
+    first = fmu.record("first")
+    second = fmu.record("second")
     differing = _differing(fmu, first, second)
     if not differing:
         return
     # outputs that differ between new processes too are random; otherwise instances share memory
     fresh = [_in_new_process(fmu, "run") for _ in range(2)]  # without earlier instances
-    random = [variable for variable in differing if variable in _differing(fmu, *fresh)]
-    if random and set(random) == set(differing):
-        names = ", ".join(variable.name for variable in random)
-        message = f"{names}: different at each run, not looked at any further"
-        yield Finding(message, "the same inputs should give the same outputs", Severity.WARNING)
-        fmu.outputs = [variable for variable in fmu.outputs if variable not in random]
-    else:
-        yield from _compare(
-            fmu,
-            "repeatability",
-            first,
-            second,
-            "in a second instance after the first is freed",
-            "keep all data in the instance, none in static variables; initialise all of it",
+    random = _differing(fmu, *fresh)
+    if set(differing) <= set(random):
+        message = (
+            f"{', '.join(variable.name for variable in differing)}: different at each run, not looked at any further"
         )
+        yield Finding(message, "the same inputs should give the same outputs", Severity.WARNING)
+        fmu.outputs = [variable for variable in fmu.outputs if variable not in differing]
+    else:
+        remedy = "keep all data in the instance, none in static variables; initialise all of it"
+        yield from _compare(fmu, first, second, "in a second instance after the first is freed", remedy)
 
 
 def _differing(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> list[Any]:
@@ -76,21 +69,19 @@ def _differing(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> list[A
 
 def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2Reset restores the state after instantiation, including parameters and inputs."""
-    remedy = "fmi2Reset has to restore everything, starts included"
+    remedy, findings = "fmi2Reset has to restore everything, starts included", list[Finding]()
     with fmu.instance("reset") as instance:
         first = instance.run()
-        instance.library.reset()
-        again = instance.run()
-        findings = list(_compare(fmu, "reset", first, again, "after fmi2Reset", remedy))
-        # once more, after a run with other parameters and inputs
-        if not findings:
+        # after the same run, and after one with other parameters and inputs
+        for when in ("after fmi2Reset", "after other parameters and inputs and fmi2Reset"):
+            if findings:
+                break
             instance.library.reset()
-            _run_changed(fmu, instance)
-            instance.library.reset()
-            again = instance.run()
-            findings = list(
-                _compare(fmu, "reset", first, again, "after other parameters and inputs and fmi2Reset", remedy)
-            )
+            if when != "after fmi2Reset":
+                _run_changed(fmu, instance)
+                instance.library.reset()
+            # tools hardly ever reset an FMU that has terminated the simulation: different ends are a warning
+            findings += _compare(fmu, first, instance.run(), when, remedy, severity=Severity.WARNING)
     yield from findings
 
 
@@ -113,17 +104,15 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that runs continue identically from restored states, in any order, and that saving has no side effect."""
     if not fmu.can_save:
         return
-    with fmu.instance("undisturbed") as instance:
-        undisturbed = instance.run()
+    undisturbed = fmu.record("undisturbed")
     # one run, interrupted to save states
     marks = [round(fraction * fmu.steps) for fraction in FRACTIONS]
-    with fmu.instance("save") as instance:
-        instance.initialize()
+    with fmu.initialized("save") as instance:
         states, parts = [], []
         for mark, end in zip(marks, [*marks[1:], fmu.steps], strict=True):
             states.append(instance.save())
             parts.append(instance.advance(mark, end))
-        saving = list(_compare(fmu, "state", undisturbed, np.vstack(parts), _ON_THE_WAY, _SAVING))
+        saving = list(_compare(fmu, undisturbed, np.vstack(parts), _ON_THE_WAY, _SAVING))
         yield from saving
         # the run continues identically from each state, restored in both orders
         futures: dict[int, RealArray] = {}
@@ -135,7 +124,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
                 instance.restore(state)
                 rows = instance.advance(mark, fmu.steps)
                 expected = futures.setdefault(mark, rows if saving else undisturbed[mark:])
-                found += _compare(fmu, "state", expected, rows, "after fmi2SetFMUstate", _STATE_REMEDY)
+                found += _compare(fmu, expected, rows, "after fmi2SetFMUstate", _STATE_REMEDY)
         yield from found
         if not saving and not found:
             # a state that is written into the memory of an earlier one, which it replaces
@@ -146,7 +135,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             instance.advance(mark, fmu.steps)
             instance.restore(states[0])
             rows = instance.advance(mark, fmu.steps)
-            yield from _compare(fmu, "state", undisturbed[mark:], rows, _AGAIN, _STATE_REMEDY)
+            yield from _compare(fmu, undisturbed[mark:], rows, _AGAIN, _STATE_REMEDY)
         # freed states leave no pointer behind
         for state in states:
             instance.discard(state)
@@ -156,10 +145,9 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             yield Finding(message, remedy, Severity.WARNING)
     # saving and freeing the state in each step changes nothing
     if not saving:
-        with fmu.instance("saving") as instance:
-            instance.initialize()
+        with fmu.initialized("saving") as instance:
             rows = instance.advance(0, min(fmu.steps, 20), between=lambda: instance.discard(instance.save()))
-        yield from _compare(fmu, "state", undisturbed[: len(rows)], rows, _ON_THE_WAY, _SAVING)
+        yield from _compare(fmu, undisturbed[: len(rows)], rows, _ON_THE_WAY, _SAVING)
 
 
 def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -169,8 +157,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     # inputs whose bounds allow another value
     inputs = [variable for variable in fmu.real_inputs if moved(variable, PERTURBATION) != start_of(variable)]
     times = fmu.times
-    with fmu.instance("inputs") as instance:
-        instance.initialize()
+    with fmu.initialized("inputs") as instance:
         half = fmu.steps // 2
         instance.advance(0, half)
         if instance.finished:
@@ -195,10 +182,8 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def reads_leave_the_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that reading outputs repeatedly in each step does not change the results."""
-    with fmu.instance("read_once") as instance:
-        once = instance.run()
-    with fmu.instance("read_often") as instance:
-        instance.initialize()
+    once = fmu.record("read_once")
+    with fmu.initialized("read_often") as instance:
 
         def read() -> None:
             for _ in range(READS):
@@ -207,7 +192,7 @@ def reads_leave_the_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
         often = instance.advance(0, fmu.steps, between=read)
     # an inner iteration that continues at each reading may change outputs within the solver's tolerance
     when, room = f"where outputs are read {READS} times more a step", (NEGLIGIBLE, fmu.accuracy)
-    yield from _compare(fmu, "reading", once, often, when, _READING, *room)
+    yield from _compare(fmu, once, often, when, _READING, *room)
 
 
 def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -226,7 +211,7 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
         reader.restore_serialized(data)
         again = reader.advance(half, fmu.steps)
     when = "with a serialised state in another instance"
-    findings = list(_compare(fmu, "serialisation", rows, again, when, _STATE_REMEDY))
+    findings = list(_compare(fmu, rows, again, when, _STATE_REMEDY))
     yield from findings
     # in another process, at other addresses
     slave, model = fmu.description.coSimulation, fmu.description.modelExchange
@@ -235,45 +220,30 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     when = "with a serialised state in another process"
     remedy = "serialised states must hold values, no addresses"
-    yield from _compare(fmu, "serialisation", rows, _in_new_process(fmu, "continue", data), when, remedy)
-
-
-def _continue_from(fmu: FmuUnderTest, data: bytes) -> RealArray:
-    """Results of the second half of the run from a serialised state; of the whole run if ``data`` is empty."""
-    with fmu.instance("other process") as instance:
-        if not data:
-            return np.asarray(instance.run())
-        instance.initialize()
-        instance.restore_serialized(data)
-        return np.asarray(instance.advance(fmu.steps // 2, fmu.steps))
+    yield from _compare(fmu, rows, _in_new_process(fmu, "continue", data), when, remedy)
 
 
 def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArray:
-    """Results of `_continue_from` in a new process.
+    """Results of a run in a new process; of its second half from a serialised state, if there is one.
 
     Raises:
         RuntimeError: the process fails or writes no result.
     """
     with temporary_folder("replay", fmu.folder.parent) as home:
-        state, result = Path(home) / "state", Path(home) / "rows.npy"
-        state.write_bytes(data)
+        result = Path(home) / "rows.npy"
         module = "flexfmu.fmu_build.validation.replay"
-        command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, repr(fmu.step_seconds)]
-        outcome = subprocess.run(
-            [*command, str(state), str(result)], capture_output=True, timeout=OTHER_PROCESS_TIMEOUT, check=False
-        )
+        command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, repr(fmu.step_seconds), str(result)]
+        outcome = subprocess.run(command, input=data, capture_output=True, timeout=OTHER_PROCESS_TIMEOUT, check=False)
         if outcome.returncode != 0 or not result.exists():
             last = (outcome.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
             raise RuntimeError(f"another process that has to {what} ends with {outcome.returncode}: {last}")
-        rows: RealArray = np.load(result)
-        return rows
+        return np.asarray(np.load(result))
 
 
 def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that two instances with different parameters and inputs, stepped in turns, reproduce their separate runs."""
     # separate runs, the second one with other values if the FMU accepts them
-    with fmu.instance("alone") as instance:
-        alone = instance.run()
+    alone = fmu.record("alone")
     with fmu.instance("changed") as instance:
         changed = _run_changed(fmu, instance)
     values = {variable: moved(variable, PERTURBATION) for variable in changeable(fmu)} if len(changed) else {}
@@ -285,15 +255,12 @@ def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
         steps = min(len(alone), len(changed) or len(alone))
         turns = [(one.advance(n, n + 1), two.advance(n, n + 1, size)) for n in range(steps)]
     # report the first difference only
-    remedy = "keep all data in the instance, none in static variables"
+    when, remedy = "with two instances that take turns", "keep all data in the instance, none in static variables"
+    findings: list[Finding] = []
     for which, expected in enumerate((alone, changed if len(changed) else alone)):
         rows = np.vstack([turn[which] for turn in turns]) if turns else expected[:0]
-        findings = list(
-            _compare(fmu, "instances", expected[: len(rows)], rows, "with two instances that take turns", remedy)
-        )
-        if findings:
-            yield from findings
-            return
+        findings = findings or list(_compare(fmu, expected[: len(rows)], rows, when, remedy))
+    yield from findings
 
 
 _AGAIN = "after fmi2SetFMUstate of a state that fmi2GetFMUstate wrote into the memory of an earlier one"
@@ -304,23 +271,21 @@ _STATE_REMEDY = "the state must hold everything that the future depends on: inte
 
 def _compare(
     fmu: FmuUnderTest,
-    check: str,
     first: RealArray,
     second: RealArray,
     when: str,
     remedy: str,
     least: float = 0.0,
     negligible: float = NEGLIGIBLE,
+    severity: Severity = Severity.ERROR,
 ) -> Iterator[Finding]:
     """Yield a finding if two recordings of the same calls differ.
 
     Differences are relative to the column's largest value: up to ``least`` they are ignored, up to ``negligible`` they
-    are a warning.
+    are a warning. ``severity`` is that of runs of different lengths.
     """
     if len(first) != len(second):
         ends = " and ".join(f"{fmu.start + len(rows) * fmu.step:.6g} s" for rows in (first, second))
-        # tools hardly ever reset an FMU that has terminated the simulation
-        severity = Severity.WARNING if check == "reset" else Severity.ERROR
         yield Finding(f"the run ends at different times {when}: {ends}", remedy, severity)
         return
     offset = first.shape[1] - len(fmu.outputs)
@@ -342,12 +307,18 @@ def _compare(
 
 
 def _main() -> None:
-    """Write the results of `_continue_from` to a file; arguments FOLDER KIND STEP_SECONDS STATE RESULT, see `_in_new_process`."""
-    folder, kind, step_seconds, state, result = sys.argv[1:]
-    fmu = FmuUnderTest(
-        read_model_description(folder, validate=False), Path(folder), InterfaceType[kind], float(step_seconds)
-    )
-    np.save(result, _continue_from(fmu, Path(state).read_bytes()))
+    """Write the results of `_in_new_process` to a file; arguments FOLDER KIND STEP_SECONDS RESULT, the state on standard input."""
+    folder, kind, step_seconds, result = sys.argv[1:]
+    description, data = read_model_description(folder, validate=False), sys.stdin.buffer.read()
+    fmu = FmuUnderTest(description, Path(folder), InterfaceType[kind], float(step_seconds))
+    with fmu.instance("other process") as instance:
+        if data:
+            instance.initialize()
+            instance.restore_serialized(data)
+            rows = instance.advance(fmu.steps // 2, fmu.steps)
+        else:
+            rows = instance.run()
+    np.save(result, rows)
 
 
 if __name__ == "__main__":

@@ -102,8 +102,7 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     shares = []
     for parts in (1, 3):
-        with fmu.instance("time") as instance:
-            instance.initialize()
+        with fmu.initialized("time") as instance:
             for n in range(TIMES):
                 if not instance.step_from(fmu.start + n * fmu.step / parts, fmu.step / parts):
                     return
@@ -182,8 +181,7 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how
     is_smooth = bool(fmu.smooth_outputs)
     steps, length = (min(STAIRS, fmu.steps), fmu.step) if is_smooth else (1, STAIRS * fmu.step)
     start, slope = start_of(variable), rise / (steps * length)
-    with fmu.instance(how) as instance:
-        instance.initialize()
+    with fmu.initialized(how) as instance:
         # the ramp
         for n in range(steps):
             for part in range(parts):

@@ -75,7 +75,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
     changes = {variable: other_value(variable) for variable in fmu.settable("parameter", "input")}
     changes = {variable: value for variable, value in changes.items() if value is not None}
     numbers = {variable: value for variable, value in changes.items() if variable.type == "Real"}
-    others = {variable: value for variable, value in changes.items() if variable.type != "Real"}
+    others = {variable: value for variable, value in changes.items() if variable not in numbers}
     for group in (numbers, others):
         if not group:
             continue
@@ -126,45 +126,33 @@ def _forgotten(variable: Any, value: Any, expected: Any, when: str, check: str =
 def one_call_does_what_several_do(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that setting and reading several variables in one call, in shuffled order, equals one call per variable."""
     for kind in ("Real", "Integer", "Enumeration", "Boolean", "String"):
-        yield from _read_together(fmu, kind)
-        yield from _set_together(fmu, kind)
-
-
-def _read_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
-    """Yield a finding for each variable whose value differs when several are read in one call."""
-    with fmu.instance("read_together") as instance:
-        instance.initialize()
+        # read one by one, together, and one by one again
         variables = _shuffled([v for v in fmu.description.modelVariables if v.type == kind])
-        single = _read(instance, variables)
-        readable = [n for n, value in enumerate(single) if value is not None]
-        if len(readable) < 2:
-            return
-        together = instance.read([variables[n] for n in readable])
-        again = _read(instance, [variables[n] for n in readable])
-    for n, value, last in zip(readable, together, again, strict=True):
-        if _differs(variables[n], single[n], value) and not _differs(variables[n], single[n], last):
-            yield _together(variables[n], "read", single[n], value)
-
-
-def _set_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
-    """Yield a finding for each variable whose value differs when several are set in one call."""
-    changes = {
-        v: other_value(v, 0.013 + 0.001 * n) for n, v in enumerate(_shuffled(fmu.settable("parameter", "input")))
-    }
-    changes = {variable: value for variable, value in changes.items() if variable.type == kind and value is not None}
-    if len(changes) < 2:
-        return
-    # the same values one by one, then in one call
-    with fmu.instance("set_one_by_one") as instance:
-        single = _kept(instance, changes)
-    if not single:
-        return
-    with fmu.instance("set_together") as instance:
-        instance.write_together(list(changes), list(changes.values()))
-        together = _kept(instance, {}, list(single))
-    for variable, value in (together or {}).items():
-        if _differs(variable, single[variable], value):
-            yield _together(variable, "set", single[variable], value)
+        with fmu.initialized("read_together") as instance:
+            single = {
+                v: value for v, value in zip(variables, _read(instance, variables), strict=True) if value is not None
+            }
+            if len(single) > 1:
+                together, again = instance.read(list(single)), _read(instance, list(single))
+                for (variable, one), value, last in zip(single.items(), together, again, strict=True):
+                    if _differs(variable, one, value) and not _differs(variable, one, last):
+                        yield _together(variable, "read", one, value)
+        # set the same values one by one, then in one call
+        settable = _shuffled(fmu.settable("parameter", "input"))
+        changes = {v: other_value(v, 0.013 + 0.001 * n) for n, v in enumerate(settable) if v.type == kind}
+        changes = {variable: value for variable, value in changes.items() if value is not None}
+        if len(changes) < 2:
+            continue
+        with fmu.instance("set_one_by_one") as instance:
+            kept = _kept(instance, changes)
+        if not kept:
+            continue
+        with fmu.instance("set_together") as instance:
+            instance.write_together(list(changes), list(changes.values()))
+            changed = _kept(instance, {}, list(kept))
+        for variable, value in (changed or {}).items():
+            if _differs(variable, kept[variable], value):
+                yield _together(variable, "set", kept[variable], value)
 
 
 def _shuffled(variables: Sequence[Any]) -> list[Any]:
@@ -183,4 +171,4 @@ def _differs(variable: Any, one: Any, other: Any) -> bool:
 def _together(variable: Any, done: str, one: Any, other: Any) -> Finding:
     message = f"{variable.name} is {_shown(variable, other)} where several variables are {done} in one call, "
     message += f"{_shown(variable, one)} where it is {done} alone"
-    return Finding(message, "take value n for value reference n", subject=variable.name, check="several variables")
+    return Finding(message, "take value n for value reference n", subject=variable.name)
