@@ -1,8 +1,6 @@
-"""Pictures of lines, discs and labels: the documentation shows them as SVG, this module writes the icon ``model.png``.
+"""Pictures of lines and labels: the documentation shows them as SVG, this module writes the icon ``model.png``.
 
 The PNG file (ISO/IEC 15948) is written without a drawing library, so that its bytes depend only on the picture and zlib.
-Labels are placed greedily (Christensen, Marks and Shieber, An empirical study of algorithms for point-feature label placement, ACM TOG
-14 (1995)): each takes the candidate with the fewest overlaps; the direction away from the drawing's middle comes first.
 """
 
 from __future__ import annotations
@@ -10,9 +8,9 @@ from __future__ import annotations
 import itertools
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import ceil, cos, hypot, pi, sin
+from math import hypot
 from typing import Literal
 
 import numpy as np
@@ -20,7 +18,6 @@ from numpy.typing import NDArray
 
 from flexfmu.model.symbolic import Drawing, Part
 from flexfmu.trajectories.curves import Point
-from flexfmu.trajectories.jets import RealArray
 
 COLOURS: dict[Part, str] = {
     "proximal": "#1f3a5f",
@@ -54,21 +51,14 @@ PAGE_SIZE = (420, 210)
 FONT_SIZE = 15.0
 """Font size of the labels [px]."""
 
-DISTANCES = (30.0, 40.0)
-"""Candidate distances from the labelled point to the text [px]."""
+DISTANCE = 35.0
+"""Distance from the labelled point to the text [px]."""
 
 ROOM = (125.0, 45.0)
 """Margins for labels at the sides, and above and below [px]."""
 
-GAP, LABEL_GAP = 3.0, 12.0
-"""Smallest distance between a label and the drawing, and between two labels [px]."""
-
-_TURNS = [sign * step * pi / 12 for step in range(13) for sign in (1, -1)]
-"""Angles from the preferred direction of a label to the candidates, in the order of preference [rad]."""
-
-Stamp = tuple[Point, float]
-"""A circle that labels must not overlap: centre and radius [px]."""
-
+SAMPLES = 4
+"""Samples of a pixel of the icon in each direction, whose mean it is."""
 
 Anchor = Literal["start", "middle", "end"]
 
@@ -81,30 +71,14 @@ class Label:
     at: Point
     anchor: Anchor
 
-    @property
-    def box(self) -> tuple[float, float, float, float]:
-        """Left, top, right and bottom of the text [px]; monospaced letters are 0.6 times as wide as high."""
-        width = 0.6 * FONT_SIZE * len(self.text)
-        left = self.at[0] - {"start": 0.0, "middle": 0.5, "end": 1.0}[self.anchor] * width
-        return left, self.at[1] - 0.75 * FONT_SIZE, left + width, self.at[1] + 0.25 * FONT_SIZE
-
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line with round ends; lengths in pixels."""
+    """Straight line with round ends, or a disc if both are the same point; lengths in pixels."""
 
     start: Point
     end: Point
     width: float
-    colour: str
-
-
-@dataclass(frozen=True)
-class Disc:
-    """Filled circle; lengths in pixels."""
-
-    centre: Point
-    radius: float
     colour: str
 
 
@@ -114,13 +88,12 @@ class Picture:
 
     Attributes:
         width, height: size [px].
-        lines, discs, labels: shapes, drawn in this order.
+        lines, labels: shapes, drawn in this order.
     """
 
     width: int
     height: int
     lines: tuple[Line, ...] = ()
-    discs: tuple[Disc, ...] = ()
     labels: tuple[Label, ...] = ()
 
 
@@ -140,12 +113,20 @@ def plant_picture(
         Line(view(bar.start), view(bar.end), max(bar.diameter * view.scale, _THINNEST * side), COLOURS[bar.part])
         for bar in drawing.bars
     ]
-    discs = [
-        Disc(view(spot.position), _RADII[spot.part] * side, COLOURS[spot.part])
-        for spot in sorted(drawing.spots, key=lambda spot: -_RADII[spot.part])
-    ]
-    labels = place_labels(drawing, view, _stamps(lines, discs), (width, height)) if labelled else ()
-    return Picture(width, height, tuple(lines), tuple(discs), labels)
+    for spot in sorted(drawing.spots, key=lambda spot: -_RADII[spot.part]):
+        at = view(spot.position)
+        lines += [Line(at, at, 2.0 * _RADII[spot.part] * side, COLOURS[spot.part])]
+    # names on the bars, and beside the spots, away from the middle
+    labels, middle = list[Label](), np.mean([view(spot.position) for spot in drawing.spots], axis=0)
+    for bar in drawing.bars if labelled else ():
+        start, end = view(bar.start), view(bar.end)
+        labels.append(Label(bar.name, ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 0.25 * FONT_SIZE), "middle"))
+    for spot in drawing.spots if labelled else ():
+        at = np.array(view(spot.position))
+        x, y = (at - middle) / (hypot(*(at - middle)) or 1.0)
+        anchor: Anchor = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
+        labels.append(Label(spot.name, (at[0] + DISTANCE * x, at[1] + DISTANCE * y + 0.25 * FONT_SIZE), anchor))
+    return Picture(width, height, tuple(lines), tuple(labels))
 
 
 def curves_picture(
@@ -182,17 +163,6 @@ def _arrow(tail: Point, length: float, pen: float, colour: str) -> list[Line]:
     return [Line(tail, tip, pen, colour), *(Line(wing, tip, pen, colour) for wing in wings)]
 
 
-def _stamps(lines: Sequence[Line], discs: Sequence[Disc]) -> list[Stamp]:
-    """Circles that cover the lines and discs."""
-    stamps = [(disc.centre, disc.radius) for disc in discs]
-    for line in lines:
-        across, down = line.end[0] - line.start[0], line.end[1] - line.start[1]
-        count = 1 + ceil(2.0 * hypot(across, down) / line.width)
-        places = (k / count for k in range(count + 1))
-        stamps += [((line.start[0] + s * across, line.start[1] + s * down), line.width / 2) for s in places]
-    return stamps
-
-
 @dataclass(frozen=True)
 class _View:
     """Map from the model's lengths to pixels: scaled, mirrored in y and centred."""
@@ -207,10 +177,8 @@ class _View:
     ) -> _View:
         """The view that shows all points within the margins."""
         (left, right), (low, high) = ((min(values), max(values)) for values in zip(*points, strict=True))
-        across, up = (
-            (width - 2 * margins[0]) / ((right - left) or 1.0),
-            (height - 2 * margins[1]) / ((high - low) or 1.0),
-        )
+        across = (width - 2 * margins[0]) / ((right - left) or 1.0)
+        up = (height - 2 * margins[1]) / ((high - low) or 1.0)
         scale, scale_y = (min(across, up),) * 2 if keep_aspect else (across, up)
         return cls(scale, scale_y, (width / 2 - scale * (left + right) / 2, height / 2 + scale_y * (low + high) / 2))
 
@@ -218,92 +186,23 @@ class _View:
         return self.origin[0] + self.scale * point[0], self.origin[1] - self.scale_y * point[1]
 
 
-def place_labels(
-    drawing: Drawing, view: Callable[[Point], Point], stamps: Sequence[Stamp], size: Point
-) -> tuple[Label, ...]:
-    """Place labels for spots and bars, preferably away from the mechanism's middle, for bars at right angles to them.
-
-    Args:
-        drawing: the drawing.
-        view: map from the drawing's lengths to pixels.
-        stamps: circles that cover the drawing.
-        size: width and height of the picture [px].
-    """
-    points = [view(spot.position) for spot in drawing.spots]
-    middle = sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
-    # names with their points and preferred directions: for bars at right angles to them
-    named = [(spot.name, at, _between(middle, at)) for spot, at in zip(drawing.spots, points, strict=True)]
-    for bar in drawing.bars:
-        start, end = view(bar.start), view(bar.end)
-        at = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
-        along, away = _between(start, end), _between(middle, at)
-        side = 1.0 if away[0] * along[1] - away[1] * along[0] > 0 else -1.0
-        named.append((bar.name, at, (side * along[1], -side * along[0])))
-    # the candidate with the fewest overlaps, among those inside the picture
-    placed: list[Label] = []
-    for name, at, away in named:
-        length, candidates = hypot(*away) or 1.0, []
-        for turn in _TURNS:
-            x = (cos(turn) * away[0] - sin(turn) * away[1]) / length
-            y = (sin(turn) * away[0] + cos(turn) * away[1]) / length
-            anchor: Anchor = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
-            for distance in DISTANCES:
-                place = at[0] + distance * x, at[1] + distance * y + 0.25 * FONT_SIZE
-                candidates.append(Label(name, place, anchor))
-        placed.append(min(candidates, key=lambda label: _overlaps(label, placed, stamps, size)))
-    return tuple(placed)
-
-
-def _overlaps(label: Label, others: Sequence[Label], stamps: Sequence[Stamp], size: Point) -> tuple[bool, int]:
-    """Whether a label is partly outside the picture, and the number of labels and circles that it overlaps."""
-    left, top, right, bottom = label.box
-    is_outside = left < GAP or top < GAP or right > size[0] - GAP or bottom > size[1] - GAP
-    touched = 0
-    # circles of the drawing
-    for (x, y), radius in stamps:
-        across, down = max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom)
-        touched += hypot(across, down) < radius + GAP
-    # labels placed before
-    for other in others:
-        its_left, its_top, its_right, its_bottom = other.box
-        beside = max(its_left - right, left - its_right)
-        touched += max(beside, its_top - bottom, top - its_bottom) < LABEL_GAP
-    return is_outside, touched
-
-
-def _between(a: Point, b: Point) -> Point:
-    """Vector from one point to another."""
-    return b[0] - a[0], b[1] - a[1]
-
-
 def png(picture: Picture) -> bytes:
     """The picture as a PNG file, without labels, on a transparent background, with antialiased edges."""
-    image = np.zeros((picture.height, picture.width, 4))
+    n, height, width = SAMPLES, picture.height, picture.width
+    y, x = (np.indices((n * height, n * width)) + 0.5) / n
+    samples = np.zeros((n * height, n * width, 4))
     for line in picture.lines:
-        _paint(image, _distance(image, line.start, line.end) - line.width / 2, line.colour)
-    for disc in picture.discs:
-        _paint(image, _distance(image, disc.centre, disc.centre) - disc.radius, disc.colour)
-    return _encode(np.rint(255 * image).astype(np.uint8))
-
-
-def _distance(image: RealArray, start: Point, end: Point) -> RealArray:
-    """Distance of each pixel's centre from the line segment between two points [px], shape (rows, columns)."""
-    y, x = np.indices(image.shape[:2]) + 0.5
-    along = np.subtract(end, start)
-    offset = np.stack([x - start[0], y - start[1]], axis=-1)
-    square = float(along @ along)
-    fraction = np.clip(offset @ along / square, 0.0, 1.0) if square else np.zeros_like(x)
-    return np.asarray(np.linalg.norm(offset - fraction[..., None] * along, axis=-1))
-
-
-def _paint(image: RealArray, outside: RealArray, colour: str) -> None:
-    """Blend a colour into the RGBA image where the signed distance ``outside`` is negative."""
-    cover = np.clip(0.5 - outside, 0.0, 1.0)[..., None]
-    ink = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
-    opacity = cover + image[..., 3:] * (1.0 - cover)
-    mixed = cover * ink + image[..., :3] * image[..., 3:] * (1.0 - cover)
-    image[..., :3] = np.divide(mixed, opacity, out=np.zeros_like(mixed), where=opacity > 0.0)
-    image[..., 3:] = opacity
+        # distance of each sample from the line segment
+        along = np.subtract(line.end, line.start)
+        right, down = x - line.start[0], y - line.start[1]
+        share = np.clip((right * along[0] + down * along[1]) / (along @ along or 1.0), 0.0, 1.0)
+        distance = np.hypot(right - share * along[0], down - share * along[1])
+        colour = [int(line.colour[i : i + 2], 16) for i in (1, 3, 5)]
+        samples[distance <= line.width / 2] = [*colour, 255]
+    # the mean of each pixel's samples, in colour of those that are drawn
+    pixels = samples.reshape(height, n, width, n, 4).mean(axis=(1, 3))
+    pixels[..., :3] *= 255 / np.maximum(pixels[..., 3:], 1.0)
+    return _encode(np.rint(pixels).astype(np.uint8))
 
 
 def _encode(pixels: NDArray[np.uint8]) -> bytes:
