@@ -177,7 +177,9 @@ def _check_variable(variable: Element, types: Mapping[tuple[str, str], Element])
     if low > high:
         yield Finding(f"{name} has min {low:g} above max {high:g}", "exchange them", subject=name, check="range")
     # the start value lies within the bounds, and is an item of an enumeration
-    values = [_number(item.get("value"), math.nan) for item in declared.iterfind("Item")] if declared is not None else []
+    values = (
+        [_number(item.get("value"), math.nan) for item in declared.iterfind("Item")] if declared is not None else []
+    )
     items = [int(value) for value in values if math.isfinite(value)]
     problem = remedy = ""
     if start is not None and not math.isfinite(start):
