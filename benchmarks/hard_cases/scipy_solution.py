@@ -13,15 +13,16 @@ from flexfmu.cosim.control.blocks.code import compile_function
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import parameters_for
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.studies.workprec.equations import (
+from flexfmu.cosim.studies.workprec.solver_trials import (
     NUMBERS,
     BoundFunction,
+    ScipyMethod,
     Symbol,
     joint_motion,
     motion_polynomials,
+    solve_piece,
     start_state,
 )
-from flexfmu.cosim.studies.workprec.solver_trials import ScipyMethod, solve_piece
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.schema import Scene
 
@@ -40,7 +41,7 @@ class JointReferences:
 
 
 ALONG_POLYNOMIALS = JointReferences(NUMBERS, joint_motion)
-"""The numbers of a `flexfmu.cosim.studies.workprec.equations.MotionPolynomial`."""
+"""The numbers of a `flexfmu.cosim.studies.workprec.solver_trials.MotionPolynomial`."""
 
 CONSTANT_REFERENCES = JointReferences(6, lambda t, numbers: numbers)
 """u itself, constant."""

@@ -1,5 +1,5 @@
-"""`flexfmu build`, `fmus`, `export` and `validate`: the FMU of a scene's robot, every slave of a scene as an FMU, a scene as one SSP file,
-and checks of any FMU."""
+"""`flexfmu build`, `fmus`, `export`, `validate` and `cache`: the FMU of the robot of a scene, every slave of a scene as an FMU, a scene as one SSP
+file, checks of any FMU, and where built FMUs are kept."""
 
 from __future__ import annotations
 
@@ -231,3 +231,26 @@ def validate(
         raise FmuFileError(str(broken)) from broken
     fatal = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
     return FAILURE if any(finding.severity in fatal for finding in findings) else 0
+
+
+def cache(clear: bool = False, json: bool = False) -> int:
+    """Show where built FMUs, compiled libraries and matrices are kept, and what they take.
+
+    The variable FLEXFMU_CACHE names another folder, FLEXFMU_CACHE_LIMIT the most that it takes in MB, 1000 by default: what was used
+    longest ago is removed first.
+
+    Args:
+        clear: Remove all of it; what is needed again is built again. Default: keep it.
+    """
+    from flexfmu.fmu_build.cache import cache_folder, cache_limit, cached_files, remove_cached
+
+    found, limit = cached_files(), cache_limit()
+    if clear:
+        for each in found:
+            remove_cached(each)
+    size = sum(each.size for each in found)
+    data = {"folder": str(cache_folder()), "files": len(found), "bytes": size, "limit": limit, "cleared": clear}
+    taken = f"{len(found)} files, {1e-6 * size:.3g} MB"
+    text = f"{taken} removed" if clear else f"{taken} of at most {1e-6 * limit:.4g} MB"
+    print_result(json, data, f"{data['folder']}: {text}")
+    return 0

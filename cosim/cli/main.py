@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import typer
 
 from flexfmu.cosim.cli.analysis import effects, margins, modes
-from flexfmu.cosim.cli.cache import cache
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
@@ -27,14 +26,12 @@ from flexfmu.cosim.cli.console import (
     print_text,
     show_note,
 )
-from flexfmu.cosim.cli.design import shaper, tune
-from flexfmu.cosim.cli.export import build, export, fmus, validate
+from flexfmu.cosim.cli.design import plan, shaper, tune
+from flexfmu.cosim.cli.export import build, cache, export, fmus, validate
 from flexfmu.cosim.cli.options import help_and_signature
-from flexfmu.cosim.cli.plan import plan
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.scenes import new, scenes, schema
-from flexfmu.cosim.cli.studies import compare, paper, workprec
-from flexfmu.cosim.cli.sweep import sweep
+from flexfmu.cosim.cli.studies import compare, paper, sweep, workprec
 
 app = typer.Typer(
     name="flexfmu",

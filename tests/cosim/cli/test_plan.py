@@ -12,7 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import flexfmu
-from flexfmu.cosim.cli import plan as command
+from flexfmu.cosim.cli.design import _shown_plan
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
@@ -120,7 +120,7 @@ def found() -> PlanResult:
 def test_tables_fit_the_terminal(found: PlanResult, columns: int) -> None:
     """No line is longer than the terminal, and every number is whole."""
     console = Console(file=StringIO(), width=columns)
-    for part in command._shown(found):
+    for part in _shown_plan(found):
         console.print(part)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert max(map(len, text.splitlines())) <= columns

@@ -14,7 +14,7 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.cli.console import print_rich
-from flexfmu.cosim.cli.sweep import _shown
+from flexfmu.cosim.cli.studies import _shown_sweep
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.cosim.studies.sweep import work
@@ -316,7 +316,7 @@ def test_extremes_are_named_by_their_values(capsys: pytest.CaptureFixture[str], 
         "trajectory.blend": varied["trajectory.blend"][0],
     }
     assert "first payload.mass=3, trajectory.blend=lame" in repr(found)
-    print_rich(*_shown(found, [tmp_path / "sweep.csv"]))
+    print_rich(*_shown_sweep(found, [tmp_path / "sweep.csv"]))
     printed = capsys.readouterr().out
     assert "payload.mass=1, trajectory.blend=lame" in printed
     assert "payload.mass=2, trajectory.blend=lame" in printed

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.studies.workprec.equations import joint_motion, motion_polynomials
+from flexfmu.cosim.studies.workprec.solver_trials import joint_motion, motion_polynomials
 from flexfmu.model.scene.file import load_scene
 
 

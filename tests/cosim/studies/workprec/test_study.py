@@ -18,9 +18,8 @@ from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec import solver_trials
-from flexfmu.cosim.studies.workprec.equations import BoundFunction
 from flexfmu.cosim.studies.workprec.figures import draw_family, html, lines_of, save_figures
-from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
+from flexfmu.cosim.studies.workprec.solver_trials import BoundFunction, formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
     WorkPrecisionStudy,
     advantages,
