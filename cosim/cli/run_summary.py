@@ -25,7 +25,7 @@ TEXT_WIDTH = 40
 def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: Sequence[str]) -> None:
     """What was chosen, the metrics of a complete run, the FMU's statistics, warnings, and where the files are."""
     health, metrics = summary["health"], summary["metrics"]
-    parts: list[RenderableType] = [choice] if choice else []
+    parts: list[Any] = [choice] if choice else []
     if health["outcome"] == "completed":
         # what the motors have to do is in summary.json, and here where the scene has motors
         shown = {
@@ -34,9 +34,14 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
         parts += [_metrics_table(title_of(summary), shown, summary["errors"]), health["errors_from"]]
     motors, links = summary.get("motors", ()), summary.get("stresses", ())
     if motors:
-        parts.append(_motors_table(motors))
+        heads = (f"Motor {each['joint']}" + (f", {each['name']}" if each["name"] else "") for each in motors)
+        parts.append(titled_table("Motors", "At the shaft", numbers=heads))
+        for name, texts in motor_rows(motors).items():
+            parts[-1].add_row(name, *texts)
     if links:
-        parts.append(_stress_table(links))
+        parts.append(titled_table("Stress", "Link", "Largest stress, place, time, change by the last mode"))
+        for name, text in stress_rows(links).items():
+            parts[-1].add_row(name, text)
     # how the run went
     timing, statistics = summary["timing"], ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
     parts.append(
@@ -87,21 +92,6 @@ def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapp
     for name, value in metrics.items():
         cells = display(name, value, error=errors[name]), display_error(name, value, errors[name])
         table.add_row(ALL_METRICS[name].label, name, *cells[: len(heads)])
-    return table
-
-
-def _motors_table(motors: Sequence[Mapping[str, Any]]) -> Table:
-    heads = (f"Motor {motor['joint']}" + (f", {motor['name']}" if motor["name"] else "") for motor in motors)
-    table = titled_table("Motors", "At the shaft", numbers=heads)
-    for name, texts in motor_rows(motors).items():
-        table.add_row(name, *texts)
-    return table
-
-
-def _stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
-    table = titled_table("Stress", "Link", "Largest stress, place, time, change by the last mode")
-    for name, text in stress_rows(links).items():
-        table.add_row(name, text)
     return table
 
 

@@ -349,8 +349,7 @@ class Difference:
         return self.root_mean_square / span if span else None
 
     def _mean(self, values: RealArray) -> float:
-        steps = np.diff(self.time)
-        return float(0.5 * (values[1:] + values[:-1]) @ steps / steps.sum())
+        return float(np.trapezoid(values, self.time) / (self.time[-1] - self.time[0]))
 
 
 def difference(measured: TimedValues, simulated: TimedValues, delay: float) -> Difference:
@@ -416,6 +415,8 @@ def correlation(pairs: Sequence[Pair], delay: float) -> float:
 
 def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
     """Return the lag of the largest cross-correlation and its resolution [s]."""
+    from scipy.signal import correlate, correlation_lags
+
     start, end = (min(float(pair[side].time[0]) for pair in pairs) for side in (0, 1))
     spans = [float(np.ptp(each.time)) for pair in pairs for each in pair]
     steps = [float(np.median(taken[taken > 0.0])) for measured, _ in pairs for taken in [np.diff(measured.time)]]
@@ -423,13 +424,11 @@ def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
     series = [
         [_standardised(each, begin, step) for each, begin in zip(pair, (start, end), strict=True)] for pair in pairs
     ]
-    # by fast Fourier transforms with zeros appended, so that nothing wraps around
-    count = max(one.size for one, _ in series), max(other.size for _, other in series)
-    length = 1 << (sum(count) - 1).bit_length()
-    product = sum(np.fft.rfft(one, length) * np.fft.rfft(other, length).conj() for one, other in series)
-    total = np.fft.irfft(product, length)
-    lag = int(np.argmax(total))
-    return float(start - end + step * (lag if lag < count[0] else lag - length)), step
+    # all signals as long as the longest, with zeros
+    counts = [max(pair[side].size for pair in series) for side in (0, 1)]
+    padded = ([np.pad(each, (0, n - each.size)) for each, n in zip(pair, counts, strict=True)] for pair in series)
+    total = sum(correlate(*pair, method="fft") for pair in padded)
+    return float(start - end + step * correlation_lags(*counts)[np.argmax(total)]), step
 
 
 def _standardised(signal: TimedValues, begin: float, step: float) -> RealArray:

@@ -286,6 +286,13 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
 
 
+def short_text(value: Any) -> str:
+    """A value of a scene key as people read it: four digits; of a table its kind or name."""
+    if isinstance(value, Mapping) and ("kind" in value or "name" in value):
+        return str(value.get("kind", value.get("name")))
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
 def text_of(value: Any) -> str:
     """A value of a scene key as a cell: numbers so that they read back exactly, texts as they are, the rest as JSON."""
     if value is None or isinstance(value, str):

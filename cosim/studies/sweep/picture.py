@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.figure_style import draw, style
-from flexfmu.cosim.studies.sweep.cases import text_of
+from flexfmu.cosim.studies.sweep.cases import short_text, text_of
 
 MOST_LINES = 2000
 """Cases that parallel coordinates show; of more, equally many are left out between them."""
@@ -25,12 +25,6 @@ PANELS = 12
 
 AXES = 4
 """Metrics that have an axis in parallel coordinates; the first gives the colours."""
-
-MARKED = 60
-"""Cases whose points are marked on a line; of more, the line alone is drawn."""
-
-_PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.5}
-"""Behind texts that lines cross."""
 
 COLOURS = "viridis"
 """From small to large values, also for those who don't see all colours, and in print."""
@@ -85,13 +79,8 @@ class _Axis:
         if all(isinstance(each, Real) and not isinstance(each, bool) for each in column):
             self.values: RealArray = np.array(column, dtype=float)
             return
-        texts = [text_of(each) or "as in the scene" for each in column]
-        # a table by its kind, where that tells it from the others
-        kinds = [
-            str(each.get("kind", text)) if isinstance(each, Mapping) else text
-            for each, text in zip(column, texts, strict=True)
-        ]
-        texts = kinds if len({*kinds}) == len({*texts}) else texts
+        texts, short = ([each(value) or "as in the scene" for value in column] for each in (text_of, short_text))
+        texts = short if len({*short}) == len({*texts}) else texts
         self.names = [*dict.fromkeys(texts)]
         self.values = np.array([*map(self.names.index, texts)], dtype=float)
 
@@ -105,8 +94,7 @@ class _Axis:
 def _lines(axes: Axes, keys: Sequence[_Axis], values: RealArray) -> None:
     """A metric over one key."""
     order = np.argsort(keys[0].values, kind="stable")
-    marker = "o" if len(values) <= MARKED else ""
-    axes.plot(keys[0].values[order], values[order], marker=marker, markersize=3)
+    axes.plot(keys[0].values[order], values[order], ".-")
 
 
 def _map(axes: Axes, keys: Sequence[_Axis], values: RealArray) -> None:
@@ -152,7 +140,7 @@ def _parallel(figure: Figure, keys: Sequence[_Axis], metrics: Sequence[tuple[str
         marks: Any = enumerate(names) if names else ((value, f"{value:.4g}") for value in np.linspace(low, high, 5))
         for value, text in marks:
             height = (value - low) / (high - low) if high > low else 0.5
-            axes.text(place + 0.03, height, text[:18], fontsize=6.5, va="center", bbox=_PAPER)
+            axes.text(place + 0.03, height, text[:18], fontsize=6.5, va="center")
     lines = np.stack([np.column_stack([np.arange(len(found)), each]) for each in np.array(scaled).T])
     colours = colormaps[COLOURS](scaled[len(keys)])
     axes.add_collection(LineCollection([*lines], colors=colours, linewidths=0.8, alpha=0.6))

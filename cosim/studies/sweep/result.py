@@ -27,7 +27,7 @@ from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, difference
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
-from flexfmu.cosim.studies.sweep.cases import Cases, text_of
+from flexfmu.cosim.studies.sweep.cases import Cases, short_text, text_of
 from flexfmu.cosim.studies.sweep.work import Row
 
 if TYPE_CHECKING:
@@ -166,14 +166,7 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
 
     def case_text(self, number: int) -> str:
         """The values of a case, ``payload.mass=3.2, trajectory.duration=0.4``."""
-
-        def text(value: Any) -> str:
-            # four digits; of a table its kind or name
-            if isinstance(value, Mapping) and ("kind" in value or "name" in value):
-                return str(value.get("kind", value.get("name")))
-            return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-        return ", ".join(f"{key}={text(value)}" for key, value in self.cases.changes(number).items())
+        return ", ".join(f"{key}={short_text(value)}" for key, value in self.cases.changes(number).items())
 
     def __repr__(self) -> str:
         shown = ", ".join(self.metrics[:3]) + (f" and {len(self.metrics) - 3} more" if len(self.metrics) > 3 else "")
