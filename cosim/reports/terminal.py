@@ -101,10 +101,11 @@ class FittingTable(Table):
                     return
         if self.title:
             yield Text.assemble((str(self.title), "bold"))
-        names, *others = self.columns
-        for row, name, *cells in zip(self.rows, names.cells, *(each.cells for each in others), strict=True):
-            yield Text(str(name), style=row.style or "")
-            for column, cell in zip(others, cells, strict=True):
+        # texts before the first number name the row
+        names = next((i for i, each in enumerate(self.columns) if i and each.justify == "right"), 1)
+        for row, *cells in zip(self.rows, *(each.cells for each in self.columns), strict=True):
+            yield Text(", ".join(filter(None, map(str, cells[:names]))), style=row.style or "")
+            for column, cell in zip(self.columns[names:], cells[names:], strict=True):
                 shown = cell if isinstance(cell, Text) else str(cell)
                 yield Text.assemble(f"  {column.header}: ", shown, style=row.style or "")
             yield ""

@@ -202,7 +202,6 @@ def contribution_table(study: EffectStudy) -> Table:
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
         *(" ", "Effect", "Change"),
         numbers=(*metrics, "states", "operations", "time"),
-        keys=3,
     )
     # the chosen set, then the extra cost of each neighbouring set
     cost = study.cost
@@ -224,7 +223,6 @@ def comparison_table(comparisons: Iterable[EffectComparison]) -> Table:
         "the chosen set beside richer ones: largest change over the metrics",
         *("Effect", "Change"),
         numbers=("estimated", "observed", "effectivity", "time of a run"),
-        keys=2,
     )
     # the largest change over the metrics of each comparison
     for each in comparisons:

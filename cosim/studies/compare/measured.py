@@ -425,10 +425,10 @@ def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
         [_standardised(each, begin, step) for each, begin in zip(pair, (start, end), strict=True)] for pair in pairs
     ]
     # all signals as long as the longest, with zeros
-    counts = [max(pair[side].size for pair in series) for side in (0, 1)]
-    padded = ([np.pad(each, (0, n - each.size)) for each, n in zip(pair, counts, strict=True)] for pair in series)
-    total = sum(correlate(*pair, method="fft") for pair in padded)
-    return float(start - end + step * correlation_lags(*counts)[np.argmax(total)]), step
+    m, n = (max(pair[side].size for pair in series) for side in (0, 1))
+    padded = ((np.pad(one, (0, m - one.size)), np.pad(other, (0, n - other.size))) for one, other in series)
+    total = sum(correlate(one, other, method="fft") for one, other in padded)
+    return float(start - end + step * correlation_lags(m, n)[np.argmax(total)]), step
 
 
 def _standardised(signal: TimedValues, begin: float, step: float) -> RealArray:

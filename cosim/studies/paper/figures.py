@@ -293,8 +293,8 @@ def _draw_robot(axes: Axes, motion: MotionPlan) -> None:
         for foot, knee in zip(bases(mechanism), elbows(mechanism, (x, y)), strict=True):
             leg = MILLI * np.array([foot, knee, (x, y)])
             axes.plot(*leg.T, color="#9aa7b4", linewidth=7.0, solid_capstyle="round", alpha=opacity, **hinges)
-    for leg, foot in enumerate(MILLI * np.array(bases(mechanism)), start=1):
-        axes.annotate(f"motor {leg}", (foot[0], -30.0), ha="center", va="top", fontsize=8, color=INK)
+    for number, (x, _) in enumerate(bases(mechanism), start=1):
+        axes.annotate(f"motor {number}", (MILLI * x, -30.0), ha="center", va="top", fontsize=8, color=INK)
     # path with start and end marked
     path = _path(motion, 201)
     axes.plot(path[:, 0], path[:, 1], color=COLOURS[1], linewidth=2.0, zorder=6)
