@@ -6,7 +6,10 @@ Each command runs in a folder, a temporary folder and a cache of its own. It is 
 
 - no traceback, at most one line on standard error beside those of an undisturbed run, of at most `LONGEST` characters;
 - the status is one of a program that ended by itself, not of a crash;
-- files under their final names are whole; nothing else is left beside them, unless the command was killed by SIGKILL or could not write;
+- files under their final names are whole, all of them where the command says that it has succeeded, and with the bytes of an undisturbed
+  run as far as two undisturbed runs write the same; a journal has whole lines but for the last one. Nothing else is left beside them,
+  unless the command was killed by SIGKILL or could not write;
+- `validate` says of the FMU what it says undisturbed, or nothing;
 - no process is left, nor anything in the temporary folder; what SIGKILL leaves there, the next start removes;
 - after a signal the same command goes on to its end, with the files of an undisturbed run.
 
@@ -20,9 +23,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import hashlib
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -105,6 +110,28 @@ LIMITS: dict[str, tuple[int, int]] = {
 
 FAULTS = (*SIGNALS, *STARVED, *LIMITS, "two-at-once")
 
+TOLD = re.compile(r"fail|can't|out of memory|no space", re.IGNORECASE)
+"""What standard output must have where a command that fails says nothing on standard error: a sweep's table of its cases does."""
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Two undisturbed runs of a command.
+
+    Attributes:
+        duration: of the second one [s].
+        lines: on standard error.
+        printed: on standard output.
+        results: names of the files.
+        steady: file → SHA-256, for those that both runs have written alike.
+    """
+
+    duration: float
+    lines: list[str]
+    printed: str
+    results: set[str]
+    steady: dict[str, str]
+
 
 @dataclass
 class Case:
@@ -184,7 +211,7 @@ class Case:
             self.problems.append(f"traceback: {lines[-1][:160]}")
         elif len(own) > 1:
             self.problems.append(f"{len(own)} lines: {' / '.join(own)[:300]}")
-        elif self.status > 0 and not own and not self.printed:
+        elif self.status > 0 and not own and not TOLD.search(self.printed):
             self.problems.append(f"status {self.status} without a word")
         if any(len(line) > LONGEST for line in own):
             self.problems.append(f"a line of {max(map(len, own))} characters: {max(own, key=len)[:160]}")
@@ -210,10 +237,19 @@ class Case:
             if (reason := broken(path)) is not None:
                 self.problems.append(f"half a file in the cache, {path.name}: {reason}")
 
-    def results(self) -> set[str]:
-        """Names of the files of results."""
+    def check_results(self, usual: Usual) -> None:
+        """All files of an undisturbed run are there, with its bytes as far as these are always the same."""
+        digests = self.digests()
+        if {*digests} != usual.results:
+            self.problems.append(f"other files: {sorted({*digests} ^ usual.results)}")
+        if changed := [name for name, digest in usual.steady.items() if digests.get(name, digest) != digest]:
+            self.problems.append(f"other bytes: {', '.join(changed)}")
+
+    def digests(self) -> dict[str, str]:
+        """Files of results, with their SHA-256."""
         out = self.home / "out"
-        return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+        files = (path for path in out.rglob("*") if path.is_file())
+        return {str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def broken(path: Path) -> str | None:
@@ -224,6 +260,8 @@ def broken(path: Path) -> str | None:
             case ".json":
                 json.loads(content)
             case _ if path.stem == "journal":  # only appended to; the next process cuts a torn line off
+                for line in content.split(b"\n")[:-1]:
+                    json.loads(line)
                 return None
             case ".toml":
                 tomllib.loads(content.decode())
@@ -279,7 +317,7 @@ class Bench:
 
     def __init__(self, home: Path, seed: int) -> None:
         self.home, self.random = home, random.Random(seed)
-        self.usual: dict[str, tuple[float, list[str], set[str]]] = {}
+        self.usual: dict[str, Usual] = {}
         given = self.case("given", ())
         given.home.rename(home / "given-home")
         given = Case(home / "given-home", ())
@@ -303,9 +341,10 @@ class Bench:
             (home / "cache").mkdir()
         return Case(home, arguments)
 
-    def undisturbed(self, command: str) -> tuple[float, list[str], set[str]]:
-        """Duration [s], lines on standard error and results, twice: the first run fills the cache."""
+    def undisturbed(self, command: str) -> Usual:
+        """Two runs, of which the first one fills the cache."""
         if command not in self.usual:
+            first: dict[str, str] = {}
             for number in range(2):
                 case = self.case(f"{command}-{number}", COMMANDS[command])
                 begin = time.monotonic()
@@ -314,20 +353,22 @@ class Bench:
                 if case.status not in (0, 1) or not case.printed:
                     raise SystemExit(f"faults: {' '.join(COMMANDS[command])} ends with {case.status}: {lines}")
                 if number == 0:
-                    self.cache = case.home / "cache"
+                    self.cache, first = case.home / "cache", case.digests()
                     continue
                 case.check_processes()
                 case.check_temporary()
                 case.check_files()
                 if case.problems:
                     print(f"{command}, undisturbed: {'; '.join(case.problems)}")
-            self.usual[command] = duration, lines, case.results()
+            digests = case.digests()
+            steady = {name: digest for name, digest in digests.items() if first.get(name) == digest}
+            self.usual[command] = Usual(duration, lines, case.printed, {*digests}, steady)
         return self.usual[command]
 
     def signalled(self, case: Case, command: str, name: str) -> str:
         """Send a signal at a drawn instant; then run the command to its end. Return what was drawn."""
-        duration, usual, results = self.undisturbed(command)
-        instant = self.random.uniform(EARLIEST, max(duration, 2.0 * EARLIEST))
+        usual = self.undisturbed(command)
+        instant = self.random.uniform(EARLIEST, max(usual.duration, 2.0 * EARLIEST))
         process = case.start()
         time.sleep(instant)
         if process.poll() is None:
@@ -338,7 +379,7 @@ class Bench:
             case.problems.append(f"status {case.status}")
         case.check_processes()
         if not killed:
-            case.check_said(lines, usual)
+            case.check_said(lines, usual.lines)
             case.check_temporary()
         case.check_files(killed=killed)
         # the same command once more
@@ -347,46 +388,36 @@ class Bench:
             case.problems.append(f"doesn't go on: {again[-1][:200] if again else 'without a word'}")
         case.check_temporary()
         case.check_files()
-        if case.results() != results:
-            case.problems.append(f"other files after going on: {sorted(case.results() ^ results)}")
-        return f"at {instant:.2f} s of {duration:.2f}"
+        case.check_results(usual)
+        return f"at {instant:.2f} s of {usual.duration:.2f}"
 
     def starved(self, case: Case, command: str, fault: str) -> str:
         """Run the command with a full or a read-only folder."""
-        usual, folder = self.undisturbed(command)[1], case.home / STARVED[fault]
+        folder = case.home / STARVED[fault]
         # an empty cache has to be filled
         room = int(2.0 ** self.random.uniform(12.0, 20.0))
         with starved(folder, fault, room) as prepare:
             lines = case.end(case.start(prepare))
-            self._check(case, lines, usual)
+            self._check(case, lines, command)
         return f"{room} bytes" if fault.startswith("full") else ""
 
     def limited(self, case: Case, command: str, fault: str) -> str:
         """Run the command with little memory or few file descriptors."""
-        usual = self.undisturbed(command)[1]
         lines = case.end(case.start(partial(with_limit, *LIMITS[fault])))
-        if any(
-            (case.home / "tmp").iterdir()
-        ):  # removing folders within folders takes descriptors; the next start has them
-            status = case.status
-            case.end(case.start())
-            case.status = status
-        self._check(case, lines, usual)
+        self._check(case, lines, command)
         return f"status {case.status}"
 
     def twice(self, case: Case, command: str) -> str:
         """Start the command twice in one folder: one of them ends as ever, the other one too or with a sentence."""
-        _, usual, results = self.undisturbed(command)
         other = Case(case.home, case.arguments, case.mark)
         first, second = case.start(), other.start()
         lines, others = case.end(first), other.end(second)
         if {case.status, other.status} not in ({0}, {0, 1}, {0, 2}):
             case.problems.append(f"status {case.status} and {other.status}: {lines} {others}"[:300])
-        other.check_said(others, usual)
+        other.check_said(others, self.undisturbed(command).lines)
         case.problems += other.problems
-        self._check(case, lines, usual)
-        if case.results() != results:
-            case.problems.append(f"other files: {sorted(case.results() ^ results)}")
+        self._check(case, lines, command)
+        case.check_results(self.undisturbed(command))
         return f"status {case.status} and {other.status}"
 
     def judge(self, command: str, fault: str, number: int) -> tuple[str, list[str]]:
@@ -405,11 +436,15 @@ class Bench:
             shutil.rmtree(case.home, ignore_errors=True)
         return drawn, case.problems
 
-    @staticmethod
-    def _check(case: Case, lines: list[str], usual: list[str]) -> None:
+    def _check(self, case: Case, lines: list[str], command: str) -> None:
+        usual = self.undisturbed(command)
         if case.status not in (0, 1, 2):
             case.problems.append(f"status {case.status}")
-        case.check_said(lines, usual)
+        if command == "validate" and case.printed not in ("", usual.printed):
+            case.problems.append(f"other findings: {case.printed[:300]}")
+        if case.status == 0:
+            case.check_results(usual)
+        case.check_said(lines, usual.lines)
         case.check_processes()
         case.check_temporary()
         case.check_files()
@@ -433,7 +468,7 @@ def main() -> None:
         for command in options.command or COMMANDS:
             cells, told = [], []
             for fault in faults:
-                if fault in STARVED and STARVED[fault] == "out" and not bench.undisturbed(command)[2]:
+                if fault in STARVED and STARVED[fault] == "out" and not bench.undisturbed(command).results:
                     cells.append("-")  # it writes no files
                     continue
                 count = options.draws if fault in SIGNALS else 1

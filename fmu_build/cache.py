@@ -25,7 +25,7 @@ from typing import NamedTuple
 import platformdirs
 
 from flexfmu.fmu_build.archive import write_atomically
-from flexfmu.fmu_build.errors import ArchiveError, BuildError, CacheWarning
+from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, SettingError
 from flexfmu.fmu_build.temporary import temporary_folder
 
 FOLDER_VARIABLE, LIMIT_VARIABLE = "FLEXFMU_CACHE", "FLEXFMU_CACHE_LIMIT"
@@ -200,7 +200,7 @@ def cache_limit() -> float:
     """The most that the cache takes [bytes].
 
     Raises:
-        BuildError: the variable isn't a number of megabytes.
+        SettingError: the variable isn't a number of megabytes.
     """
     stated = os.environ.get(LIMIT_VARIABLE) or USUAL_LIMIT
     try:
@@ -208,7 +208,7 @@ def cache_limit() -> float:
     except ValueError:
         limit = -1.0
     if not limit >= 0.0:
-        raise BuildError(
+        raise SettingError(
             f"{LIMIT_VARIABLE} is the most that the cache takes in MB, got {str(stated)[:40]!r}; 1000 is usual"
         )
     return limit

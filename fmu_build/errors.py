@@ -17,6 +17,10 @@ class StartError(ModelError):
     """A start value (from the scene) is outside its range in the model."""
 
 
+class SettingError(BuildError):
+    """An environment variable has a value that it can't have."""
+
+
 class PlatformError(BuildError):
     """The platform is unknown to FMI 2.0, or this machine cannot build for it."""
 

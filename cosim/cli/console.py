@@ -286,13 +286,13 @@ def _exit_status(error: Exception) -> int | None:
     The families of errors are imported here: `flexfmu --help` would wait for SciPy otherwise.
     """
     from flexfmu.cosim.engine.errors import CosimError
-    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError, StartError
+    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError, SettingError, StartError
     from flexfmu.model.scene.errors import EquilibriumError, SceneError
     from flexfmu.trajectories.errors import TrajectoryError
 
     if isinstance(error, MissingCompilerError):
         return FAILURE
-    if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError | StartError):
+    if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError | SettingError | StartError):
         return USAGE
     return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
 

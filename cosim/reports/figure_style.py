@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.engine.drawing import NotebookFigure
-from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.files import replacing
 
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
 """Colours of text and mechanism, of secondary lines, and of fills."""
@@ -61,17 +61,14 @@ def save(drawing: Callable[[], Figure], stem: Path) -> None:
     """Draw a figure in the `style` of files, and write it as ``<stem>.png`` at 150 dpi and as ``<stem>.svg``, without a date in them.
 
     Raises:
-        ResultsError: the folder can't be written.
+        ResultsError: a file can't be written.
     """
-    try:
-        stem.parent.mkdir(parents=True, exist_ok=True)
-        with style():
-            figure = drawing()
-            figure.savefig(stem.with_suffix(".png"), dpi=150, metadata={"Software": None})
-            figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
-    except OSError as error:
-        reason = error.strerror or error
-        raise ResultsError(f"can't write {stem}: {reason}; choose another folder or free some space") from error
+    with style():
+        figure = drawing()
+        with replacing(stem.with_suffix(".png")) as path:
+            figure.savefig(path, format="png", dpi=150, metadata={"Software": None})
+        with replacing(stem.with_suffix(".svg")) as path:
+            figure.savefig(path, format="svg", metadata={"Date": None})
 
 
 def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:

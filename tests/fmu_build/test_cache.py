@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from flexfmu.cosim.cli.main import app
 from flexfmu.fmu_build import cache, temporary
 from flexfmu.fmu_build.cache import cached, cached_files, read_cached, store
-from flexfmu.fmu_build.errors import BuildError, CacheWarning
+from flexfmu.fmu_build.errors import CacheWarning, SettingError
 
 NAMES = [f"{digit * 64}.fmu" for digit in "0123456789"]
 
@@ -54,7 +54,7 @@ def test_what_was_used_longest_ago_goes_first(cache_folder: Path, monkeypatch: p
     monkeypatch.setenv("FLEXFMU_CACHE_LIMIT", "0")
     assert store(NAMES[1], bytes(200_000)).is_file()
     monkeypatch.setenv("FLEXFMU_CACHE_LIMIT", "much")
-    with pytest.raises(BuildError, match=r"FLEXFMU_CACHE_LIMIT .* in MB, got 'much'"):
+    with pytest.raises(SettingError, match=r"FLEXFMU_CACHE_LIMIT .* in MB, got 'much'"):
         store(NAMES[1], b"")
     assert (cache_folder / "own.txt").is_file()
 

@@ -19,8 +19,8 @@ from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
 from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_margins
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
-from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.files import OutputFolder, replacing
 from flexfmu.cosim.engine.showing import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
@@ -242,9 +242,7 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
         "nyquist.png": draw_margins(result.poses, f"{name}: open loops about −1", bode=False),
         "root-locus.png": draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period"),
     }
-    try:
-        for file, figure in pictures.items():
-            figure.savefig(folder / file, dpi=130)
-    except OSError as error:
-        raise ResultsError(f"can't write {folder / file}: {error.strerror or error}") from None
+    for file, figure in pictures.items():
+        with replacing(folder / file) as path:
+            figure.savefig(path, format="png", dpi=130)
     return [out.write("margins.csv", result.to_csv()), *(folder / file for file in pictures)]

@@ -191,6 +191,14 @@ def test_wrong_usage_is_one_line_and_status_2(
     assert [path.name for path in tmp_path.iterdir()] == ["text.fmu"]
 
 
+def test_a_wrong_environment_variable_is_wrong_usage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends like a wrong option."""
+    monkeypatch.setenv("FLEXFMU_CACHE_LIMIT", "much")
+    result = flexfmu("cache")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "FLEXFMU_CACHE_LIMIT is the most that the cache takes in MB, got 'much'" in result.stderr
+
+
 def test_modes_json_has_the_contract_s_poses() -> None:
     """Start, middle and end of the path, ascending frequencies, the paper's first one near 58 Hz."""
     result = flexfmu("modes", SCENE, "--poses", "3", "--json")

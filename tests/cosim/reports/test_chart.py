@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import re
+from errno import ENOSPC
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
+from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports.chart import (
     MOST_POINTS,
@@ -21,9 +26,24 @@ from flexfmu.cosim.reports.chart import (
     spread,
     thinned,
 )
+from flexfmu.cosim.reports.figure_style import save
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.spectrum import peak, spectrum, spectrum_panel
 from flexfmu.model.scene.file import load_scene
+
+
+def test_a_picture_that_cannot_be_written_leaves_no_half_file(tmp_path: Path) -> None:
+    """A disk that is full in the middle of it is one error, and the picture of an earlier run stays."""
+
+    class Half(Figure):
+        def savefig(self, path: Any, **_: Any) -> None:
+            Path(path).write_bytes(b"half")
+            raise OSError(ENOSPC, "No space left on device")
+
+    (tmp_path / "a.png").write_bytes(b"whole")
+    with pytest.raises(ResultsError, match=r"a.png: No space left on device; choose another folder"):
+        save(Half, tmp_path / "a")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.png", b"whole")]
 
 
 @pytest.mark.parametrize("seed", range(40))
