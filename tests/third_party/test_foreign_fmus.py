@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 from third_party_support.tools import python_tool, run
-from typer.testing import CliRunner
 
-from flexfmu.cosim.cli.main import app
 from flexfmu.fmu_build.toolchain import native_platform
 from flexfmu.fmu_build.validation.finding import Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
@@ -66,15 +63,3 @@ def test_fmu_without_a_binary_for_this_machine_is_checked_statically(decay: Path
     binary = [finding for finding in validate_fmu(windows) if finding.check == "binary"]
     assert [finding.severity for finding in binary] == [Severity.WARNING]
     assert "the FMU has win64" in binary[0].message
-
-
-def test_command_tells_findings_by_lines_and_exit_status(decay: Path) -> None:
-    """One line a finding with severity and remedy, the same as JSON, and exit status 1; 2 where there is no FMU."""
-    runner = CliRunner()
-    text = runner.invoke(app, ["validate", str(decay)], env={"COLUMNS": "1000"})
-    assert text.exit_code == 1
-    lines = text.stdout.splitlines()
-    assert any(line.startswith("error: guid: fmi2Instantiate accepts a wrong GUID; compare") for line in lines)
-    data = runner.invoke(app, ["validate", str(decay), "--json"])
-    assert len(json.loads(data.stdout)["findings"]) == len(lines)
-    assert runner.invoke(app, ["validate", "nothing.fmu"]).exit_code == 2

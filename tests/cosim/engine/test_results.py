@@ -7,14 +7,11 @@ import json
 import os
 import pickle
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import fmpy.util
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
@@ -52,7 +49,8 @@ def test_fmpy_reads_what_we_write(recording: Recording, tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["time"], recording.time)
     np.testing.assert_array_equal(table["joint1.torque"], recording["joint1.torque"].values)
     fmpy.util.write_csv(tmp_path / "theirs.csv", table)
-    assert ours.read_text() == (tmp_path / "theirs.csv").read_text()
+    assert ours.read_bytes() == (tmp_path / "theirs.csv").read_bytes()
+    assert ours.read_text().splitlines()[2:4] == ["0.1,0.3333333333333333,1.0", "0.1,-1e-300,2.0"]
     assert list(Recording.read_csv(ours).columns) == list(recording.columns)
 
 
@@ -74,22 +72,6 @@ def test_texts_are_written_as_rfc_4180_has_them(recording: Recording, tmp_path: 
     assert again["x"].texts is None
     with pytest.raises(ResultsError, match="no texts"):
         again["x"].text_at(0)
-
-
-def test_numpy_reads_what_we_write(recording: Recording, tmp_path: Path) -> None:
-    """numpy's readers get every digit too, of files without texts and of columns beside texts without commas."""
-    path = recording.write_csv(tmp_path / "results.csv")
-    table = np.loadtxt(path, delimiter=",", skiprows=1)
-    np.testing.assert_array_equal(table[:, 1], recording["joint1.torque"].values)
-    assert path.read_bytes() == (
-        b'"time","joint1.torque","der(link11.bending[1];2)"\n0.0,1.0,0.0\n0.1,0.3333333333333333,1.0\n'
-        b"0.1,-1e-300,2.0\n0.26666666666666666,200000.0,3.0\n"
-    )
-    said = Column("", np.zeros(4), texts=["stop; go"])
-    named = np.genfromtxt(
-        recording.with_columns({"said": said}).write_csv(tmp_path / "said.csv"), delimiter=",", skip_header=1
-    )
-    np.testing.assert_array_equal(named[:, 1], recording["joint1.torque"].values)
 
 
 def test_pieces_between_jumps(recording: Recording) -> None:
@@ -115,22 +97,26 @@ def test_a_failed_write_leaves_the_old_file(
 
 
 @pytest.mark.parametrize(
-    ("name", "text"),
+    ("name", "text", "message"),
     [
-        ("none.csv", None),
-        ("text.csv", "no numbers\nat all\n"),
-        ("other.csv", '"x","time"\n1,2\n'),
-        ("ragged.csv", '"time","x"\n1,"a"\n2\n'),
-        ("mixed.csv", '"time","x"\n1,2\n2,"a"\n'),
-        ("results.parquet", "no results"),
-        ("results.mat", "no results"),
+        ("none.csv", None, ""),
+        ("text.csv", "no numbers\nat all\n", ""),
+        ("other.csv", '"x","time"\n1,2\n', ""),
+        ("ragged.csv", '"time","x"\n1,"a"\n2\n', ""),
+        ("mixed.csv", '"time","x"\n1,2\n2,"a"\n', ""),
+        ("back.csv", '"time","x"\n0,1\n2,1\n1,1\n', ", line 4: 1 s comes after 2 s"),
+        ("nan.csv", '"time","x"\n0,1\nnan,1\n', ", line 3: nan s is no time"),
+        ("empty.csv", '"time","x"\n', " .* it has no rows"),
+        ("results.parquet", "no results", ""),
+        ("results.mat", "no results", ""),
     ],
 )
-def test_unreadable_files(name: str, text: str | None, tmp_path: Path) -> None:
-    """What is no table of signals is refused in one line with its path."""
+def test_unreadable_files(name: str, text: str | None, message: str, tmp_path: Path) -> None:
+    """What is no table of signals is refused in one line with its path, and the line where times run backwards; those that repeat
+    are jumps."""
     if text is not None:
         (tmp_path / name).write_text(text)
-    with pytest.raises(ResultsError, match=name):
+    with pytest.raises(ResultsError, match=name + message):
         Recording.read(tmp_path / name)
 
 
@@ -309,22 +295,6 @@ def test_names_do_not_become_formulas(tmp_path: Path) -> None:
     assert list(Recording.read(path)) == list(names)
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ("0,1\n2,1\n1,1\n", "line 4: 1 s comes after 2 s"),
-        ("0,1\nnan,1\n", "line 3: nan s is no time"),
-        ("", "it has no rows"),
-    ],
-)
-def test_times_that_run_backwards_are_refused(tmp_path: Path, rows: str, message: str) -> None:
-    """The line is named; times that repeat are jumps."""
-    path = tmp_path / "x.csv"
-    path.write_text(f'"time","a"\n{rows}')
-    with pytest.raises(ResultsError, match=message):
-        Recording.read(path)
-
-
 @pytest.mark.parametrize("time", [[0.0, 2.0, 1.0], [0.0, np.nan], ["a", "b"]])
 def test_times_of_parquet_files_are_checked(tmp_path: Path, time: list[float | str]) -> None:
     """As those of other files are."""
@@ -365,20 +335,4 @@ def test_mat_files_by_others_are_read_as_scipy_reads_them(tmp_path: Path) -> Non
     # a kilobyte for each megabyte that it unpacks to
     savemat(path, {"time": np.zeros(10_000_000)}, do_compression=True)
     with pytest.raises(ResultsError, match="unpacks to too much"):
-        Recording.read(path)
-
-
-@settings(max_examples=60, derandomize=True, deadline=None, database=None)
-@given(
-    st.binary(max_size=200),
-    st.sampled_from([".csv", ".mat"]),
-    st.sampled_from([b"", b'"time","a"\n', b"MATLAB 5.0".ljust(124) + b"\0\1IM"]),
-)
-def test_drawn_files_are_one_error(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: str, head: bytes
-) -> None:
-    """Whatever is in a file, it is read or refused in one short line."""
-    path = tmp_path_factory.getbasetemp() / f"drawn{suffix}"
-    path.write_bytes(head + content)
-    with suppress(ResultsError):
         Recording.read(path)

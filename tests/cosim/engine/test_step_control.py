@@ -61,19 +61,6 @@ def test_the_error_is_what_was_asked_for(
         assert 0.1 * tolerance < error < 3.0 * tolerance
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("system", ["oscillator", "robot with a spring", "robot led by a trajectory"])
-def test_step_control_keeps_the_tables_tolerances(benchmark: Any, monkeypatch: pytest.MonkeyPatch, system: str) -> None:
-    """The same over the whole table, whose times are the benchmark's."""
-    for case, order, tolerances in benchmark.TRIALS:
-        for tolerance in tolerances if case == system else ():
-            # good for 5e-6, and for 2 % of a looser tolerance: its error falls with the square of the step
-            step = 4e-4 if tolerance >= 1e-2 else 2e-4 if tolerance >= 1e-3 else 1e-4
-            monkeypatch.setattr(benchmark, "REFERENCE_STEP", step)
-            error, _, _ = benchmark.controlled(benchmark.CASES[case], order, tolerance, repetitions=1)
-            assert 0.1 < error / tolerance < 3.0, (case, order, tolerance)
-
-
 def test_the_work_is_that_of_fixed_steps(benchmark: Any, count_calls: Callable[[Callable[[], object]], int]) -> None:
     """With the steps that control chooses for an undamped oscillator, where equal ones are best, the master makes at most
     4 times the calls of a run with as many equal steps."""

@@ -204,19 +204,3 @@ def test_runs_are_copied_between_computed_states(export: Export) -> None:
     inputs = np.random.default_rng(4).normal(size=(150, 2))
     assert "casadi_f1" in generate_sources(mixed, DefaultExperiment()).generated["model_sample.c"]
     np.testing.assert_array_equal(run(export(mixed)(), inputs, SAMPLE_TIME), expected(mixed, inputs))
-
-
-@pytest.mark.slow
-def test_thousands_of_statements(export: Export) -> None:
-    """Where nothing can be copied the code is long, and GCC's optimiser must not take minutes over it."""
-    many = block(
-        "many",
-        [1.0 + i for i in range(2000)],
-        1,
-        lambda x, u, p: [x[0] * u[0]],
-        lambda x, u, p: [0.5 * x[i] + x[(7 * i) % 2000] * u[0] for i in range(2000)],
-    )
-    assert "optimize" in generate_sources(many, DefaultExperiment()).generated["model_sample.c"]
-    inputs = np.random.default_rng(6).normal(size=(20, 1))
-    exact = expected(many, inputs)
-    np.testing.assert_allclose(run(export(many)(), inputs, SAMPLE_TIME), exact, rtol=1e-12)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmpy.model_description import read_model_description
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
@@ -22,14 +21,6 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 PD = {"kind": "pd", "proportional": 5e3, "derivative": 60.0, "sample_time": 5e-4}
-RIGID = {
-    "cosimulation.drive": "torque",
-    "cosimulation.step": 1e-3,
-    "effects.proximal_bending": 0,
-    "effects.distal_axial": 0,
-    "controller": [PD],
-}
-"""A controlled robot that compiles quickly."""
 
 
 @pytest.fixture(scope="module")
@@ -70,41 +61,19 @@ def test_every_slave_has_an_fmu(exported: ExportedSystem) -> None:
 
 def test_the_fmus_move_as_the_scene(scene: Scene, exported: ExportedSystem) -> None:
     """The same joint angles from FMUs alone, wired as the export says."""
-    assert_same_angles(scene, exported, exported)
-
-
-def assert_same_angles(scene: Scene, system: ExportedSystem, named: ExportedSystem) -> None:
-    """A system's FMUs, connections and start values being those of ``named``, move as their scene does."""
     expected = run_scene(scene)
     assert expected.completed, expected.message
-    trajectory, plant, *others = system.slaves
+    trajectory, plant, *others = exported.slaves
     slaves: list[Any] = [
         TrajectorySlave(FmuTrajectory(trajectory.path)),
-        FmuSlave(plant.path, plant.name, named.slaves[1].parameters),
+        FmuSlave(plant.path, plant.name, plant.parameters),
         *(fmu_slave(each.path, each.name, each.parameters) for each in others),
     ]
-    simulation = simulate(connect(slaves, named.connections), system.stop_time, system.step, tolerance=1e-6)
+    simulation = simulate(connect(slaves, exported.connections), exported.stop_time, exported.step, tolerance=1e-6)
     assert simulation.outcome is Outcome.COMPLETED, simulation.message
     for joint in (1, 2):
         found = simulation.recording[f"plant.joint{joint}.position"].values
         np.testing.assert_allclose(found, expected.recording[f"joint{joint}.position"].values, rtol=0.0, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_flat_fmus_move_as_the_scene(tmp_path: Path) -> None:
-    """Connections and start values are told by the names that the FMUs have; our own master runs them by those of the scene."""
-    scene = load_scene("barnard2012-6kg").replace(
-        RIGID | {"imperfection": [{"kind": "payload-error", "relative": 0.1}]}
-    )
-    system = export_slaves(scene, tmp_path, naming="flat")
-    assert ("plant.joint1_velocity", "pd.joint1_velocity") in system.connections
-    assert list(system.slaves[1].parameters) == ["payload_mass"]
-    for slave in system.slaves:
-        description = read_model_description(str(slave.path), validate_variable_names=True)
-        names = {f"{slave.name}.{variable.name}" for variable in description.modelVariables}
-        assert description.variableNamingConvention == "flat"
-        assert {end for ends in system.connections for end in ends if end.startswith(f"{slave.name}.")} <= names
-    assert_same_angles(scene, system, export_slaves(scene, tmp_path / "structured"))
 
 
 def test_one_slave_alone(scene: Scene, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi
 import numpy as np
 import pytest
-from export_support.blocks import SAMPLE_TIME, block, pd_controller
+from export_support.blocks import SAMPLE_TIME, block
 from export_support.kinds import KINDS, signals_of, source
 from python_slave import PythonSlave
 
@@ -95,17 +95,6 @@ def test_every_kind_at_several_rates(name: str, monkeypatch: pytest.MonkeyPatch)
     counted = Counted(monkeypatch, BlockSlave)
     simulate(fed(slaves), COUNT * SAMPLE_TIME, 0.4 * SAMPLE_TIME, compiled=True)
     assert 0 < counted.calls <= 2 * 3, "the first instant"
-
-
-@pytest.mark.parametrize("kept", ["pd.out1", "source.signal3", "clock.sine"])
-def test_parts_of_the_outputs(kept: str) -> None:
-    """Signals that are neither recorded nor connected are left out of all copies."""
-    system = fed([BlockSlave(replace(pd_controller(), name="pd"))])
-    found, exact = runs(system, Selection([kept]))
-    assert list(found.recording.columns) == [kept]
-    assert_same_bits(found, exact)
-    everything, _ = runs(system)
-    assert found.recording[kept].values.tobytes() == everything.recording[kept].values.tobytes()
 
 
 class WithBlock(SampledFmu):

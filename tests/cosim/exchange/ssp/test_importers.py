@@ -99,10 +99,3 @@ def test_others_take_the_step_from_the_file(tool: str, ssp_of: SspOf) -> None:
     """The annotations with the communication step are those that libcosim and OMSimulator read."""
     own = at_the_instant(tool, ssp_of("motion"), load_ssp(ssp_of("motion")).step)
     assert at_the_instant(tool, ssp_of("motion"), 0.0) == own
-
-
-@pytest.mark.slow
-def test_omsimulator_agrees_with_ecos(ssp_of: SspOf) -> None:
-    """Two masters that read outputs after they have set inputs, with the tolerance that the file says: the same numbers."""
-    ends = [at_the_instant(tool, ssp_of("motion"), STEPS[0]) for tool in ("OMSimulator", "ecospy")]
-    assert ends[0] == pytest.approx(ends[1], abs=1e-12)

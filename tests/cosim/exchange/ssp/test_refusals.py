@@ -155,16 +155,6 @@ def test_files_in_one_line(make_ssp: MakeSsp) -> None:
         assert problem in message
 
 
-def test_units_that_measure_different_things(make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
-    """Metres can't become seconds, unless the file says that nothing is to be converted."""
-    base_unit = ('<Unit name="m"><BaseUnit m="1"/></Unit>', '<Unit name="s"><BaseUnit s="1"/></Unit>')
-    files = {"resources/s.fmu": make_decay(base_unit, ('unit="m"', 'unit="s"'))}
-    ssd = changed('name="second" source="resources/decay.fmu"', 'name="second" source="resources/s.fmu"')
-    assert "between 'first.x' and 'second.u': m can't be converted to s" in refusal(make_ssp(ssd, files))
-    suppressed = CONNECTION.replace("/>", ' suppressUnitConversion="true"/>')
-    load_ssp(make_ssp(ssd.replace(CONNECTION, suppressed), files), step=1.0)
-
-
 def test_files_that_are_none(tmp_path: Path, make_ssp: MakeSsp) -> None:
     """No file, no zip, a zip of something else, an FMU that is none, one of another platform; and no step, which isn't guessed."""
     assert "can't read" in refusal(tmp_path / "nowhere.ssp")

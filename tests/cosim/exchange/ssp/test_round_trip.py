@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy import read_model_description
-from fmpy.ssp.ssd import read_ssd, read_ssv
+from fmpy.ssp.ssd import read_ssv
 
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column
@@ -88,19 +87,6 @@ def test_signals_are_called_as_in_the_scene(scene_of: SceneOf, ssp_of: SspOf) ->
 def derivatives(column: Column) -> list[np.ndarray]:
     """The values, and the derivatives that were recorded."""
     return [each for each in (column.values, column.first, column.second) if each is not None]
-
-
-@pytest.mark.parametrize("name", ["motion", "controlled"])
-def test_fmpy_finds_nothing_to_complain_about(name: str, ssp_of: SspOf, tmp_path: Path) -> None:
-    """SSD and SSV are valid against the standard's schemas, the FMUs within are valid too."""
-    path = ssp_of(name)
-    structure = read_ssd(path, validate=True)
-    values = read_ssv(path, resource=PARAMETERS, validate=True)
-    assert len(values.parameters) > 10
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(tmp_path)
-    for component in structure.system.elements:
-        assert read_model_description(str(tmp_path / component.source), validate=True).coSimulation is not None
 
 
 def test_parameters_are_the_robots(ssp_of: SspOf) -> None:
