@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -286,33 +285,6 @@ def test_blanks_and_unicode_in_paths(foreign_fmu: Path, tmp_path: Path, monkeypa
     environment = {**os.environ, "TMPDIR": str(folder)}
     done = subprocess.run([sys.executable, "-c", code, str(path)], env=environment, capture_output=True, text=True)
     assert done.stdout == "COMPLETED\n", done.stderr
-
-
-@pytest.mark.parametrize("isolate", ["--no-isolate", pytest.param("--isolate", marks=ISOLATED.marks)])
-def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path, isolate: str) -> None:
-    """`--json` on standard output is JSON and nothing else, whatever a library prints there."""
-    path = make_decay(STATES_DERIVATIVES)
-    ssd = (
-        '<ssd:SystemStructureDescription xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription" version="1.0" '
-        'name="s"><ssd:System name="s"><ssd:Elements><ssd:Component name="decay" type="application/x-fmu-sharedlibrary" '
-        'source="resources/decay.fmu"><ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues><ssv:ParameterSet '
-        'xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues" version="1.0" name="p"><ssv:Parameters>'
-        '<ssv:Parameter name="trouble"><ssv:Enumeration value="ends"/></ssv:Parameter></ssv:Parameters></ssv:ParameterSet>'
-        "</ssd:ParameterValues></ssd:ParameterBinding></ssd:ParameterBindings></ssd:Component></ssd:Elements></ssd:System>"
-        "</ssd:SystemStructureDescription>"
-    )
-    with zipfile.ZipFile(tmp_path / "s.ssp", "w") as archive:
-        archive.writestr("SystemStructure.ssd", ssd)
-        archive.write(path, "resources/decay.fmu")
-    options = ["--stop-time", "1", "--step", "0.1", "--out", str(tmp_path / "out"), isolate, "--json"]
-    program = "from flexfmu.cosim.cli.main import main; main()"
-    command = [sys.executable, "-c", program, "run", str(tmp_path / "s.ssp"), *options]
-    environment = {**os.environ, "DECAY_PRINTS": "yes"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    # an FMU that ends the run is no failure either: status 0, complete files
-    assert json.loads(done.stdout)["outcome"] == "ended_by_slave"
-    assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.55)
-    assert "a licence of 1000 lines" in done.stderr
 
 
 def test_libraries_that_lack_functions(make_decay: Make, tmp_path: Path) -> None:

@@ -32,7 +32,11 @@ def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., bytes]
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("there is no C compiler")
-    foreign = _module(Path(__file__).parents[2] / "engine" / "conftest.py")
+    spec = spec_from_file_location("foreign", Path(__file__).parents[2] / "engine" / "conftest.py")
+    assert spec is not None
+    assert spec.loader is not None
+    foreign = module_from_spec(spec)
+    spec.loader.exec_module(foreign)
     folder = tmp_path_factory.mktemp("foreign")
     library = foreign.compiled(folder, compiler)
     description = (foreign.FOREIGN / "modelDescription.xml").read_text()
@@ -46,16 +50,6 @@ def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., bytes]
         return content
 
     return make
-
-
-def _module(path: Path) -> Any:
-    """A module by its path."""
-    spec = spec_from_file_location("foreign", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture

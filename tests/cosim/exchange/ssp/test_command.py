@@ -144,6 +144,26 @@ def test_failures_are_one_line(ssd: str, status: int, problem: str, make_ssp: Ma
         assert json.loads(ran.stdout)["end_time"] == 0.4
 
 
+@pytest.mark.parametrize(
+    "isolate",
+    [
+        "--no-isolate",
+        pytest.param("--isolate", marks=pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")),
+    ],
+)
+def test_what_fmus_print_is_no_result(make_ssp: MakeSsp, tmp_path: Path, isolate: str) -> None:
+    """`--json` on standard output is JSON and nothing else, whatever a library prints there."""
+    options = ["--step", "0.1", "--out", str(tmp_path / "out"), isolate, "--json"]
+    program = "from flexfmu.cosim.cli.main import main; main()"
+    command = [sys.executable, "-c", program, "run", str(make_ssp(in_trouble("ends"))), *options]
+    environment = {**os.environ, "DECAY_PRINTS": "yes"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    # an FMU that ends the run is no failure either: status 0, complete files
+    assert json.loads(done.stdout)["outcome"] == "ended_by_slave"
+    assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.5)
+    assert "a licence of 1000 lines" in done.stderr
+
+
 def hanging(process: int, children: bool, begin: dict[str, float]) -> bool:
     """Whether a process, or its child, has spent a second of processor time since it was looked at first, which all but an
     endless call doesn't take; however busy the machine is."""
