@@ -9,7 +9,7 @@ Hermite's interpolation formula, Amer. Math. Monthly 67, 1960).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from ctypes import POINTER, Structure, c_size_t, c_void_p
 from functools import cache
 from math import comb, factorial
@@ -147,7 +147,8 @@ class DenseOutput:
         found = np.empty((len(signals), orders, self.time.size))
         if rows.shape[1] < POINTS:
             rows = np.pad(rows, ((0, 0), (0, POINTS - rows.shape[1])))
-        signals, (start, distance) = np.ascontiguousarray(signals, np.int64), _address_and_distance(rows)
+        signals, distance = np.ascontiguousarray(signals, np.int64), rows.strides[0] // rows.itemsize
+        start = int(rows.ctypes.data)  # contiguous rows, at this distance
         load_interpolation()(self._in_c, start, distance, address(signals), len(signals), orders, address(found))
         return found
 
@@ -160,11 +161,6 @@ class DenseOutput:
     def held(self, column: Column) -> Column:
         """A column without two derivatives, held between the communication points."""
         return Column(column.unit, column.values[self._last], texts=column.texts)
-
-
-def _address_and_distance(rows: RealArray) -> tuple[int, int]:
-    """Address of an array with contiguous rows, and their distance in numbers."""
-    return int(rows.ctypes.data), rows.strides[0] // rows.itemsize
 
 
 def windows(known: RealArray, count: int) -> RealArray:
@@ -214,11 +210,7 @@ def smooth_signals(places: Mapping[str, tuple[str, range]]) -> dict[str, Signal]
 def known_signals(recording: Recording) -> RealArray:
     """Return value and two derivatives at the communication points, (N, 3, S), of the signals that aren't derivatives of others."""
     smooth = (name for name, column in recording.columns.items() if column.second is not None)
-    return _known(recording, [name for name in smooth if integral(name) is None])
-
-
-def _known(recording: Recording, names: Sequence[str]) -> RealArray:
-    """Value and two derivatives of the signals at the communication points, (N, 3, S)."""
+    names = [name for name in smooth if integral(name) is None]
     columns = [recording[name] for name in names]
     known = np.empty((recording.time.size, KNOWN, len(names)))
     for order, kept in enumerate(("values", "first", "second")):

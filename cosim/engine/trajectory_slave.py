@@ -258,13 +258,7 @@ class TrajectorySlave:
         self._begin()
 
     def announce(self, time: float) -> None:
-        """Announce the polynomials of the step that begins at ``time`` [s].
-
-        Raises:
-            InputError: the time isn't the next communication point.
-        """
-        if self._times[self._next] != time:
-            raise InputError(f"{self.name}: {time} s is not the communication point {self._times[self._next]} s")
+        """Announce the polynomials of the step that begins at ``time`` [s], the next communication point."""
         self._now = self._table.polynomials[self._next]
 
     def step(self, time: float, step: float) -> None:
@@ -409,17 +403,11 @@ class FmuTrajectory:
         # the FMU runs forward through the different times, in ascending order
         times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         instants, place = np.unique(times, return_inverse=True)
-        signals = self._signals(instants, side)
-        result: RealArray = signals[: order + 1][:, place.ravel()]
-        return result
-
-    def _signals(self, instants: RealArray, side: Side) -> RealArray:
-        """Return value and all derivatives (highest_order + 1, N, axes) at ascending times."""
         fmu, axes = self._runs[side], self.axes
         signals = np.zeros((self.highest_order + 1, instants.size, axes))
         values, derivatives = np.empty(len(KINDS) * axes), np.empty((fmu.max_output_order, axes))
         if instants.size == 0:
-            return signals
+            return signals[: order + 1]
         fmu.initialize(float(instants[0]), float(instants[-1]) + 1.0, None)
         try:
             # at each instant position, velocity, acceleration, then the derivatives of the acceleration
@@ -432,4 +420,5 @@ class FmuTrajectory:
                 signals[len(KINDS) :, n] = derivatives
         finally:
             fmu.terminate()
-        return signals
+        result: RealArray = signals[: order + 1][:, place.ravel()]
+        return result

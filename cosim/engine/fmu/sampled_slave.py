@@ -147,20 +147,9 @@ class _HeldFmu:
     def step(self, time: float, step: float) -> None:
         """Do nothing: between sample instants the outputs are held."""
 
-    def _saved(self, state: object, parts: int) -> tuple[Any, ...]:
-        """The parts of a state returned by `save`.
-
-        Raises:
-            InputError: the state was saved by another kind of slave.
-        """
-        if not (isinstance(state, tuple) and len(state) == parts):
-            raise InputError(f"{self.name}: this state was not saved by this slave")
-        return state
-
-    def release(self, state: object) -> None:
+    def release(self, state: tuple[Any, ...]) -> None:
         """Keep the memory of a saved state for the next one to be saved."""
-        if isinstance(state, tuple):
-            self._fmu.release(state[0])
+        self._fmu.release(state[0])
 
 
 class FmuTask(_HeldFmu):
@@ -199,19 +188,14 @@ class FmuTask(_HeldFmu):
         bound = self._fmu.bound_step()
         return None if bound is None else (SampleStep(*bound, self._steps),)
 
-    def save(self) -> object:
+    def save(self) -> tuple[Any, ...]:
         """Return the state of the FMU and the number of samples."""
         return self._fmu.save(), self._steps.copy()
 
-    def restore(self, state: object) -> None:
-        """Restore a state returned by `save`.
-
-        Raises:
-            InputError: the state was saved by another kind of slave.
-        """
-        saved, steps = self._saved(state, 2)
-        self._fmu.restore(saved)
-        self._steps[:] = steps
+    def restore(self, state: tuple[Any, ...]) -> None:
+        """Restore a state returned by `save`."""
+        self._fmu.restore(state[0])
+        self._steps[:] = state[1]
 
 
 class SampledFmu(_HeldFmu):
@@ -251,8 +235,7 @@ class SampledFmu(_HeldFmu):
         super().__init__(FmuSlave(path, name, parameters, input_order=0, output_order=0), *times)
         self.feedthrough = self._fmu.feedthrough if feedthrough is None else feedthrough
         # inputs, stored until the next sample instant
-        self._is_input = np.array([each.causality == "input" for each in self.variables])
-        self._inputs = np.flatnonzero(self._is_input)
+        self._inputs = np.flatnonzero([each.causality == "input" for each in self.variables])
         self._values, self._sent = np.zeros(len(self.variables)), np.empty(self._inputs.size)
         self._take = Take(self._values, self._inputs, self._sent)
         self._send = self._fmu.bind_set(self._inputs, self._sent) if self._inputs.size else nothing
@@ -270,27 +253,13 @@ class SampledFmu(_HeldFmu):
         self._reached[0], self._initialized = begin, True
 
     def set(self, indices: Indices, values: RealArray) -> None:
-        """Set inputs for the next sample instant.
-
-        Raises:
-            InputError: a variable isn't an input.
-        """
-        self._check_inputs(indices)
+        """Set inputs for the next sample instant."""
         self._values[indices] = values
         if not self._initialized:
             self._fmu.set(indices, values)
 
-    def _check_inputs(self, indices: Indices) -> None:
-        if not self._is_input[indices].all():
-            raise InputError(f"{self.name}: only inputs can be set; give parameters when the slave is made")
-
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
-        """Return a call that sets inputs from ``values`` (n,).
-
-        Raises:
-            InputError: a variable isn't an input.
-        """
-        self._check_inputs(indices)
+        """Return a call that sets inputs from ``values`` (n,)."""
         return Copy(values, self._values, indices)
 
     def output(self, time: float) -> None:
@@ -322,17 +291,13 @@ class SampledFmu(_HeldFmu):
         """Step to ``time`` [s] and calculate outputs from the inputs just set."""
         self.output(time)
 
-    def save(self) -> object:
+    def save(self) -> tuple[Any, ...]:
         """Return the state of the FMU, its time [s] and the stored inputs."""
         return self._fmu.save(), float(self._reached[0]), self._values.copy()
 
-    def restore(self, state: object) -> None:
-        """Restore a state returned by `save`.
-
-        Raises:
-            InputError: the state was saved by another kind of slave.
-        """
-        saved, self._reached[0], values = self._saved(state, 3)
+    def restore(self, state: tuple[Any, ...]) -> None:
+        """Restore a state returned by `save`."""
+        saved, self._reached[0], values = state
         self._fmu.restore(saved)
         self._sent.fill(np.nan)
         self._values[:] = values

@@ -174,22 +174,6 @@ def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Seque
     return result
 
 
-def _number_for(variable: Any, value: Value) -> Value:
-    """Return the value if it is a number that fits the variable's type; raise `InputError` otherwise."""
-    if not isinstance(value, Real):
-        raise InputError(f"{variable.name} must be one number, got {value!r}")
-    if variable.type == "Boolean" and value not in (0, 1):
-        raise InputError(f"{variable.name} must be true or false, got {value}")
-    if variable.type != "Real" and value % 1 != 0:
-        raise InputError(f"{variable.name} must be a whole number, got {value}")
-    # an enumeration: the number of an item
-    known = items(variable) if variable.type == "Enumeration" else {}
-    if known and value not in known.values():
-        names = ", ".join(f"{number} ({name})" for name, number in known.items())
-        raise InputError(f"{variable.name} must be one of {names}, got {value}")
-    return value
-
-
 def items(variable: Any) -> dict[str, int]:
     """Return the items of an enumeration or numbered choice (name → number); empty for other variables."""
     declared = variable.declaredType
@@ -200,8 +184,9 @@ def _in_range(variable: Any, value: Value) -> Value:
     """Return the value if it is within the variable's range; raise `InputError` otherwise."""
     if variable.type not in ("Real", "Integer") or isinstance(value, str):
         return value
-    # limits of the variable, or of its declared type
-    low, high = (_bound(variable, bound) for bound in ("min", "max"))
+    # limits of the variable, or else of its declared type
+    stated = ([getattr(each, bound, None) for each in (variable, variable.declaredType)] for bound in ("min", "max"))
+    low, high = (next((float(each) for each in texts if each is not None), None) for texts in stated)
     if (low is None or value >= low) and (high is None or value <= high) and abs(value) <= float_info.max:
         return value
     # otherwise state the possible values
@@ -210,15 +195,6 @@ def _in_range(variable: Any, value: Value) -> Value:
     limits = [f"at least {low:g}{unit}"] if low is not None else []
     limits += [f"at most {high:g}{unit}"] if high is not None else []
     raise InputError(f"{variable.name} must be {' and '.join(limits) or 'a finite number'}, got {value}{unit}")
-
-
-def _bound(variable: Any, name: str) -> float | None:
-    """Return a limit of the variable, or else of its declared type; None if neither has one."""
-    for holder in (variable, variable.declaredType):
-        text = getattr(holder, name, None)
-        if text is not None:
-            return float(text)
-    return None
 
 
 def _unit(variable: Any) -> str:
@@ -236,15 +212,25 @@ def typed(variable: Any, value: Value) -> Value:
         return str(value)
     if variable.type == "Boolean" and isinstance(value, str) and value in _BOOLEANS:
         return _BOOLEANS[value]
-    if not isinstance(value, str):
-        return _number_for(variable, value)
-    # the name of an item
     known = items(variable)
-    if not known:
-        raise InputError(f"{variable.name} is a number, got {value!r}")
-    if value not in known:
-        raise InputError(f"{variable.name} must be one of {', '.join(known)}, got {value!r}")
-    return known[value]
+    # the name of an item
+    if isinstance(value, str):
+        if not known:
+            raise InputError(f"{variable.name} is a number, got {value!r}")
+        if value not in known:
+            raise InputError(f"{variable.name} must be one of {', '.join(known)}, got {value!r}")
+        return known[value]
+    # a number that fits the type
+    if not isinstance(value, Real):
+        raise InputError(f"{variable.name} must be one number, got {value!r}")
+    if variable.type == "Boolean" and value not in (0, 1):
+        raise InputError(f"{variable.name} must be true or false, got {value}")
+    if variable.type != "Real" and value % 1 != 0:
+        raise InputError(f"{variable.name} must be a whole number, got {value}")
+    if variable.type == "Enumeration" and known and value not in known.values():
+        names = ", ".join(f"{number} ({name})" for name, number in known.items())
+        raise InputError(f"{variable.name} must be one of {names}, got {value}")
+    return value
 
 
 def in_words(variable: Any, value: Value) -> str:

@@ -64,25 +64,23 @@ class SignalDelay:
 
     def __str__(self) -> str:
         """The delay in words, one line."""
-        own = f"; its source itself lags by {self.latency:.6g} s" if self.latency else ""
-        return f"{self.connection}: {self._way()}{own}"
-
-    def _way(self) -> str:
-        """The delay between source and target in words."""
         # sample and hold, no delay, an older sample, extrapolation
         if self.hold:
-            return (
+            way = (
                 f"{0.5 * self.hold:.6g} s late on average, held for {self.hold:.6g} s between the samples of its source"
             )
-        if self.seconds == 0.0:
-            return f"no delay, {self.transport.value}"
-        if self.transport is not Transport.EXTRAPOLATED:
+        elif self.seconds == 0.0:
+            way = f"no delay, {self.transport.value}"
+        elif self.transport is not Transport.EXTRAPOLATED:
             more = f" on average, {self.seconds:.6g} s at most" if self.seconds > self.mean * (1.0 + ROUNDING) else ""
-            return f"{self.mean:.6g} s late{more}, its source has sampled that long before its target"
-        if self.derivatives:
+            way = f"{self.mean:.6g} s late{more}, its source has sampled that long before its target"
+        elif self.derivatives:
             known = f"{self.derivatives} derivative{'s' if self.derivatives > 1 else ''}"
-            return f"up to {self.seconds:.6g} s old, {self.transport.value} with {known}"
-        return f"up to {self.seconds:.6g} s late, held over the step"
+            way = f"up to {self.seconds:.6g} s old, {self.transport.value} with {known}"
+        else:
+            way = f"up to {self.seconds:.6g} s late, held over the step"
+        own = f"; its source itself lags by {self.latency:.6g} s" if self.latency else ""
+        return f"{self.connection}: {way}{own}"
 
 
 def signal_delays(system: System, couplings: Couplings, step: float) -> tuple[SignalDelay, ...]:
@@ -285,11 +283,6 @@ class Simulation:
         """Return at most five lines: how it went, and what was recorded."""
         head = f"Simulation: {self.steps} steps, {shorten(self.message, 50)}"
         return few_lines(f"{head}; recorded:", [*self.recording.columns])
-
-    @property
-    def delay_report(self) -> str:
-        """The delays in words, one line per connection."""
-        return "\n".join(map(str, self.delays))
 
 
 def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:

@@ -68,11 +68,6 @@ class OutputPort:
         """Set the signals of an earlier run to zero."""
         self.signals.fill(0.0)
 
-    @property
-    def reads_all(self) -> bool:
-        """Whether the port has all variables of the slave: it has no others than outputs, and all of them are read."""
-        return self.indices.size == len(self.slave.variables)
-
     def read(self, time: float) -> None:
         """Read the slave's outputs at ``time`` [s] into ``signals``.
 

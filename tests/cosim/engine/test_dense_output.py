@@ -70,22 +70,11 @@ def test_derivatives_follow_their_signal() -> None:
     for name, k in (("x", 0), ("der(x)", 1), ("der(x,2)", 2)):
         expected = (x.deriv(k) if k else x)(found.time)
         np.testing.assert_allclose(found[name].values, expected, rtol=1e-6, atol=1e-5)
+    assert integral("plant.der(link11.bending[1],2)") == ("plant.link11.bending[1]", 2)
+    assert integral("plant.joint1.torque") is None
     # without the signal they are interpolated by themselves
     alone = resampled(Recording(POINTS, {"der(x)": rate}), DenseOutput(POINTS, np.sort(INSTANTS), 4), 0)
     np.testing.assert_allclose(alone["der(x)"].values, x.deriv()(alone.time), rtol=1e-7, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "base"),
-    [
-        ("der(x)", ("x", 1)),
-        ("plant.der(link11.bending[1],2)", ("plant.link11.bending[1]", 2)),
-        ("plant.joint1.torque", None),
-    ],
-)
-def test_names_of_derivatives(name: str, base: tuple[str, int] | None) -> None:
-    """As FMI writes them, with the slave's name before."""
-    assert integral(name) == base
 
 
 def test_signals_without_derivatives_are_held() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.grid import time_grid
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.trajectories.curves import Side
@@ -116,13 +115,6 @@ def test_breakpoints_at_one_communication_point() -> None:
     assert current(slave, 2)[0, 4] == 1.0
     slave.announce(grid.times[5])
     assert current(slave, 9)[0, 4] == 3.0
-
-
-def test_only_known_communication_points() -> None:
-    """The polynomials belong to the grid that they were calculated for."""
-    slave = started(TrajectorySlave(Swing()), np.arange(0.0, 1.0, 0.1))
-    with pytest.raises(InputError, match=r"0\.05 s is not the communication point 0\.0 s"):
-        slave.announce(0.05)
 
 
 @pytest.mark.parametrize("order", [4, 6, 8, 9])
