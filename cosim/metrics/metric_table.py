@@ -14,13 +14,7 @@ from typing import Any
 
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.metric import Metric, printed
-from flexfmu.cosim.metrics.signals import (
-    ACCELERATION,
-    FIRST_BENDING,
-    JOINT_POSITIONS,
-    POSITION,
-    VELOCITY,
-)
+from flexfmu.cosim.metrics.signals import ACCELERATION, FIRST_BENDING, JOINT_POSITIONS, POSITION, VELOCITY
 
 Computation = Callable[[Any], Metric]
 """Solution of a motion → value of a metric."""

@@ -423,11 +423,7 @@ def check_names(names: Collection[str]) -> None:
 
 
 def with_errors(
-    run: Run,
-    measured: Mapping[str, Metric],
-    settings: Settings,
-    companions: int = 1,
-    progress: Progress | None = None,
+    run: Run, measured: Mapping[str, Metric], settings: Settings, companions: int = 1, progress: Progress | None = None
 ) -> Metrics:
     """Add errors from companions to the metrics of a completed run.
 

@@ -28,11 +28,7 @@ MOST_MODES = 8
 
 
 def rich_enough(
-    scene: Scene,
-    motion: Trajectory,
-    tolerance: float,
-    of: tuple[MeasureName, ...],
-    named: Collection[MeasureName] = (),
+    scene: Scene, motion: Trajectory, tolerance: float, of: tuple[MeasureName, ...], named: Collection[MeasureName] = ()
 ) -> Scene:
     """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
 
@@ -188,10 +184,7 @@ def effects_of_loads(
     for without in (each for each in reductions(chosen) if each.effect in LOADS):
         others = Estimator(without.scene, motion, tuple(metrics), most=without.scene).metrics(without.scene.effects)
         shares = tuple(abs(others[name] - value) / scales[name] for name, value in metrics.items())
-        yield (
-            without,
-            EstimatedEffect(effect=without.effect, change=without.change, chosen=True, contribution=shares),
-        )
+        yield (without, EstimatedEffect(effect=without.effect, change=without.change, chosen=True, contribution=shares))
 
 
 def absent_effects(scene: Scene) -> tuple[str, ...]:

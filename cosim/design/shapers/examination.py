@@ -13,12 +13,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.design.shapers.recommendation import (
-    Recommendation,
-    compare_slower,
-    recommend,
-    shaper_toml,
-)
+from flexfmu.cosim.design.shapers.recommendation import Recommendation, compare_slower, recommend, shaper_toml
 from flexfmu.cosim.design.shapers.study import (
     CandidateResult,
     DesignModes,

@@ -161,12 +161,7 @@ def test_what_can_not_be_applied_is_left_out_with_its_reason(motion: MotionPlan)
         ([(0.0, None), (0.008, None, 0.0, 2e-5)], {}, "shaper 1", ["20 µm at worst instead of 50 µm"]),
         # what strays, takes or asks for more than allowed isn't recommended however soon it rests
         ([(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)], {"deviation": 1e-3}, "shaper 2", []),
-        (
-            [(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)],
-            {"deviation": 1e-3, "added_time": 9e-3},
-            "unshaped",
-            [],
-        ),
+        ([(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)], {"deviation": 1e-3, "added_time": 9e-3}, "unshaped", []),
         ([(0.0, 0.05), (0.008, 0.0, 2e-3), (0.01, 0.0, 1e-4)], {"torque": 60.0}, "shaper 1", []),
         (
             [(0.0, 0.05)],
