@@ -101,18 +101,9 @@ def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The C code with a main program, under the sanitizers."""
     folder, program = Path(compiled.__file__).with_name("c-metrics"), tmp_path_factory.mktemp("metrics") / "analyse"
     sources: Sequence[Path] = [*sorted(folder.glob("*.c")), Path(__file__).with_name("c") / "analyse.c"]
-    flags = (
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Wpedantic",
-        "-Werror",
-        "-ffp-contract=off",
-        "-fno-math-errno",
-        *SANITIZERS,
-    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off", "-fno-math-errno"]
     compiler = find_compiler(native_platform()).command
-    command = [*compiler, *flags, f"-I{folder}", *map(str, sources), "-o", str(program), "-lm"]
+    command = [*compiler, *flags, *SANITIZERS, f"-I{folder}", *map(str, sources), "-o", str(program), "-lm"]
     subprocess.run(command, check=True)
     return program
 

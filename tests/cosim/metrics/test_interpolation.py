@@ -98,13 +98,6 @@ def test_error_estimate_of_a_single_segment_is_pessimistic() -> None:
     assert Analysis(alone).errors[0] > largest_error(alone, 2.0)[0]
 
 
-def test_mean_square_against_closed_form() -> None:
-    """Integral of sin^2 over [0, 1] by exact quadrature of the interpolant."""
-    omega, phase = 7.0, 0.3
-    exact = 0.5 - (np.sin(2 * (omega + phase)) - np.sin(2 * phase)) / (4 * omega)
-    assert Analysis(sine_segments(0.005, omega)).mean_products()[0] == pytest.approx(exact, rel=1e-10)
-
-
 def test_bisection_keeps_the_polynomial() -> None:
     """Both halves of polynomials, put together, are these; the largest magnitude is that of dense samples. A NaN doesn't hide."""
     control = np.random.default_rng(1).normal(size=(6, 3))

@@ -56,22 +56,14 @@ def recording(motion: Signal, dwell: Signal, step: float = STEP) -> Recording:
     after = np.linspace(0.0, DWELL, round(DWELL / step) + 1)
     time = np.concatenate([before, T + after])
     rigid = Quadratic()
-    x = np.concatenate(
-        [rigid.evaluate(before, 4, "left")[..., 0], rigid.evaluate(T + after, 4, "right")[..., 0]], axis=1
-    )
+    x = np.hstack([rigid.evaluate(before, 4, "left"), rigid.evaluate(T + after, 4, "right")])[..., 0]
     y = np.stack([np.concatenate([motion(before, k), dwell(after, k)]) for k in range(5)])
     columns: dict[str, Column] = {}
     for axis, d in (("x", x), ("y", y)):
         for order, kind in enumerate(("position", "velocity", "acceleration")):
             columns[f"end_effector.{kind}.{axis}"] = Column("", *d[order : order + 3])
-    for name in (
-        "joint1.torque",
-        "joint2.torque",
-        "link11.tip_deflection",
-        "link21.tip_deflection",
-        "link11.bending[1]",
-    ):
-        columns[name] = column(sine(3.0, OMEGA), time)
+    loads = "joint1.torque joint2.torque link11.tip_deflection link21.tip_deflection link11.bending[1]"
+    columns |= dict.fromkeys(loads.split(), column(sine(3.0, OMEGA), time))
     return Recording(time, columns)
 
 
@@ -102,13 +94,13 @@ def test_peaks_are_those_of_the_motion() -> None:
     run, loads = recording(VIBRATION, RINGING), ("joint1.torque", "link11.bending[1]", "link21.tip_deflection")
     later = in_two_parts(sine(3.0, OMEGA), sine(10.0, OMEGA), run.time)
     louder = run.with_columns(dict.fromkeys(loads, later))
-    for name in (
+    for name in [
         "peak_torque_1",
         "peak_torque_2",
         "peak_modal_deflection_1",
         "peak_tip_deflection_1",
         "peak_tip_deflection_2",
-    ):
+    ]:
         assert value(name, run) == pytest.approx(3.0, rel=1e-7)
         assert value(name, louder) == pytest.approx(3.0, rel=1e-7)
     assert value("peak_position_error", run) == pytest.approx(1e-3, rel=1e-9)
@@ -118,10 +110,8 @@ def test_tracking_errors() -> None:
     """The largest one counts during the dwell too, the root mean square over the motion alone; the plan stands still then."""
     run = recording(VIBRATION, RINGING)
     x = {kind: run[f"end_effector.{kind}.x"] for kind in ("position", "acceleration")}
-    errors = {
-        kind: in_two_parts(sine(1e-3, OMEGA), sine(4e-3, OMEGA), run.time, order)
-        for kind, order in (("position", 0), ("acceleration", 2))
-    }
+    motion, dwell, orders = sine(1e-3, OMEGA), sine(4e-3, OMEGA), {"position": 0, "acceleration": 2}
+    errors = {kind: in_two_parts(motion, dwell, run.time, order) for kind, order in orders.items()}
     columns = {f"joint2.{kind}": each for kind, each in errors.items()}
     for kind, error in errors.items():
         pairs = zip(

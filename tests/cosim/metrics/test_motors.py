@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
-import tomllib
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_build import depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.metrics.motors import MotorLoad, divided, largest_load_inertia, motor_loads, multiplied
 from flexfmu.cosim.metrics.segments import bernstein_basis
@@ -185,19 +181,6 @@ def test_pieces_keep_their_signs(seed: int) -> None:
         np.testing.assert_allclose(values[:, piece], bernstein_basis(theta, 5) @ control[:, segment], atol=1e-12)
     product = bernstein_basis(np.linspace(0.0, 1.0, 9), 10) @ multiplied(pieces[..., 0], pieces[..., 1])
     np.testing.assert_allclose(product, values[..., 0] * values[..., 1], atol=1e-12)
-
-
-def test_page_is_right() -> None:
-    """The scene of the page is one, and its table has every key with its unit."""
-    page = (Path(__file__).parents[3] / "docs" / "motors.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
-    section = load_scene("barnard2012-6kg").replace(tomllib.loads(block)).motor
-    assert section is not None
-    for name, field in type(section).model_fields.items():
-        extra = field.json_schema_extra
-        unit = extra["unit"] if isinstance(extra, dict) else ""
-        assert re.search(rf"^\| .*`{name}`.* \|{f' {unit} ' if unit else ' '}\|", page, re.MULTILINE), name
-    assert all(f"`{name[:-2]}`" in page for name in DRIVE_METRICS)
 
 
 def test_motors_and_strengths_do_not_change_the_fmu() -> None:

@@ -65,7 +65,9 @@ def test_rigid_joints_have_the_poles_of_the_table(kind: Any, poles: list[complex
         else:
             polynomial = [J, *(table[name][i] for name in ("derivative", "proportional", "integral") if name in table)]
         np.testing.assert_allclose(polynomial, J * np.real(np.poly(poles)), rtol=3e-5)
-    assert table["sample_time"] == 5e-4
+    # a robot that motion drives so far has those of the same robot driven by torques, with a sample time of its own
+    other = SCENE.replace({"cosimulation.drive": "motion", "controller": []})
+    assert flexfmu.start_gains(other, kind, 10.0, sample_time=5e-4) == table
 
 
 @pytest.mark.slow
@@ -113,10 +115,3 @@ def test_wrong_wishes(kind: Any, bandwidth: float, message: str) -> None:
         flexfmu.start_gains(SCENE, kind, bandwidth)
     with pytest.raises(InputError, match="there is no pose 'top'"):
         flexfmu.start_gains(SCENE, "pd", 10.0, pose="top")  # type: ignore[arg-type]
-
-
-def test_gains_for_a_robot_that_motion_drives_so_far() -> None:
-    """They are those of the same robot driven by torques, which a run with the controller has."""
-    robots = SCENE, SCENE.replace({"cosimulation.drive": "motion", "controller": []})
-    torque, motion = (flexfmu.start_gains(each, "pd", 10.0, sample_time=1e-3) for each in robots)
-    assert torque == motion

@@ -110,20 +110,6 @@ def test_two_rates_with_an_offset_are_those_of_the_recursion() -> None:
         assert np.abs(np.append(found, 0.0) - value).min() < 1e-10
 
 
-def test_the_lifted_response_closes_to_the_same_poles() -> None:
-    """1 + L has its zeros at the closed loop's eigenvalues, with two samples a period too."""
-    inner = static(np.array([[-300.0, -15.0]]), T / 2)
-    other = static(np.array([[1.0]]), T)
-    inputs = (np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]]), np.array([[1.0, 0, 0, 0]]))
-    loop = LinearLoop(mass(2), (inner, other), (0, 1), inputs, (0,))
-    cut = loop.lifted.part([0])
-    assert cut.size == 2
-    for value in np.linalg.eigvals(loop.closed([1.0], [0.0])):
-        if abs(value) > 1e-6:
-            inside = np.linalg.solve(value * np.eye(len(cut.a)) - cut.a, cut.b)
-            assert abs(np.linalg.det(np.eye(2) - (cut.c @ inside + cut.d))) < 1e-8
-
-
 def test_an_unstable_loop_has_no_margins() -> None:
     found = pose_margins(pd(kd=-1.0), ["force"], 0.0, (0.0, 0.0), (0.0, 0.0))
     assert not found.is_stable

@@ -12,7 +12,6 @@ import flexfmu
 from flexfmu.cosim.design.margins.loop_warnings import _steps, coarse_counts, torque_of_step
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.file import load_scene
@@ -77,16 +76,13 @@ def test_limits(robot: Scene) -> None:
     """The share is that of the smallest limit: of the controller, a saturation, the motor behind its gear, else of the motion."""
     count = 55.0 * 2.0 * np.pi / 4000.0 * 1e3
     motor = {"continuous_torque": 3.0, "peak_torque": 8.0, "maximum_speed": 100.0, "gear_ratio": 100.0}
-    cases: list[tuple[str, Scene]] = [
-        ("the torque limit, 300 N·m", with_encoder(robot, 4e3, controller=[PD | {"torque_limit": 300.0}])),
-        (
-            "the torque limit, 250 N·m",
-            with_encoder(robot, 4e3, 1, {"kind": "saturation", "limit": 250.0}, controller=[PD | {"torque_limit": 300.0}]),
-        ),
+    limited, saturation = [PD | {"torque_limit": 300.0}], {"kind": "saturation", "limit": 250.0}
+    for text, scene in (
+        ("the torque limit, 300 N·m", with_encoder(robot, 4e3, controller=limited)),
+        ("the torque limit, 250 N·m", with_encoder(robot, 4e3, 1, saturation, controller=limited)),
         ("the torque limit, 800 N·m", with_encoder(robot, 4e3, motor=motor)),
         ("the largest torque that the motion needs", with_encoder(robot, 4e3)),
-    ]  # fmt: skip
-    for text, scene in cases:
+    ):
         loop = loop_of(scene, about_rest=True)
         sentence = coarse_counts(scene, loop, WiredLoop(scene, loop)) or ""
         assert text in sentence
@@ -105,9 +101,3 @@ def test_who_rattles_is_told(robot: Scene, counts: float, coarse: bool) -> None:
     told = any("one count of encoder (1.57 mrad" in each for each in run.health.messages)
     assert told is (result.coarse_counts is not None) is coarse
     assert result.is_stable
-
-
-def test_runs_without_roundings_say_nothing(robot: Scene) -> None:
-    """Neither does a loop without an encoder."""
-    assert run_scene(robot).health.messages == ()
-    assert flexfmu.margins(robot, poses=1).coarse_counts is None

@@ -83,19 +83,12 @@ def test_payload_errors_count() -> None:
     assert abs(heavy[0].imag) < abs(exact[0].imag)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"cosimulation.drive": "motion", "controller": []}, "has no loop: margins need"),
-        (
-            {"controller": [{**PD, "sample_time": 0.001234567}, {"kind": "feedforward", "sample_time": 0.00098765}]},
-            "have a common period",
-        ),
-    ],
-)
-def test_what_has_no_margins_says_why(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        scene_margins(looped(PD).replace(changes), poses=1)
+def test_what_has_no_margins_says_why() -> None:
+    uneven = [{**PD, "sample_time": 0.001234567}, {"kind": "feedforward", "sample_time": 0.00098765}]
+    with pytest.raises(InputError, match="has no loop: margins need"):
+        scene_margins(looped(PD).replace({"cosimulation.drive": "motion", "controller": []}), poses=1)
+    with pytest.raises(InputError, match="have a common period"):
+        scene_margins(looped(PD).replace({"controller": uneven}), poses=1)
 
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
@@ -197,8 +190,7 @@ def lqg(position_error: float, measurement_noise: float, **other: Any) -> Scene:
 def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
     """As by a sweep over 41 poses; the command fails, and the run warns."""
     found = scene_margins(scene, poses=2)
-    ends = [pose for pose in found.poses if pose.s in (0.0, 1.0)]
-    assert all(pose.is_stable for pose in ends)
+    assert all(pose.is_stable for pose in found.poses if pose.s in (0.0, 1.0))
     assert not found.is_stable
     assert found.worst.gain_margin == 1.0
     loop = loop_of(scene, about_rest=True)
@@ -209,18 +201,6 @@ def test_the_worst_pose_is_found_between_stable_ends(scene: Scene) -> None:
     warning = stability_warning(flexfmu.run(scene))
     assert warning is not None
     assert f"the loop is unstable about the pose at {100.0 * worst.s:.2g}"[:-1] in warning
-
-
-@pytest.mark.slow
-def test_between_poses_the_worst_margins_are_those_of_a_sweep() -> None:
-    """With a long arm outside the middle of the path, nothing is worst at an end, nor in the middle."""
-    scene = looped(
-        {**PD, "schedule": {"over": "end_effector.position.x", "at": [-0.1, 0.03, 0.05], "derivative": [1.0, 1.7, 0.9]}}
-    )
-    found = scene_margins(scene, poses=2).worst
-    swept = scene_margins(scene, poses=25).worst
-    for name in ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak"):
-        assert getattr(found, name) == pytest.approx(getattr(swept, name), rel=0.01), name
 
 
 @pytest.mark.slow
