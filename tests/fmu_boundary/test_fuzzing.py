@@ -1,4 +1,4 @@
-"""Drawn sequences of FMI calls under the sanitizers, each call judged by what the standard and the FMU promise; two threads.
+"""Drawn sequences of FMI calls under the sanitizers, each call judged by what the standard and the FMU promise.
 
 `make fuzz` runs 100 000 sequences of each, more than 10^7 calls; FLEXFMU_FUZZ sets another number. A sequence that fails is repeated with
 ``FUZZ_TRACE=1 program 1 NUMBER``.
@@ -11,7 +11,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from boundary_support.harness import ADDRESS, COMPILER, THREAD, build, has_sanitizer, run
+from boundary_support.harness import ADDRESS, COMPILER, build, has_sanitizer, run
 from boundary_support.subjects import FILES, SUBJECTS
 
 SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "500"))
@@ -39,11 +39,3 @@ def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
     program = build(tmp_path, SUBJECTS[name](), FUZZER, ("-O1", "-g"))
     options = ("--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
     assert run("valgrind", *options, program, FEWER).startswith(f"{FEWER} sequences, ")
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_two_threads_do_not_touch_each_other(name: str, tmp_path: Path) -> None:
-    """Masters step their FMUs in parallel; each must get what it gets alone, and share no memory that changes."""
-    flags = THREAD if has_sanitizer("thread", tmp_path) else ("-O2",)
-    program = build(tmp_path, SUBJECTS[name](), ("threads.c",), flags)
-    assert run(program, TSAN_OPTIONS="halt_on_error=1") == ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import shutil
 import stat
 import tempfile
 import zipfile
@@ -112,29 +111,15 @@ def test_another_compiler_is_another_build(make_oscillators: MakeModel, monkeypa
         build_fmu(_never, key="oscillators")
 
 
-@pytest.mark.parametrize("damage", ["empty", "text", "flipped"])
-def test_damaged_cache_entry_is_built_again(make_oscillators: MakeModel, damage: str) -> None:
+def test_damaged_cache_entry_is_built_again(make_oscillators: MakeModel) -> None:
     """A crashed disk or a curious person does not break anything."""
     first = build_fmu(make_oscillators, key="oscillators")
     intact = first.path.read_bytes()
     flipped = bytearray(intact)
     flipped[len(intact) // 2] ^= 255
-    first.path.write_bytes({"empty": b"", "text": b"not a zip", "flipped": bytes(flipped)}[damage])
+    first.path.write_bytes(flipped)
     second = build_fmu(make_oscillators, key="oscillators")
     assert (second.cached, second.path.read_bytes()) == (False, intact)
-
-
-@pytest.mark.slow
-def test_damaged_object_files_are_compiled_again(make_oscillators: MakeModel, cache_folder: Path) -> None:
-    """Half-written object files never reach the linker."""
-    intact = build_fmu(make_oscillators, key="oscillators").path.read_bytes()
-    shared = (cache_folder / "objects").readlink()
-    (cache_folder / "objects").unlink()
-    shutil.copytree(shared, cache_folder / "objects")
-    for path in (cache_folder / "objects").iterdir():
-        path.write_bytes(path.read_bytes()[:-1])
-    next(cache_folder.glob("*.fmu")).unlink()
-    assert build_fmu(make_oscillators, key="oscillators").path.read_bytes() == intact
 
 
 def test_concurrent_builds_agree(make_oscillators: MakeModel) -> None:

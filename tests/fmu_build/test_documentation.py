@@ -6,6 +6,7 @@ from collections.abc import Callable
 from html import unescape
 from html.parser import HTMLParser
 from io import BytesIO
+from pathlib import Path
 
 import pytest
 from matplotlib.image import imread
@@ -13,6 +14,7 @@ from matplotlib.image import imread
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.picture import plant_picture, png
 from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.templating import render
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.file import load_scene
@@ -73,43 +75,27 @@ def test_page_tells_all_effects_and_variables(robot: SymbolicModel) -> None:
     assert all("of Barnard, Briot and Caro (2012)" in sentence for sentence in cited)
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        (
-            {"effects.basis": "assumed-modes"},
-            {
-                "link11.bending[2]": "2 of proximal link 1 (link11): the paper's second assumed mode, eq. (1)",
-                "link22.bending[1]": "1 of distal link 2 (link22): first mode of a beam pinned at both ends",
-                "link12.axial[1]": "1 of distal link 1 (link12): the paper's first assumed mode, eq. (2)",
-            },
-        ),
-        (
-            {"effects.basis": "craig-bampton"},
-            {
-                "link21.bending[1]": "1 of proximal link 2 (link21): Craig and Bampton's static shape under a force at the tip, as "
-                "the tip's displacement",
-                "link12.axial[2]": "2 of distal link 1 (link12): Craig and Bampton's first mode with the tip held",
-            },
-        ),
-        (
-            {"effects.basis": "craig-bampton", "effects.beam": "timoshenko", "mechanism.material.poissons_ratio": 0.33},
-            {
-                "link21.bending[2]": "2 of proximal link 2 (link21): Craig and Bampton's first mode with the tip held, with "
-                "shear and rotary inertia"
-            },
-        ),
-    ],
-    ids=["assumed modes", "Craig-Bampton", "Timoshenko"],
-)
-def test_coordinates_say_which_shape_and_link_they_belong_to(
-    changes: dict[str, object], expected: dict[str, str]
-) -> None:
+SHAPES = {
+    "assumed-modes": """
+        link11.bending[2]: 2 of proximal link 1 (link11): the paper's second assumed mode, eq. (1)
+        link22.bending[1]: 1 of distal link 2 (link22): first mode of a beam pinned at both ends
+        link12.axial[1]: 1 of distal link 1 (link12): the paper's first assumed mode, eq. (2)""",
+    "craig-bampton": """
+        link21.bending[1]: 1 of proximal link 2 (link21): Craig and Bampton's static shape under a force at the tip, as the tip's displacement
+        link12.axial[2]: 2 of distal link 1 (link12): Craig and Bampton's first mode with the tip held""",
+}
+"""Basis → name and description of some coordinates."""
+
+
+@pytest.mark.parametrize("basis", SHAPES)
+def test_coordinates_say_which_shape_and_link_they_belong_to(basis: str) -> None:
     """Each has a text of its own, with the shape's number, where it comes from, and the link in words."""
     modes = {f"effects.{family}": 2 for family in ("proximal_bending", "distal_bending", "distal_axial")}
-    model = build_model(load_scene("barnard2012-6kg").replace(modes | changes))
+    model = build_model(load_scene("barnard2012-6kg").replace(modes | {"effects.basis": basis}))
     texts = {each.name: each.description for each in model.outputs if each.name.startswith("link") and "[" in each.name}
-    assert {name: texts[name].partition(" coordinate ")[2] for name in expected} == expected
+    for line in SHAPES[basis].strip().splitlines():
+        name, _, text = line.strip().partition(": ")
+        assert texts[name].partition(" coordinate ")[2] == text
     assert len(set(texts.values())) == len(texts) == 12
 
 
@@ -122,6 +108,14 @@ def test_mechanism_is_drawn_to_scale(robot: SymbolicModel) -> None:
     assert lengths[3] / lengths[2] == pytest.approx(0.38079 / 0.24)
     assert lines[1].end == pytest.approx(lines[3].end)
     assert len({label.text for label in picture.labels}) == len({label.at for label in picture.labels}) == 9
+
+
+def test_fmus_carry_the_licence_of_the_project() -> None:
+    """The licence inside an FMU is the project's own, word for word."""
+    licence = Path(__file__).parents[2] / "LICENSE"
+    if not licence.is_file():
+        pytest.skip("tests run away from the source tree")
+    assert render("license.txt") == licence.read_text(encoding="utf-8")
 
 
 def test_names_cannot_break_the_page(make_oscillators: Callable[..., SymbolicModel]) -> None:

@@ -52,26 +52,23 @@ def test_path_does_not_matter(scene: Scene) -> None:
     assert first == second
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"name": "other"},
-        {"mechanism.working_mode": "elbows-in", "mechanism.assembly_mode": "right"},
-        {"mechanism.base_half_distance": 0.11},
-        {"mechanism.proximal.diameter": 0.04},
-        {"mechanism.material.density": 7800.0},
-        {"payload.mass": 0.1},
-        {"effects.gravity": (0.0, 0.0)},
-        {"effects.proximal_bending": 2},
-        {"effects.damping": {"kind": "stiffness", "time": 1e-4}},
-        {"trajectory.start": (-0.17, 0.32)},
-        {"cosimulation.initial": "undeformed"},
-    ],
-    ids=lambda changes: next(iter(changes)),
-)
-def test_all_else_matters(scene: Scene, changes: dict[str, Any]) -> None:
+def test_all_else_matters(scene: Scene) -> None:
     """Whatever the model depends on is in the key."""
-    assert scene_key(scene.replace(changes)) != scene_key(scene)
+    changes: dict[str, Any] = {
+        "name": "other",
+        "mechanism.base_half_distance": 0.11,
+        "mechanism.proximal.diameter": 0.04,
+        "mechanism.material.density": 7800.0,
+        "payload.mass": 0.1,
+        "effects.gravity": (0.0, 0.0),
+        "effects.proximal_bending": 2,
+        "effects.damping": {"kind": "stiffness", "time": 1e-4},
+        "trajectory.start": (-0.17, 0.32),
+        "cosimulation.initial": "undeformed",
+    }
+    other_mode = {"mechanism.working_mode": "elbows-in", "mechanism.assembly_mode": "right"}
+    keys = [scene_key(scene.replace(each)) for each in ({}, other_mode, *({key: changes[key]} for key in changes))]
+    assert len(set(keys)) == len(keys)
 
 
 @pytest.mark.slow

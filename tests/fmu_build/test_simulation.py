@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.fmu_build.interface import STATISTICS
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]
@@ -44,13 +43,15 @@ def _simulate(path: Path, **settings: Any) -> Any:
 
 
 def test_free_oscillation_agrees_with_its_closed_form(make_oscillators: MakeModel) -> None:
-    """The whole way from symbols to a running binary gives the right motion, to the tolerance."""
+    """The whole way from symbols to a running binary gives the right motion, to the tolerance of the build or of the importer."""
     path = build_fmu(make_oscillators(static_start=False), tolerance=1e-10).path
-    result = _simulate(path, stop_time=2.0, output_interval=1e-2)
-    computed = np.column_stack([result[name] for name in STATES])
-    expected = _released(result["time"])
-    scale = np.abs(expected).max(axis=0)
-    np.testing.assert_allclose(computed / scale, expected / scale, atol=1e-8)
+    errors = []
+    for tolerance in (1e-4, 1e-6, 1e-8, None):
+        result = _simulate(path, stop_time=10.0, output_interval=1.0, relative_tolerance=tolerance)
+        computed, expected = np.column_stack([result[name] for name in STATES]), _released(result["time"])
+        errors.append((np.abs(computed - expected) / np.abs(expected).max(axis=0)).max())
+        assert errors[-1] < 10.0 * (tolerance or 1e-9)
+    assert errors == sorted(errors, reverse=True)
     np.testing.assert_allclose(result["first.spring_force"], -STIFFNESS * result["first.position"], rtol=1e-14)
 
 
@@ -77,18 +78,6 @@ def test_variants_side_by_side_start_as_their_fmu_does(
         np.testing.assert_allclose(np.column_stack([first, second]), expected, atol=1e-6 * abs(rest).max())
 
 
-def test_tolerance_is_honoured(make_oscillators: MakeModel) -> None:
-    """A tighter relative tolerance of the importer gives a smaller error, down to its size."""
-    path = build_fmu(make_oscillators(static_start=False)).path
-    errors = []
-    for tolerance in (1e-4, 1e-6, 1e-8):
-        result = _simulate(path, stop_time=10.0, output_interval=1.0, relative_tolerance=tolerance)
-        expected = _released(result["time"])[:, 0]
-        errors.append(np.abs(result["first.position"] - expected).max() / np.abs(expected).max())
-        assert errors[-1] < 10 * tolerance
-    assert errors[0] > errors[1] > errors[2]
-
-
 def test_static_start_stays_where_it_is(make_oscillators: MakeModel) -> None:
     """The FMU finds the equilibrium under its start inputs, and equilibrium is no motion; without arguments an importer runs the
     experiment that the build was given. One binary serves every mass, and the choice of the start is a parameter too."""
@@ -111,17 +100,3 @@ def test_model_without_unknowns_is_an_fmu_too(make_lever: MakeModel) -> None:
         str(build_fmu(make_lever()).path), stop_time=1.0, output_interval=0.1, input=ramp, output=["angle", "angle_out"]
     )
     np.testing.assert_allclose(result["angle_out"], 2.0 * result["angle"], atol=1e-14)
-
-
-def test_statistics_tell_the_work(make_oscillators: MakeModel) -> None:
-    """The integrator's counters are variables like any other; equilibrium costs less than motion."""
-    path = build_fmu(make_oscillators()).path
-    names = [*STATISTICS]
-    work = [
-        fmpy.simulate_fmu(str(path), stop_time=1.0, output_interval=0.1, output=names, start_values={"initial": start})
-        for start in (1, 2)
-    ]
-    resting, moving = ([int(result[name][-1]) for name in names] for result in work)
-    assert moving[0] > 10
-    assert moving[2] >= moving[0]
-    assert resting[2] < moving[2]

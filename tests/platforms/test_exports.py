@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from flexfmu.fmu_build.sources import Sources
-from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler, fmi_header_folder, native_platform
+from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler, native_platform
+from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
 
 pytestmark = pytest.mark.slow
 
@@ -29,20 +29,9 @@ OLDEST_GLIBC = {"linux64": (2, 14), "aarch64-linux": (2, 17)}
 """Of 2011, and the first one that ARM had."""
 
 
-def _fmi_functions(description: str) -> set[str]:
-    """What the standard's header declares for the interfaces that the model description names."""
-    header = (fmi_header_folder() / "fmi2Functions.h").read_text(encoding="utf-8")
-    _, _, _, common, exchange, cosimulation = re.split(r"^(?:Common Functions|Functions for FMI2)", header, flags=re.M)[
-        -6:
-    ]
-    interfaces = {"<ModelExchange": exchange, "<CoSimulation": cosimulation}
-    sections = [common, *(section for tag, section in interfaces.items() if tag in description)]
-    return {name for section in sections for name in re.findall(r"FMI2_Export \w+ +(fmi2\w+);", section)}
-
-
 @pytest.mark.usefixtures("zig")
 @pytest.mark.parametrize("name", PLATFORMS)
-def test_exports_and_needs(name: str, library_for: LibraryFor, robot_sources: Sources) -> None:
+def test_exports_and_needs(name: str, library_for: LibraryFor) -> None:
     """An importer finds every function of the interfaces, and two FMUs in one process cannot see each other's. An FMU is carried
     to machines of which nothing is known but their C library, which may be that of an enterprise system of ten years ago."""
     lief = pytest.importorskip("lief")
@@ -56,7 +45,7 @@ def test_exports_and_needs(name: str, library_for: LibraryFor, robot_sources: So
         needed = list(binary.libraries)
         exported = binary.get_export().entries if suffix == ".dll" else binary.exported_symbols
         exports = {each.name for each in exported}
-    assert exports == _fmi_functions(robot_sources.description)
+    assert exports == COSIMULATION_FUNCTIONS | EXCHANGE_FUNCTIONS
     assert needed
     assert [each for each in needed if not re.fullmatch(NEEDED[suffix], each, re.IGNORECASE)] == []
     if name in OLDEST_GLIBC:

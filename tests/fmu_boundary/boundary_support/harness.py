@@ -16,7 +16,6 @@ C_TESTS = Path(__file__).parents[1] / "c"
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-type-limits")  # zero inputs make comparisons trivial
 ADDRESS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-THREAD = ("-O1", "-g", "-fsanitize=thread")
 COMMON = ("importer.c",)
 
 
@@ -60,5 +59,5 @@ def build(folder: Path, subject: Subject, tests: tuple[str, ...], flags: tuple[s
     with ThreadPoolExecutor(2) as pool:
         objects = list(pool.map(compile_one, jobs))
     program = folder / "program"
-    run(COMPILER, *flags, *objects, "-lm", "-lpthread", "-o", program)
+    run(COMPILER, *flags, *objects, "-lm", "-o", program)
     return program
