@@ -110,7 +110,6 @@ ALONE = {
     "cosim.studies.workprec.solver_trials": "other solvers and equations for them, which hard cases use too",
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
-    "model.scene.picture": "drawing",
     "model.time_derivatives": "derivatives of the equations along a motion, for the runtime",
     "model.multipliers": "the second form of the equations",
     "model.reference_design.optimal_control": "sequential convex programmes",

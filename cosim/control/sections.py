@@ -82,8 +82,6 @@ def builds(kind: type[S]) -> Callable[[Callable[[S, LoopContext], Any]], Callabl
 def block_of(section: Section, context: LoopContext) -> Any:
     """What the builder of a section makes: a block, several of them, a slave, or a `Shaper`; errors as for `build`."""
     _register_all()
-    if type(section) not in _BUILDERS:
-        raise InputError(f"no module of flexfmu.cosim.control builds a {type(section).__name__}: add one with @builds")
     return _BUILDERS[type(section)](section, context)
 
 
@@ -93,7 +91,7 @@ def build(section: Section, context: LoopContext) -> Any:
     Several blocks are called after the section, an underscore between: ``cascade_position``.
 
     Raises:
-        InputError: it can't be built, or no builder is registered for its class.
+        InputError: it can't be built.
         TrajectoryError: a shaper doesn't exist for these modes.
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave

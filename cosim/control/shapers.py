@@ -56,22 +56,20 @@ class Shaper:
 @builds(ImpulseShaperSection)
 def _from_section(section: ImpulseShaperSection, context: LoopContext) -> Shaper:
     """Build a shaper of the catalogue, for the modes of the section or the lowest modes at the end pose."""
-    # modes from the scene file
     if section.modes is not None:
         modes = [Oscillator(mode.frequency, mode.ratio) for mode in section.modes]
-        return _applied(design(section.kind, modes), section)
-    from flexfmu.model.statics import damped_modes
+    else:
+        from flexfmu.model.statics import damped_modes
 
-    # modes at the end pose, where the residual vibration occurs
-    found = damped_modes(context.scene, context.joints.evaluate(context.joints.duration, 0, "left")[0, 0])
-    count = section.mode_count
-    if len(found.frequencies) < count:
-        raise InputError(
-            f"`shaper.mode_count` = {count}, but scene {context.scene.name} has {len(found.frequencies)} modes that vibrate; "
-            "take fewer, or name `modes`"
-        )
-    pairs = zip(found.frequencies[:count], found.ratios[:count], strict=True)
-    modes = [Oscillator(float(frequency), float(ratio)) for frequency, ratio in pairs]
+        # at the end pose, where the residual vibration occurs
+        found = damped_modes(context.scene, context.joints.evaluate(context.joints.duration, 0, "left")[0, 0])
+        if len(found.frequencies) < section.mode_count:
+            raise InputError(
+                f"`shaper.mode_count` = {section.mode_count}, but scene {context.scene.name} has {len(found.frequencies)} modes "
+                "that vibrate; take fewer, or name `modes`"
+            )
+        pairs = list(zip(found.frequencies.tolist(), found.ratios.tolist(), strict=True))
+        modes = [Oscillator(*each) for each in pairs[: section.mode_count]]
     return _applied(design(section.kind, modes), section)
 
 

@@ -233,29 +233,26 @@ class RunMetrics(Mapping[str, Metric]):
         try:
             lines = self._lines()
         except (CosimError, EquilibriumError) as error:
-            return f"{self._head()}: {shorten(str(error), 200)}"
+            return f"Metrics of {self._name}, in SI units: {shorten(str(error), 200)}"
         rest = shorten(f"… {max(len(lines) - 3, 0)} more, print shows them: {', '.join([*self._numbers][3:])}", 77)
-        return "\n".join([f"{self._head()}:", *lines[:3], f"  {rest}"])
+        return "\n".join([f"Metrics of {self._name}, in SI units:", *lines[:3], f"  {rest}"])
 
     def __str__(self) -> str:
         """Return all metrics, a line each."""
-        return "\n".join([f"{self._head()}:", *self._lines()])
-
-    def _head(self) -> str:
-        return f"Metrics of {self._name}, in SI units"
+        return "\n".join([f"Metrics of {self._name}, in SI units:", *self._lines()])
 
     def _lines(self) -> list[str]:
         width = max(map(len, self._numbers), default=0)
-        return [f"  {name:<{width}}  {shorten(repr(each), 75 - width)}" for name, each in self._shown()]
+        return [f"  {name:<{width}}  {shorten(repr(each), 75 - width)}" for name, each in self._shown.items()]
 
-    def _shown(self) -> list[tuple[str, Metric]]:
-        """Return name and metric; if errors are known already, the companion's."""
-        known = self._with_errors if "_with_errors" in self.__dict__ else self._numbers
-        return [*known.items()]
+    @property
+    def _shown(self) -> Mapping[str, Metric]:
+        """The metrics; if errors are known already, the companion's."""
+        return self._with_errors if "_with_errors" in self.__dict__ else self._numbers
 
     def _repr_html_(self) -> str:
         try:
-            rows = [(name, repr(each), each.description) for name, each in self._shown()]
+            rows = [(name, repr(each), each.description) for name, each in self._shown.items()]
         except (CosimError, EquilibriumError) as error:
             rows = [("", str(error), "")]
         return html_table(("metric", "value", "meaning"), rows)

@@ -6,7 +6,7 @@ A new effect needs a key in `Effects`, its class in `EFFECTS` and, unless `selec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
@@ -23,24 +23,13 @@ Acceleration = Annotated[float, Field(ge=-1e4, le=1e4)]
 ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
 
 
-class EffectSection(Section):
-    """An effect with a sentence in the summary of a run, ``text``, in which {0} stands for the section."""
-
-    text: ClassVar[str]
-
-    @property
-    def sentence(self) -> str:
-        """What the summary of a run says of it."""
-        return self.text.format(self)
-
-
 class NoDampingSection(Section):
     """No structural damping."""
 
     kind: Literal["none"] = "none"
 
 
-class ModalDampingSection(EffectSection):
+class ModalDampingSection(Section):
     """C_ii = 2 ratio sqrt(K_ii M_ii) for every mode of every link, with the link's own modal mass and stiffness."""
 
     text: ClassVar[str] = "Modal damping of every link mode, ratio {0.ratio:g}"
@@ -48,7 +37,7 @@ class ModalDampingSection(EffectSection):
     ratio: Annotated[float, quantity("1", ge=0.0, le=1e3)]
 
 
-class StiffnessDampingSection(EffectSection):
+class StiffnessDampingSection(Section):
     """C = time * K on the elastic coordinates."""
 
     text: ClassVar[str] = "Damping proportional to the stiffness, time constant {0.time:g} s"
@@ -56,7 +45,7 @@ class StiffnessDampingSection(EffectSection):
     time: Annotated[float, quantity("s", ge=0.0, le=1e3)]
 
 
-class MassDampingSection(EffectSection):
+class MassDampingSection(Section):
     """C = rate * M on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
     text: ClassVar[str] = "Damping proportional to the mass, rate {0.rate:g} 1/s"
@@ -64,7 +53,7 @@ class MassDampingSection(EffectSection):
     rate: Annotated[float, quantity("1/s", ge=0.0, le=1e6)]
 
 
-class RayleighDampingSection(EffectSection):
+class RayleighDampingSection(Section):
     """C = rate * M + time * K on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
     text: ClassVar[str] = "Damping {0.rate:g} 1/s times the mass and {0.time:g} s times the stiffness"
@@ -80,7 +69,7 @@ DampingSection = Annotated[
 ]
 
 
-class SmoothFrictionSection(EffectSection):
+class SmoothFrictionSection(Section):
     """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor, with the motor rate w."""
 
     text: ClassVar[str] = "Friction of each motor: {0.viscous:g} N m s/rad viscous, {0.coulomb:g} N m dry"
@@ -95,7 +84,7 @@ class SmoothFrictionSection(EffectSection):
         return bool(self.viscous or self.coulomb)
 
 
-class StictionSection(EffectSection):
+class StictionSection(Section):
     """Friction with stiction: a motor sticks up to `breakaway` (by default `coulomb`), and slips with `coulomb`.
 
     With a Stribeck velocity w_s, friction falls smoothly: coulomb + (breakaway - coulomb) exp(-(w / w_s)²).
@@ -238,12 +227,16 @@ class Load:
     Attributes:
         absent: value of the key without the effect.
         change: the difference without the effect, in words.
-        sentence: value of the key → sentence in the summary of a run.
+        text: sentence in the summary of a run, in which {0} stands for the value; by default the ``text`` of the value, a section.
     """
 
     absent: Any
     change: str
-    sentence: Callable[[Any], str]
+    text: str = ""
+
+    def sentence(self, value: Any) -> str:
+        """What the summary of a run says of this value."""
+        return (self.text or str(value.text)).format(value)
 
     def is_in(self, value: Any) -> bool:
         """Whether this value of the key adds the effect to the model; sections may have `is_there` for this."""
@@ -252,30 +245,12 @@ class Load:
 
 LOADS: Mapping[str, Load] = {
     "payload.inertia": Load(
-        absent=0.0,
-        change="without the payload's rotary inertia",
-        sentence=lambda inertia: f"Rotary inertia of the payload of {inertia:g} kg m2, on link 12",
+        0.0, "without the payload's rotary inertia", "Rotary inertia of the payload of {0:g} kg m2, on link 12"
     ),
-    "gravity": Load(
-        absent=(0.0, 0.0),
-        change="without gravity",
-        sentence=lambda gravity: "Gravity of ({:g}, {:g}) m/s2".format(*gravity),
-    ),
-    "damping": Load(
-        absent=NoDampingSection(), change="without structural damping", sentence=lambda damping: damping.sentence
-    ),
-    "motor_inertia": Load(
-        absent=0.0,
-        change="without the motors' inertia",
-        sentence=lambda inertia: f"Inertia of {inertia:g} kg m2 of each motor",
-    ),
-    "joint_friction": Load(
-        absent=SmoothFrictionSection(), change="without friction", sentence=lambda friction: friction.sentence
-    ),
-    "transmission": Load(
-        absent=None,
-        change="with rigid transmissions",
-        sentence=lambda transmission: f"Elastic transmissions of {transmission.stiffness:g} N m/rad",
-    ),
+    "gravity": Load((0.0, 0.0), "without gravity", "Gravity of ({0[0]:g}, {0[1]:g}) m/s2"),
+    "damping": Load(NoDampingSection(), "without structural damping"),
+    "motor_inertia": Load(0.0, "without the motors' inertia", "Inertia of {0:g} kg m2 of each motor"),
+    "joint_friction": Load(SmoothFrictionSection(), "without friction"),
+    "transmission": Load(None, "with rigid transmissions", "Elastic transmissions of {0.stiffness:g} N m/rad"),
 }
 """Load for each key, in the order of `flexfmu effects`; the key is below `effects` unless it contains a dot."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from functools import reduce
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
 MOST_ERRORS = 20
 """Largest number of errors that a message names."""
-
-PATH_POINTS = 200
-"""Pieces of a path in a picture."""
 
 LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
 """Limits [m, kg/m3, Pa] of usual robots and structural materials; values beyond them suggest a wrong unit."""
@@ -83,33 +80,14 @@ class Scene(Section):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """Return a table of all sections, and a picture of mechanism and path."""
-        from flexfmu.model.scene.picture import scene_html, scene_picture  # for notebooks alone
-
+        """Return a table of all sections."""
         sections = list[tuple[str, str]]()
         for key in type(self).model_fields:
             value = getattr(self, key)
             many = value if isinstance(value, tuple) else (value,)
             sections += [(key, _listed(each)) for each in many if isinstance(each, Section)]
-        return scene_html(f"Scene {self.name}", sections, scene_picture(self.mechanism, self.path_points))
-
-    @property
-    def path_points(self) -> list[Point]:
-        """Points x, y [m] along the path of the rigid end effector, as many as a picture needs; of a table those of its rows."""
-        section = self.trajectory
-        if isinstance(section, TrajectorySection):
-            length = section.path.length
-            x, y = section.path.jets([length * k / PATH_POINTS for k in range(PATH_POINTS + 1)], 0)
-            return list(zip(x.value.tolist(), y.value.tolist(), strict=True))
-        rows = [(first, second) for first, second in section.table.derivatives[0].tolist()]
-        if section.table.coordinates == "end-effector":
-            return rows
-        points = [self.start]
-        for row in rows:
-            # a table may lead beyond the workspace, which planning it tells
-            with suppress(ValueError):
-                points.append(end_effector(self.mechanism, row))
-        return points
+        rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(text)}</td></tr>" for key, text in sections)
+        return f"<p><b>Scene {escape(self.name)}</b></p><table><tbody>{rows}</tbody></table>"
 
     @model_validator(mode="before")
     @classmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,17 @@ def test_the_papers_scenes_are_shipped() -> None:
     assert (scene.mechanism.proximal.length, scene.payload.mass, scene.unit_hints) == (0.24, 6.0, ())
     assert scene.effects.damping == ModalDampingSection(kind="modal", ratio=0.1357)
     assert scene.replace({}) == scene
+
+
+def test_a_scene_shows_its_sections() -> None:
+    """In a notebook each section is a row, with the keys that differ from their defaults."""
+    html = load_scene("barnard2012-6kg")._repr_html_()
+    for key, text in (
+        ("payload", "mass = 6.0"),
+        ("trajectory", "duration = 0.43"),
+        ("mechanism", "base_half_distance"),
+    ):
+        assert re.search(f"<th>{key}</th><td>[^<]*{text}", html)
 
 
 def test_damping_may_be_left_out_or_none(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_law() -> None:
     """Each output lies between this sample and the last one, at the place that the ramp's delay tells."""
     part = delays(400)[:, None] / H
     u = np.random.default_rng(1).normal(size=(400, 2))
-    y = sampled(jitter(4e-4, 1, sample_time=H, initial=(0.5, -0.5)), u)
+    y = sampled(jitter(1e-4, 1, sample_time=H, initial=(0.5, -0.5)), u, {"largest_delay": 4e-4})
     last = np.vstack([[0.5, -0.5], u[:-1]])
     np.testing.assert_allclose(y, u - part * (u - last), rtol=0, atol=1e-12)
 
