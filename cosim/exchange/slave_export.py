@@ -108,7 +108,11 @@ def export_slaves(
     step = scene.cosimulation.communication_step
     chosen = _chosen(system.slaves, names, step)
     # an FMU for each slave
-    options = {"platforms": None if platforms is None else tuple(platforms), "naming": naming, "cache": cache}
+    options: dict[str, Any] = {
+        "platforms": None if platforms is None else tuple(platforms),
+        "naming": naming,
+        "cache": cache,
+    }
     flat = namer(naming)
 
     def called(slave: Slave) -> Callable[[str], str]:
@@ -119,8 +123,16 @@ def export_slaves(
     for number, facts in enumerate(slave_facts(chosen)):
         progress(f"exporting {facts.name}", number / len(chosen))
         path = folder / f"{facts.name}.fmu"
-        _write(chosen[number], path, scene, stop_time, options)
-        slave = chosen[number]
+        # copied, or built with a default experiment that ends with the scene
+        match slave := chosen[number]:
+            case FmuSlave() | SampledFmu() | FmuTask() if _is_copied(slave):
+                write_atomically(path, slave.path.read_bytes())
+            case FmuSlave():
+                build_scene(scene, output=path, **options)
+            case BlockSlave():
+                build_fmu(slave.block, path, stop_time=stop_time, **options)
+            case TrajectorySlave():
+                build_fmu(Motion(slave.trajectory), path, stop_time=stop_time, step=step, **options)
         values = slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}
         if slave is system.plant:
             values = {**system.changes, **system.constants}
@@ -134,20 +146,6 @@ def export_slaves(
     connections = ((ports.get(source), ports.get(target)) for source, target in system.wiring.connections)
     joined = tuple((source, target) for source, target in connections if source is not None and target is not None)
     return ExportedSystem(tuple(exported), joined, step, stop_time)
-
-
-def _write(slave: Slave, path: Path, scene: Scene, stop_time: float, options: Mapping[str, Any]) -> None:
-    """Build or copy the slave's FMU; the default experiment of a built one ends at ``stop_time`` [s]."""
-    match slave:
-        case FmuSlave() | SampledFmu() | FmuTask() if _is_copied(slave):
-            write_atomically(path, slave.path.read_bytes())
-        case FmuSlave():
-            build_scene(scene, output=path, **options)
-        case BlockSlave():
-            build_fmu(slave.block, path, stop_time=stop_time, **options)
-        case TrajectorySlave():
-            step = scene.cosimulation.communication_step
-            build_fmu(Motion(slave.trajectory), path, stop_time=stop_time, step=step, **options)
 
 
 def _is_copied(slave: Slave) -> bool:

@@ -166,7 +166,15 @@ def step_groups(system: System, algorithm: Algorithm) -> tuple[StepGroup, ...]:
     stepped, signals = _stepped(system)
     if algorithm.solver is None:
         return tuple(StepGroup((i,)) for i in stepped)
-    return tuple(_group(each, stepped, signals, algorithm.solver) for each in _ordered_rings(stepped, signals))
+    groups = []
+    for members in _ordered_rings(stepped, signals):
+        order = tuple(i for i in stepped if i in members)
+        # tear the connections from slaves that are stepped later, or from the slave itself
+        position = {slave: i for i, slave in enumerate(order)}
+        inner = [each for each in signals if each.source in position and each.target in position]
+        torn = tuple(each for each in inner if position[each.source] >= position[each.target])
+        groups.append(StepGroup(order, torn, algorithm.solver if torn else None))
+    return tuple(groups)
 
 
 def step_order(system: System, algorithm: Algorithm) -> tuple[int, ...]:
@@ -200,13 +208,3 @@ def _ordered_rings(stepped: Sequence[int], signals: Sequence[Connection]) -> lis
     for ring in rings:
         members[owner[min(ring)]] = {i for i, _ in ring}
     return [members[position] for position in order_of_calls(contracted(graph, rings), owner)]
-
-
-def _group(members: set[int], stepped: Sequence[int], signals: Sequence[Connection], solver: LoopSolver) -> StepGroup:
-    """The step group of a closed loop of slaves, or of a single one."""
-    order = tuple(i for i in stepped if i in members)
-    # tear the connections from slaves that are stepped later, or from the slave itself
-    position = {slave: i for i, slave in enumerate(order)}
-    inner = [each for each in signals if each.source in position and each.target in position]
-    torn = tuple(each for each in inner if position[each.source] >= position[each.target])
-    return StepGroup(order, torn, solver if torn else None)

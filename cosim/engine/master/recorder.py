@@ -135,8 +135,9 @@ class Recorder:
 
     @property
     def times(self) -> RealArray:
-        """(count,) recorded instants [s]."""
-        return self._joined(0)
+        """(count,) recorded instants [s]; a copy only if step control has needed several parts of memory."""
+        pieces = [part[0] for part in self._parts]
+        return pieces[0][: self._count] if len(pieces) == 1 else np.concatenate(pieces)[: self._count]
 
     @property
     def last(self) -> float:
@@ -204,11 +205,6 @@ class Recorder:
         if len(self._parts) == 1:
             return self._parts[0][:, : self._count]
         return np.concatenate(self._parts, axis=1)[:, : self._count]
-
-    def _joined(self, column: int) -> RealArray:
-        """What is recorded in a column; a copy only if step control has needed several parts of memory."""
-        pieces = [part[column] for part in self._parts]
-        return pieces[0][: self._count] if len(pieces) == 1 else np.concatenate(pieces)[: self._count]
 
 
 Kept = Sequence[tuple[int, str, SlaveVariable]]

@@ -417,17 +417,11 @@ class Simulator:
             error = interrupted
         finally:
             recorder.catch_up()
-        return RunEnd(error, recorder.count > 0, self._schedule.active_name, self._recorded_so_far())
-
-    def _recorded_so_far(self) -> StepStatistics:
-        """The time and steps of a run that was lost in its child process, from its recording."""
-        time = self._recorder.times
-        return StepStatistics(
-            float(time[-1]) if time.size else self._grid.start,
-            int((np.diff(time) > 0.0).sum()),
-            0,
-            self._grid.largest_step,
-        )
+        # time and steps from the recording
+        time = recorder.times
+        steps, reached = int((np.diff(time) > 0.0).sum()), float(time[-1]) if time.size else start
+        progress_made = StepStatistics(reached, steps, 0, self._grid.largest_step)
+        return RunEnd(error, recorder.count > 0, self._schedule.active_name, progress_made)
 
     def _completed(self, loop: SimulationLoop, tolerance: float | None) -> BaseException | None:
         """Run the loop and terminate all slaves; returns the first error, if any."""

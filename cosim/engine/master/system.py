@@ -365,7 +365,11 @@ def _exchange_order(
     graph = dependencies(slaves, connections)
     rings = find_loops(graph)
     if rings and solver is None:
-        raise _refusal(slaves, cycle(declared(slaves, connections)))
+        raise AlgebraicLoopError(
+            f"algebraic loop: {_chain(slaves, cycle(declared(slaves, connections)))}; put a slave with a state or a sample time into "
+            'it, declare what has no direct feedthrough, or solve it by iteration: cosimulation.loop_solver = "anderson" in a scene, '
+            "connect(.., loops=Anderson()) in Python"
+        )
     found = [_loop(slaves, connections, restricted(graph, ring), solver) for ring in rings if solver is not None]
     # each loop counts as one slave
     owner = {node: node[0] for node in {*graph, *chain.from_iterable(graph.values())}}
@@ -416,15 +420,6 @@ def _full_name(slaves: Sequence[Slave], variable: VariableKey) -> str:
 def _chain(slaves: Sequence[Slave], variables: Sequence[VariableKey]) -> str:
     """The names of the variables, joined by arrows."""
     return " -> ".join(_full_name(slaves, each) for each in variables)
-
-
-def _refusal(slaves: Sequence[Slave], ring: Sequence[VariableKey]) -> AlgebraicLoopError:
-    """The error for an algebraic loop without a solver; it names the loop in the direction of the signals."""
-    remedy = (
-        "put a slave with a state or a sample time into it, declare what has no direct feedthrough, "
-        'or solve it by iteration: cosimulation.loop_solver = "anderson" in a scene, connect(.., loops=Anderson()) in Python'
-    )
-    return AlgebraicLoopError(f"algebraic loop: {_chain(slaves, ring)}; {remedy}")
 
 
 def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> tuple[int, ...]:
