@@ -261,13 +261,14 @@ def _mat_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryvie
 
 def _mat_value(matrix: memoryview, order: str) -> tuple[str, Any]:
     """Return name and value of a variable, cell or field: numbers (N,), a text, texts (N,), a dictionary; None for what is no signal."""
-    (_, flags), *parts = _mat_elements(matrix, order) if len(matrix) else [(0, bytes(4))]
+    (_, flags), *parts = _mat_elements(matrix, order) if len(matrix) else [(0, memoryview(bytes(4)))]
     flag = struct.unpack_from(f"{order}I", flags)[0]
     kind = flag & 0xFF
     if kind not in (_CELL, _STRUCT, _CHAR, *_NUMERIC):  # an object, a sparse matrix, nothing
         return "", None
     (_, shape), (_, name), *rest = parts
-    sizes, value = np.frombuffer(shape, f"{order}i4"), None
+    sizes = np.frombuffer(shape, f"{order}i4")
+    value: Any = None
     if kind in _NUMERIC and not flag & _COMPLEX:
         numbers = np.frombuffer(rest[0][1], order + _NUMBERS[rest[0][0]])
         value = numbers if sizes.max() == numbers.size else None
