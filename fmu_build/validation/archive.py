@@ -152,6 +152,6 @@ def _names(files: Mapping[str, bytes], path: str, element: str) -> set[str]:
     """The attributes ``name`` of all elements with a tag in an XML file; empty if the file is missing or malformed."""
     try:
         root = ElementTree.fromstring(files.get(path, b"<none/>"))
-    except ElementTree.ParseError:
+    except (ElementTree.ParseError, LookupError, ValueError):  # of an encoding, too; fmpy's rules report it
         return set()
     return {item.attrib.get("name", "") for item in root.iter(element)}

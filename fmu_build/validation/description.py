@@ -240,8 +240,8 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
                 yield _structure(f"{part} lists the index {index} {count} times", "list it once")
         for unknown in unknowns:
             for index in [unknown.get("index", ""), *(unknown.get("dependencies") or "").split()]:
-                if not index.isdigit() or not 1 <= int(index) <= len(variables):
-                    yield _structure(f"{part} refers to variable {index} of {len(variables)}", "count from 1")
+                if not index.isdecimal() or len(index) > 9 or not 1 <= int(index) <= len(variables):
+                    yield _structure(f"{part} refers to variable {index[:80]} of {len(variables)}", "count from 1")
     # derivatives: each of another continuous Real, one per state
     states: dict[str, Element] = {}
     derived = {real.get("derivative") for real in root.iterfind("ModelVariables/ScalarVariable/Real")}
@@ -256,7 +256,7 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
         of = real.get("derivative")
         if of is None:
             continue
-        state = variables[int(of) - 1] if of.isdigit() and 1 <= int(of) <= len(variables) else None
+        state = variables[int(of) - 1] if of.isdecimal() and len(of) < 10 and 1 <= int(of) <= len(variables) else None
         if state is None or int(of) == number or state.find("Real") is None:
             message = f"{name} is the derivative of variable {of}, which is no other Real"
             yield _structure(message, "give the index of the state, from 1", name)

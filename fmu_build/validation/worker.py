@@ -8,6 +8,7 @@ Process state that an FMU must not change: locale, rounding, signal handlers, st
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import locale
 import os
@@ -246,6 +247,9 @@ def _findings(
             )
             what = f"{error.function} returns {status}"
         severity = Severity.WARNING if name == "calls" else Severity.ERROR
+        if isinstance(error, MemoryError) or any(each in what for each in MACHINE):
+            what, severity = f"not checked: this machine has too little left ({what or 'out of memory'})", Severity.NOTE
+            remedy = "free some space, or raise the limits (ulimit -n, ulimit -v)"
         yield Finding(_with_messages(what, fmu), remedy, severity, check=name)
     finally:
         # changes to the process
@@ -274,6 +278,9 @@ def _with_messages(error: Exception | str, fmu: FmuUnderTest) -> str:
     logged = f" ({'; '.join(dict.fromkeys(fmu.messages[-2:]))})" if fmu.messages else ""
     return " ".join(f"{error}{logged}".split())
 
+
+MACHINE = tuple(map(os.strerror, (errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.ENOMEM)))
+"""What the system says where it has no file descriptors, space or memory left: no fault of the FMU."""
 
 _STATUS = {
     2: ("fmi2Discard", "give the value, or return fmi2Error where it can't be had"),
