@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil, floor, isfinite, isnan, log10, nan
 from typing import Any
 
@@ -104,12 +104,7 @@ class Metric(float):
     def __reduce__(self) -> tuple[object, ...]:
         """Copies and pickles have the error only if it is a number already."""
         kept = {name: each for name, each in vars(self).items() if not callable(each)}
-        return _restored, ({name.removeprefix("_"): each for name, each in kept.items()},)
-
-
-def _restored(arguments: Mapping[str, Any]) -> Metric:
-    """The metric of these arguments."""
-    return Metric(**arguments)
+        return partial(Metric, **{name.removeprefix("_"): each for name, each in kept.items()}), ()
 
 
 DIGITS, DIGITS_WITHOUT_ERROR = 10, 6
@@ -213,9 +208,6 @@ class RunMetrics(Mapping[str, Metric]):
     def __dir__(self) -> list[str]:
         """Names for completion."""
         return sorted({*super().__dir__(), *self._names()})
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return self._names()
 
     def _names(self) -> list[str]:
         """Return the names of the metrics; none where they can't be computed."""

@@ -15,6 +15,7 @@ from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, Selecti
 from flexfmu.cosim.engine.slave import RealArray, Sampled, Slave, offset
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES, SceneSystem
+from flexfmu.cosim.experiment.wiring import names_of
 from flexfmu.trajectories.trajectory import limits
 
 VELOCITIES = ("joint1.velocity", "joint2.velocity")
@@ -39,12 +40,7 @@ class SceneRecording:
     def __init__(self, parts: SceneSystem, rigid: RigidMotion, selection: Selection) -> None:
         self._rigid, self._selection = rigid, selection
         self._with_rigid = any(map(selection.keeps, rigid.names))
-        outputs = {
-            f"{slave.name}.{variable.name}"
-            for slave in parts.slaves
-            for variable in slave.variables
-            if variable.causality == "output"
-        }
+        outputs = {f"{slave.name}.{name}" for slave in parts.slaves for name in names_of(slave, "output")}
         selection.check({*map(_short, outputs), *outputs, *parts.wiring.feeding, *parts.constants, *rigid.names})
         # outputs needed for the selected signals, by the master's names; None for all
         sources: set[str] | None = None

@@ -21,6 +21,7 @@ from flexfmu.cosim.engine.slave import GivesOutputDerivatives, RealArray, Sample
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import VELOCITIES
 from flexfmu.cosim.experiment.system import SceneSystem
+from flexfmu.cosim.experiment.wiring import names_of
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
@@ -48,7 +49,7 @@ def recorded_bytes(parts: SceneSystem, selection: Selection, stop: float, step: 
     values = 1.0
     for slave in parts.slaves:
         order = min(selection.order, slave.max_output_order) if isinstance(slave, GivesOutputDerivatives) else 0
-        names = (f"{slave.name}.{each.name}" for each in slave.variables if each.causality == "output")
+        names = (f"{slave.name}.{name}" for name in names_of(slave, "output"))
         values += (1 + order) * sum(map(selection.keeps, names))
     return BYTES_PER_VALUE * values * instants
 

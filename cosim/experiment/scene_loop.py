@@ -13,7 +13,7 @@ from flexfmu.cosim.engine.slave import Sampled, Slave, offset
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan, plan_own, shape_joints
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
-from flexfmu.cosim.experiment.wiring import OPTIONAL, InlineBlock, inline_block
+from flexfmu.cosim.experiment.wiring import OPTIONAL, InlineBlock, inline_block, names_of
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, ObjectSection, PythonSection
@@ -181,15 +181,15 @@ def _with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: S
     """
     sources: dict[str, list[str]] = {}
     for each in controllers:
-        for variable in each.variables:
-            if variable.causality == "output" and variable.name.endswith(OPTIONAL):
-                sources.setdefault(variable.name, []).append(each.name)
+        for name in names_of(each, "output"):
+            if name.endswith(OPTIONAL):
+                sources.setdefault(name, []).append(each.name)
     several = {name: owners for name, owners in sources.items() if len(owners) > 1}
     takers = [
         each
         for each in controllers
-        for variable in each.variables
-        if variable.causality == "input" and variable.name in several and f"{each.name}.{variable.name}" not in connect
+        for name in names_of(each, "input")
+        if name in several and f"{each.name}.{name}" not in connect
     ]
     if not takers:
         return tuple(controllers)
@@ -352,11 +352,7 @@ class _Builder:
 
         Targets without the name of another slave are inputs of this section's slaves, the first one's if misspelt.
         """
-        inputs = {
-            slave.name: {each.name for each in slave.variables if each.causality == "input"}
-            for slave in reversed(slaves)
-        }
-        own = {name: slave for slave, names in inputs.items() for name in names}
+        own = {name: slave.name for slave in reversed(slaves) for name in names_of(slave, "input")}
         heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
         for target, source in connect.items():
             head, dot, _ = target.partition(".")
@@ -368,21 +364,15 @@ class _Builder:
         from flexfmu.cosim.control.sections import LoopContext, build
 
         period = None if motion.repetition is None else motion.repetition.period
-        assumed = motion.scene.model_copy(update={"disturbance": ()})
-        if self._about_rest:
-            assumed, section = _without_coulomb(assumed, section)
-        context = LoopContext(
-            assumed,
-            motion.along_path,
-            self._planned.joints,
-            motion.joints,
-            period,
-            name,
-            sample_time,
-            self._before,
-            self._about_rest,
-        )
-        return build(section, context)
+        assumed, planned = motion.scene.model_copy(update={"disturbance": ()}), self._planned.joints
+        if is_about_rest := self._about_rest:
+            from flexfmu.model.linear import without_coulomb_friction  # needs CasADi, which other runs do without
+
+            assumed = without_coulomb_friction(assumed)
+            if isinstance(section, FrictionCompensationSection):
+                section = section.model_copy(update={"coulomb": (0.0, 0.0)})
+        motions = motion.along_path, planned, motion.joints
+        return build(section, LoopContext(assumed, *motions, period, name, sample_time, self._before, is_about_rest))
 
     def _before(self, kind: str) -> Sequence[float]:
         """Values of a signal of both joints before the start, at rest; no torques for a robot driven by motion."""
@@ -404,17 +394,6 @@ def _given_shaper(section: ObjectSection) -> Shaper | None:
     if isinstance(value, ImpulseSequence):
         return Shaper(value)
     return value if isinstance(value, Shaper) else None
-
-
-def _without_coulomb(scene: Scene, section: Any) -> tuple[Scene, Any]:
-    """A scene and a controller's section without Coulomb friction."""
-    if isinstance(section, FrictionCompensationSection):
-        section = section.model_copy(update={"coulomb": (0.0, 0.0)})
-    from flexfmu.model.linear import (
-        without_coulomb_friction,
-    )  # needs CasADi, which other runs of cached FMUs do without
-
-    return without_coulomb_friction(scene), section
 
 
 def _rate(signal: str, controllers: Sequence[Slave]) -> float:

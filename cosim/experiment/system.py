@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import HERMITE_ORDER, TrajectorySlave
 from flexfmu.cosim.experiment.parameters import holding_torques, parameters_for
 from flexfmu.cosim.experiment.scene_loop import Loop
-from flexfmu.cosim.experiment.wiring import Wiring, wire
+from flexfmu.cosim.experiment.wiring import Wiring, names_of, wire
 from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR
 from flexfmu.model.scene import cosimulation as sections
 from flexfmu.model.scene.schema import Scene
@@ -105,7 +105,7 @@ def scene_system(
         settings |= dict(zip(("start.x", "start.y"), loop.motion.start, strict=True))
     # motors without a controller: constant torques hold the start pose; explicit connections may be from any name
     acting = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks))
-    given = {each.name.replace("_", ".") for slave in acting for each in slave.variables if each.causality == "output"}
+    given = {name.replace("_", ".") for slave in acting for name in names_of(slave, "output")}
     unfed = {} if given >= {*TORQUES} else holding_torques(scene)
     settings |= unfed
     # the slaves and their connections
@@ -136,13 +136,12 @@ class CouplingMethod:
 def coupling_of(section: sections.Cosimulation) -> CouplingMethod:
     """The co-simulation algorithm of a scene's section."""
     solver: LoopSolver | None = None
-    if section.loop_solver is not None:
-        tolerance, rounds = Tolerance(relative=section.loop_solver.tolerance), section.loop_solver.iterations
-        match section.loop_solver:
-            case sections.FixedPointSection(relaxation=relaxation):
-                solver = FixedPoint(relaxation, tolerance=tolerance, rounds=rounds)
-            case sections.AndersonSection():
-                solver = Anderson(tolerance=tolerance, rounds=rounds)
+    if (given := section.loop_solver) is not None:
+        tolerance, rounds = Tolerance(relative=given.tolerance), given.iterations
+        if isinstance(given, sections.FixedPointSection):
+            solver = FixedPoint(given.relaxation, tolerance=tolerance, rounds=rounds)
+        else:
+            solver = Anderson(tolerance=tolerance, rounds=rounds)
     # implicit coupling has a default solver
     implicit = Implicit() if solver is None else Implicit(solver)
     algorithms: dict[str, Algorithm] = {"jacobi": Jacobi(), "gauss-seidel": GaussSeidel(), "implicit": implicit}

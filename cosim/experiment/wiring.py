@@ -48,10 +48,10 @@ def inline_block(slave: Slave) -> InlineBlock:
     Raises:
         WiringError: the slave has no outputs.
     """
-    outputs = _names(slave, "output")
+    outputs = names_of(slave, "output")
     if not outputs:
         raise WiringError(f"{slave.name} has no outputs, so no signal can pass it")
-    takes = tuple(name.removesuffix(INPUT) for name in _names(slave, "input"))
+    takes = tuple(name.removesuffix(INPUT) for name in names_of(slave, "input"))
     return InlineBlock(slave, takes, tuple(name.removeprefix(SHAPED) for name in outputs))
 
 
@@ -103,7 +103,7 @@ def wire(
         bus.publish(source)
         waiting = bus.pass_through(waiting)
     for controller in controllers:
-        if both := sorted(set(_names(controller, "output")) & set(_names(plant, "output"))):
+        if both := sorted(set(names_of(controller, "output")) & set(names_of(plant, "output"))):
             torques = [name for name in both if name.endswith(".torque")]
             raise WiringError(
                 f"{controller.name} outputs {(torques or both)[0]}, but so does the robot"
@@ -117,10 +117,10 @@ def wire(
     bus.connect_controllers(controllers)
     bus.add_disturbances(disturbances, plant)
     bus.publish_to(plant)
-    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    outputs = [f"{each.name}.{name}" for each in controllers for name in names_of(each, "output")]
     if stuck := bus.pass_through(waiting):
         name, missing = stuck[0].slave.name, bus.missing(stuck[0]) or ""
-        if missing in _names(plant, "input") and outputs:
+        if missing in names_of(plant, "input") and outputs:
             raise WiringError(
                 f"{name} acts on {missing}, but the controllers output {', '.join(outputs)}: call the output {missing}, "
                 f'or connect it, connect = {{ "{plant.name}.{missing}" = "{outputs[0]}" }} for example'
@@ -130,7 +130,7 @@ def wire(
         raise WiringError(f"{name} acts on {missing}, which doesn't exist; {suggestion(missing, bus.sources)}")
     wiring = bus.finished(plant)
     # controllers must reach the robot, and without one inline blocks must reach something
-    inputs = _names(plant, "input")
+    inputs = names_of(plant, "input")
     if controllers and not wiring.feeding:
         raise WiringError(
             f"nothing that the controllers output ({', '.join(outputs) or 'no outputs'}) reaches the robot, which takes "
@@ -140,7 +140,7 @@ def wire(
     used, fed = ({ends[side] for ends in wiring.connections} for side in (0, 1))
     for inline in () if controllers else inline_blocks:
         name = inline.slave.name
-        if used.isdisjoint(f"{name}.{output}" for output in _names(inline.slave, "output")):
+        if used.isdisjoint(f"{name}.{output}" for output in names_of(inline.slave, "output")):
             raise WiringError(
                 f"{name} acts on {', '.join(inline.replaces)}, which nothing takes: add a controller, or leave {name} out"
             )
@@ -170,7 +170,7 @@ class _Bus:
 
     def publish(self, slave: Slave) -> None:
         """Make a slave's outputs available."""
-        self.sources |= {name: f"{slave.name}.{name}" for name in _names(slave, "output")}
+        self.sources |= {name: f"{slave.name}.{name}" for name in names_of(slave, "output")}
 
     def pass_through(self, inline_blocks: Iterable[InlineBlock]) -> list[InlineBlock]:
         """Insert the inline blocks whose signals exist; return the others."""
@@ -179,8 +179,8 @@ class _Bus:
             if self.missing(inline) is not None:
                 waiting.append(inline)
                 continue
-            name, outputs = inline.slave.name, _names(inline.slave, "output")
-            for signal, target in zip(inline.takes, _names(inline.slave, "input"), strict=True):
+            name, outputs = inline.slave.name, names_of(inline.slave, "output")
+            for signal, target in zip(inline.takes, names_of(inline.slave, "input"), strict=True):
                 chosen = self.explicit.pop(f"{name}.{target}", signal)
                 self.connections.append((self.source(chosen), f"{name}.{target}"))
             self.sources |= {
@@ -191,7 +191,7 @@ class _Bus:
     def missing(self, inline: InlineBlock) -> str | None:
         """The first signal that an inline block needs or replaces and that has no source; None if there is none."""
         name = inline.slave.name
-        taken = zip(inline.takes, _names(inline.slave, "input"), strict=True)
+        taken = zip(inline.takes, names_of(inline.slave, "input"), strict=True)
         needed = [signal for signal, target in taken if f"{name}.{target}" not in self.explicit]
         return next((signal for signal in (*needed, *inline.replaces) if signal not in self.sources), None)
 
@@ -200,10 +200,13 @@ class _Bus:
         # each signal is the output of one controller, or of the one that adds up those of the others
         owners: dict[str, str] = {}
         taken = {
-            name for each in controllers for name in _names(each, "input") if f"{each.name}.{name}" not in self.explicit
+            name
+            for each in controllers
+            for name in names_of(each, "input")
+            if f"{each.name}.{name}" not in self.explicit
         }
         for controller in controllers:
-            for name in _names(controller, "output"):
+            for name in names_of(controller, "output"):
                 is_free = name.endswith(OPTIONAL) and name not in taken
                 if name in owners and f"{owners[name]}.{name}" not in taken and not is_free:
                     raise WiringError(
@@ -212,7 +215,7 @@ class _Bus:
                     )
                 owners[name] = controller.name
         for controller in controllers:
-            for name in _names(controller, "input"):
+            for name in names_of(controller, "input"):
                 self._feed(controller, name, owners)
         # make the outputs available
         self.sources |= {name: f"{owner}.{name}" for name, owner in owners.items()}
@@ -224,13 +227,13 @@ class _Bus:
             WiringError: the robot has no such input, or a controller outputs the same signal.
         """
         for each in disturbances:
-            for name in _names(each, "input"):
+            for name in names_of(each, "input"):
                 target = f"{each.name}.{name}"
                 self.connections.append((self.source(self.explicit.pop(target, name)), target))
-            for name in _names(each, "output"):
-                if name not in _names(plant, "input"):
+            for name in names_of(each, "output"):
+                if name not in names_of(plant, "input"):
                     raise WiringError(
-                        f"{each.name} outputs {name}, but the robot takes {', '.join(_names(plant, 'input'))}: a [[disturbance]] "
+                        f"{each.name} outputs {name}, but the robot takes {', '.join(names_of(plant, 'input'))}: a [[disturbance]] "
                         "of the scene gives the robot its inputs for torques and masses"
                     )
                 owner = self.sources.get(name, each.name).partition(".")[0]
@@ -285,7 +288,7 @@ class _Bus:
 
     def publish_to(self, plant: Slave) -> None:
         """Find the sources of the plant's inputs: explicit connections, else signals of equal names."""
-        for name in _names(plant, "input"):
+        for name in names_of(plant, "input"):
             chosen = self.explicit.pop(f"{plant.name}.{name}", None)
             found = self.find(name) if chosen is None else self.source(chosen)
             if found is not None:
@@ -295,7 +298,7 @@ class _Bus:
         """Make the remaining explicit connections and those to the plant; return the wiring."""
         for target, source in self.explicit.items():
             self.connections.append((self.source(source), target))
-        feeding = {name: self.sources[name] for name in _names(plant, "input") if name in self.sources}
+        feeding = {name: self.sources[name] for name in names_of(plant, "input") if name in self.sources}
         own = {name: source for name, source in feeding.items() if source.partition(".")[0] != plant.name}
         self.connections += [(source, f"{plant.name}.{name}") for name, source in own.items()]
         # connections join equal units
@@ -314,7 +317,7 @@ class _Bus:
         slave, _, name = full_name.partition(".")
         if slave not in self.slaves:
             raise WiringError(f"{full_name!r}: there is no slave {slave!r}; slaves: {', '.join(self.slaves)}")
-        names = _names(self.slaves[slave], causality)
+        names = names_of(self.slaves[slave], causality)
         if name not in names:
             near = get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"it has: {', '.join(names) or 'none'}"
@@ -341,7 +344,7 @@ class _Bus:
         )
 
 
-def _names(slave: Slave, causality: Causality) -> tuple[str, ...]:
+def names_of(slave: Slave, causality: Causality) -> tuple[str, ...]:
     """Names of a slave's inputs or outputs."""
     return tuple(variable.name for variable in slave.variables if variable.causality == causality)
 

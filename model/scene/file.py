@@ -11,7 +11,7 @@ from typing import Any
 
 from flexfmu.errors import read_text
 from flexfmu.model.scene.errors import SceneError, SceneWarning
-from flexfmu.model.scene.keys import parse_toml, set_value
+from flexfmu.model.scene.keys import parse_toml, set_value, value_at
 from flexfmu.model.scene.messages import listed
 from flexfmu.model.scene.schema import Scene, parse_scene
 
@@ -116,9 +116,9 @@ def basis_hint(scene: Scene) -> str:
     elastic = effects.proximal_bending or effects.proximal_axial or effects.distal_axial
     if effects.select or effects.basis != "assumed-modes" or effects.distal_bending or not elastic:
         return ""
-    papers = [parse_scene(parse_toml(read_scene_text(name)[0]), name) for name in PAPER]
+    own, *papers = (each.model_dump() for each in (scene, *map(load_scene, PAPER)))
     # keys in which it differs from the nearest of the paper's scenes
-    keys = min(([key for key in PAPER_KEYS if _at(scene, key) != _at(each, key)] for each in papers), key=len)
+    keys = min(([key for key in PAPER_KEYS if value_at(own, key) != value_at(each, key)] for each in papers), key=len)
     if not keys:
         return ""
     return (
@@ -126,14 +126,6 @@ def basis_hint(scene: Scene) -> str:
         f"vibration, and this scene differs from the paper's in `{'`, `'.join(keys)}`: take "
         '`basis = "craig-bampton"` with one mode each of `proximal_bending`, `distal_axial` and `distal_bending`'
     )
-
-
-def _at(scene: Scene, key: str) -> Any:
-    """The value of a dotted key; None where the scene has no such key."""
-    value: Any = scene
-    for name in key.split("."):
-        value = getattr(value, name, None)
-    return value
 
 
 def scene_path(name: str) -> Path:

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 MOST_ERRORS = 20
 """Largest number of errors that a message names."""
 
-LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
-"""Limits [m, kg/m3, Pa] of usual robots and structural materials; values beyond them suggest a wrong unit."""
+LARGEST_LENGTH = 10.0
+"""Largest length of usual robots [m]; beyond it a wrong unit is likely."""
 
 
 class Scene(Section):
@@ -215,16 +215,12 @@ class Scene(Section):
         ]
         # densities in g/cm3, moduli in GPa
         material = mechanism.material
-        if material.density < LEAST_DENSITY:
-            hints.append(
-                f"`mechanism.material.density` = {material.density:g} kg/m3 is below {LEAST_DENSITY:g} kg/m3: 1 g/cm3 is "
-                f"1000 kg/m3"
-            )
-        if material.youngs_modulus < LEAST_MODULUS:
-            hints.append(
-                f"`mechanism.material.youngs_modulus` = {material.youngs_modulus:g} Pa is below 1e8 Pa: it is "
-                f"in Pa, 1 GPa is 1e9 Pa"
-            )
+        for key, value, unit, least, remedy in (
+            ("density", material.density, "kg/m3", "100", "1 g/cm3 is 1000 kg/m3"),
+            ("youngs_modulus", material.youngs_modulus, "Pa", "1e8", "it is in Pa, 1 GPa is 1e9 Pa"),
+        ):
+            if value < float(least):
+                hints.append(f"`mechanism.material.{key}` = {value:g} {unit} is below {least} {unit}: {remedy}")
         return tuple(hints)
 
     @property

@@ -82,18 +82,8 @@ def controller(
 
     def decorate(function: Callable[..., Any]) -> FunctionController:
         own = name or str(getattr(function, "__name__", "controller"))
-        return FunctionController(
-            function,
-            own,
-            sample_time,
-            offset,
-            tuple(taken),
-            tuple(given),
-            states,
-            parameters_of(function, own),
-            units,
-            symbolic,
-        )
+        signals, parameters = (tuple(taken), tuple(given)), parameters_of(function, own)
+        return FunctionController(function, own, sample_time, offset, *signals, states, parameters, units, symbolic)
 
     return decorate
 
