@@ -47,12 +47,6 @@ class ChoiceParameter:
             f"{number} {name}: {meaning}" for name, (number, meaning) in self.items.items()
         )
 
-    @property
-    def limits(self) -> tuple[int, int]:
-        """Smallest and largest number."""
-        numbers = [number for number, _ in self.items.values()]
-        return min(numbers), max(numbers)
-
     def name_of(self, number: float | None) -> str:
         """The name of a value."""
         return next(name for name, (value, _) in self.items.items() if value == number)

@@ -52,24 +52,29 @@ def compile_library(
     texts = generated | sources.runtime
     first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
 
-    def flags(name: str) -> tuple[str, ...]:
-        if name not in generated:
-            return (*runtime_flags, *LANES_FLAGS) if name == SOLVER_LANES else runtime_flags
-        return generated_flags
-
-    jobs = {name: CompileJob(name, (*flags(name), *first)) for name in sorted(texts) if name.endswith(".c")}
+    jobs = []
+    for name in sorted(name for name in texts if name.endswith(".c")):
+        flags = generated_flags if name in generated else runtime_flags
+        lanes = LANES_FLAGS if name == SOLVER_LANES else ()
+        jobs.append(CompileJob(name, (*flags, *lanes, *first)))
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
     with _work_folder() as folder:
         for file, text in texts.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
         # compile what is not cached, and cache it
-        kept = {job: _kept_object(job, texts, compiler) for job in jobs.values()}
-        missing = [job for job, name in kept.items() if not (cache and _fetch(name, folder / job.object_file))]
+        kept = {job: _kept_object(job, texts, compiler) for job in jobs}
+        missing = []
+        for job, name in kept.items():
+            if cache and (content := read_cached(name)) is not None:
+                (folder / job.object_file).write_bytes(content)
+            else:
+                missing.append(job)
         compiler.compile(missing, folder)
         for job in missing:
-            _keep(folder / job.object_file, kept[job])
+            with suppress(ArchiveError):  # the build doesn't need the cache
+                store(kept[job], (folder / job.object_file).read_bytes())
         beside = _stand_ins(sources, compiler, folder)
-        compiler.link([*(job.object_file for job in jobs.values()), *beside], library, folder)
+        compiler.link([*(job.object_file for job in jobs), *beside], library, folder)
         return (folder / library).read_bytes()
 
 
@@ -117,17 +122,3 @@ def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> 
     read = [text for name, text in sorted(texts.items()) if name.endswith(".h") or f'#include "{name}"' in source]
     parts = (compiler.identity(), repr(job), compiler.platform.name, source, *read)
     return f"objects/{content_hash(part.encode() for part in parts)}.o"
-
-
-def _keep(object_file: Path, name: str) -> None:
-    """Cache an object file; errors are ignored, since the build doesn't need it."""
-    with suppress(ArchiveError):
-        store(name, object_file.read_bytes())
-
-
-def _fetch(name: str, target: Path) -> bool:
-    """Copy an intact object file from the cache to ``target``; False if there is none."""
-    content = read_cached(name)
-    if content is not None:
-        target.write_bytes(content)
-    return content is not None

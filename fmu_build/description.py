@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, Literal
@@ -188,6 +188,7 @@ MIT No Attribution licence (https://github.com/casadi/casadi/issues/3015).
 
 def documentation(content: Content, naming: Naming, experiment: DefaultExperiment) -> dict[str, str]:
     """Files of the folder ``documentation/`` of any FMU: path below the FMU's root → text."""
+    variables = content.description.interface.variables
     page = render(
         content.page,
         about=content.description,
@@ -196,7 +197,10 @@ def documentation(content: Content, naming: Naming, experiment: DefaultExperimen
         experiment=experiment,
         picture=content.picture,
         font_size=FONT_SIZE,
-        groups=_groups(content.description.interface.variables),
+        groups={
+            title: [each for each in variables if each.causality == causality and kind in (each.kind, "")]
+            for title, (causality, kind) in _GROUPS.items()
+        },
         start=_start_text,
         limits=_limits_text,
         log_categories=LOG_CATEGORIES,
@@ -210,14 +214,6 @@ def documentation(content: Content, naming: Naming, experiment: DefaultExperimen
     return {
         "documentation/index.html": page,
         **{f"documentation/licenses/{name}.txt": text for name, text in licences.items()},
-    }
-
-
-def _groups(variables: Sequence[FmiVariable]) -> dict[str, list[FmiVariable]]:
-    """Heading → its variables."""
-    return {
-        title: [each for each in variables if each.causality == causality and kind in (each.kind, "")]
-        for title, (causality, kind) in _GROUPS.items()
     }
 
 

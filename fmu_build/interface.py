@@ -229,7 +229,6 @@ def choice_variable(
     choice: ChoiceParameter, start: str, value_reference: int, variability: str = "fixed"
 ) -> FmiVariable:
     """The entry of a parameter with named values; ``start`` is the name of its start value."""
-    low, high = choice.limits
     return FmiVariable(
         name=choice.name,
         value_reference=value_reference,
@@ -239,8 +238,8 @@ def choice_variable(
         variability=variability,
         initial="exact",
         start=choice.items[start][0],
-        minimum=low,
-        maximum=high,
+        minimum=1,
+        maximum=len(choice.items),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import struct
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import hypot
 from typing import Literal
@@ -107,10 +107,10 @@ def plant_picture(
     side = min(width, height)
     margins = ROOM if labelled else (0.10 * side, 0.10 * side)
     ends = [point for bar in drawing.bars for point in (bar.start, bar.end)]
-    view = _View.around([*ends, *(spot.position for spot in drawing.spots)], width, height, margins)
+    view, scale = _fitted([*ends, *(spot.position for spot in drawing.spots)], width, height, margins)
     # bars first, small spots over large ones
     lines = [
-        Line(view(bar.start), view(bar.end), max(bar.diameter * view.scale, _THINNEST * side), COLOURS[bar.part])
+        Line(view(bar.start), view(bar.end), max(bar.diameter * scale, _THINNEST * side), COLOURS[bar.part])
         for bar in drawing.bars
     ]
     for spot in sorted(drawing.spots, key=lambda spot: -_RADII[spot.part]):
@@ -141,7 +141,7 @@ def curves_picture(
     """
     lines: list[Line] = []
     for curve, colour in zip(curves, (COLOURS["proximal"], COLOURS["distal"]), strict=False):
-        view = _View.around(curve, width, height, (0.12 * width, 0.12 * height), keep_aspect=False)
+        view, _ = _fitted(curve, width, height, (0.12 * width, 0.12 * height), keep_aspect=False)
         points = [view(point) for point in curve]
         lines += [Line(a, b, pen * height, colour) for a, b in itertools.pairwise(points)]
     return Picture(width, height, tuple(lines))
@@ -163,27 +163,17 @@ def _arrow(tail: Point, length: float, pen: float, colour: str) -> list[Line]:
     return [Line(tail, tip, pen, colour), *(Line(wing, tip, pen, colour) for wing in wings)]
 
 
-@dataclass(frozen=True)
-class _View:
-    """Map from the model's lengths to pixels: scaled, mirrored in y and centred."""
-
-    scale: float
-    scale_y: float
-    origin: Point
-
-    @classmethod
-    def around(
-        cls, points: Sequence[Point], width: int, height: int, margins: Point, keep_aspect: bool = True
-    ) -> _View:
-        """The view that shows all points within the margins."""
-        (left, right), (low, high) = ((min(values), max(values)) for values in zip(*points, strict=True))
-        across = (width - 2 * margins[0]) / ((right - left) or 1.0)
-        up = (height - 2 * margins[1]) / ((high - low) or 1.0)
-        scale, scale_y = (min(across, up),) * 2 if keep_aspect else (across, up)
-        return cls(scale, scale_y, (width / 2 - scale * (left + right) / 2, height / 2 + scale_y * (low + high) / 2))
-
-    def __call__(self, point: Point) -> Point:
-        return self.origin[0] + self.scale * point[0], self.origin[1] - self.scale_y * point[1]
+def _fitted(
+    points: Sequence[Point], width: int, height: int, margins: Point, keep_aspect: bool = True
+) -> tuple[Callable[[Point], Point], float]:
+    """Map from the model's lengths to pixels, mirrored in y, that shows all points centred within the margins; and its scale in x."""
+    (left, right), (low, high) = ((min(values), max(values)) for values in zip(*points, strict=True))
+    across = (width - 2 * margins[0]) / ((right - left) or 1.0)
+    up = (height - 2 * margins[1]) / ((high - low) or 1.0)
+    if keep_aspect:
+        across = up = min(across, up)
+    x0, y0 = width / 2 - across * (left + right) / 2, height / 2 + up * (low + high) / 2
+    return lambda point: (x0 + across * point[0], y0 - up * point[1]), across
 
 
 def png(picture: Picture) -> bytes:

@@ -64,15 +64,14 @@ On ARM, older importers and those that ignore the processor (fmpy) use the x86 n
 """
 
 _SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
-_ZIG_TARGETS = {
-    ("linux64", "x86_64"): PLATFORMS["linux64"].zig_target,
-    ("win64", "x86_64"): PLATFORMS["win64"].zig_target,
-    ("darwin64", "x86_64"): PLATFORMS["darwin64"].zig_target,
-    ("linux64", "aarch64"): PLATFORMS["aarch64-linux"].zig_target,
-    ("win64", "aarch64"): "aarch64-windows-gnu",
-    ("darwin64", "aarch64"): PLATFORMS["aarch64-darwin"].zig_target,
+_X86, _ARM = ("x86_64", "amd64"), ("aarch64", "arm64")
+"""Names of the processors."""
+
+_ARM_TARGETS = {
+    "linux64": PLATFORMS["aarch64-linux"].zig_target,
+    "win64": "aarch64-windows-gnu",
+    "darwin64": PLATFORMS["aarch64-darwin"].zig_target,
 }
-_MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
 
 def native_platform() -> Platform:
@@ -83,12 +82,11 @@ def native_platform() -> Platform:
     Raises:
         PlatformError: FMI 2.0 has no name for this machine.
     """
-    name = _SYSTEMS.get(sys.platform)
-    processor = _MACHINES.get(platform.machine().lower())
-    if name is None or processor is None or sys.maxsize <= 2**32:
+    name, processor = _SYSTEMS.get(sys.platform), platform.machine().lower()
+    if name is None or processor not in (*_X86, *_ARM) or sys.maxsize <= 2**32:
         where = f"{sys.platform} on {platform.machine()}"
         raise PlatformError(f"FMI 2.0 has no platform for {where}; build on one of {', '.join(PLATFORMS)}")
-    return replace(PLATFORMS[name], zig_target=_ZIG_TARGETS[name, processor])
+    return replace(PLATFORMS[name], zig_target=_ARM_TARGETS[name]) if processor in _ARM else PLATFORMS[name]
 
 
 def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:

@@ -104,13 +104,7 @@ _WANDER = 1e-4
 """Change of the states between evaluations, relative to their size."""
 
 _DISCARD, _PENDING = 2, 5
-_ACCESS = {
-    "Real": "Real",
-    "Integer": "Integer",
-    "Enumeration": "Integer",
-    "Boolean": "Boolean",
-    "String": "String",
-}
+_ACCESS = {kind: kind for kind in ("Real", "Integer", "Boolean", "String")} | {"Enumeration": "Integer"}
 """Type of a variable → suffix of the functions that get and set it."""
 
 
@@ -135,7 +129,7 @@ class InstanceUnderTest(ABC):
 
     @abstractmethod
     def advance(
-        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
+        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] = lambda: None
     ) -> RealArray:
         """Run the steps from ``first`` to ``last`` (excluded) with excited inputs; return the results, one row per step.
 
@@ -248,14 +242,13 @@ class CosimulationInstance(InstanceUnderTest):
         self.library.exitInitializationMode()
 
     def advance(
-        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
+        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] = lambda: None
     ) -> RealArray:
         fmu = self.fmu
         rows = []
         for n in range(first, last):
             self.set(fmu.inputs, fmu.input_values(n, size))
-            if between is not None:
-                between()
+            between()
             if not self.step(n, 1):
                 break
             rows.append(self.get(fmu.outputs))
@@ -330,7 +323,7 @@ class ExchangeInstance(InstanceUnderTest):
         self.handle_events()
 
     def advance(
-        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
+        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] = lambda: None
     ) -> RealArray:
         fmu = self.fmu
         rows: list[RealArray] = []
@@ -344,8 +337,7 @@ class ExchangeInstance(InstanceUnderTest):
             if self.states:
                 x = self.continuous_states()
                 self.set_continuous_states(x + _WANDER * np.maximum(np.abs(x), 1e-3) * np.sin(n + np.arange(x.size)))
-            if between is not None:
-                between()
+            between()
             # evaluate
             rows.append(np.hstack([self.derivatives(), self.get(fmu.outputs)]))
             # complete the integrator step; handle a step event or time event
