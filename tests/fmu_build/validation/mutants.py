@@ -40,12 +40,15 @@ def spring_files(library: bytes) -> Files:
     }
 
 
-def zipped(content: Files) -> bytes:
-    """An archive."""
+def zipped(
+    content: Files, finish: Callable[[zipfile.ZipFile], None] = lambda archive: None, method: int = zipfile.ZIP_DEFLATED
+) -> bytes:
+    """An archive, to which ``finish`` adds what no file is."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    with zipfile.ZipFile(stream, "w", method, compresslevel=1) as archive:
         for name, data in content.items():
             archive.writestr(name, data)
+        finish(archive)
     return stream.getvalue()
 
 
@@ -91,56 +94,24 @@ def described(name: str, *changes: tuple[str, str], runs: bool = False) -> Mutan
     return Mutant(name, "description", make, runs)
 
 
-def packed(name: str, change: Callable[[Files], object]) -> Mutant:
-    """A mutant by a change of the files."""
-
-    def make(sound: Files) -> bytes:
-        content = dict(sound)
-        change(content)
-        return zipped(content)
-
-    return Mutant(name, "archive", make)
+def rezipped(name: str, finish: Callable[[zipfile.ZipFile], None]) -> Mutant:
+    """A mutant by an entry that no sound archive has."""
+    return Mutant(name, "archive", lambda sound: zipped(sound, finish))
 
 
-def rezipped(name: str, write: Callable[[zipfile.ZipFile, Files], None]) -> Mutant:
-    """A mutant by the way in which it is zipped."""
-
-    def make(sound: Files) -> bytes:
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            write(archive, sound)
-        return stream.getvalue()
-
-    return Mutant(name, "archive", make)
-
-
-def _all(archive: zipfile.ZipFile, content: Files) -> None:
-    for name, data in content.items():
-        archive.writestr(name, data)
-
-
-def _twice(archive: zipfile.ZipFile, content: Files) -> None:
-    _all(archive, content)
-    archive.writestr(zipfile.ZipInfo("resources/data.txt"), b"1")
-    archive.fp.write(b"")  # type: ignore[union-attr]
+def _twice(archive: zipfile.ZipFile) -> None:
+    archive.writestr("resources/data.txt", b"1")
     archive.filelist.append(archive.filelist[-1])
 
 
-def _link(archive: zipfile.ZipFile, content: Files) -> None:
-    _all(archive, content)
+def _link(archive: zipfile.ZipFile) -> None:
     entry = zipfile.ZipInfo("resources/link.txt")
     entry.external_attr = 0o120777 << 16
     archive.writestr(entry, b"/etc/passwd")
 
 
-def _lzma(archive: zipfile.ZipFile, content: Files) -> None:
-    for name, data in content.items():
-        archive.writestr(name, data, zipfile.ZIP_LZMA)
-
-
-def _entry(name: str) -> Callable[[zipfile.ZipFile, Files], None]:
-    def write(archive: zipfile.ZipFile, content: Files) -> None:
-        _all(archive, content)
+def _entry(name: str) -> Callable[[zipfile.ZipFile], None]:
+    def write(archive: zipfile.ZipFile) -> None:
         entry = zipfile.ZipInfo("x")
         entry.filename = entry.orig_filename = name
         archive.writestr(entry, b"x")
@@ -159,12 +130,6 @@ def _marked_as_encrypted(sound: Files) -> bytes:
     content = bytearray(zipped(sound))
     content[6] |= 1
     return bytes(content)
-
-
-def _other_processor(content: Files) -> None:
-    library = bytearray(content[LIBRARY])
-    library[18:20] = struct.pack("<H", 183)
-    content[LIBRARY] = bytes(library)
 
 
 SOUND = {"sound", "ends_early", "once", "counts", "asynchronous"}
@@ -246,36 +211,48 @@ for row in re.split(r"\n(?!=>)", DESCRIPTION_CHANGES.strip()):
         described(name.rstrip("*"), *((old, new[1:]) for old, _, new in replacements), runs=name.endswith("*"))
     )
 
+ADDED = {
+    "DLL of another name": {"binaries/win64/other.dll": b"MZ"},
+    "DLL is text": {"binaries/win64/spring.dll": b"text"},
+    "folder of no platform": {"binaries/linux/spring.so": b"text"},
+    "source empty": {"sources/spring.c": b""},
+    "documentation without a start": {"documentation/other.html": b"x"},
+    "picture is text": {"model.png": b"x"},
+    "folder in capitals": {"Resources/data.txt": b"1"},
+    "file where no tool looks": {"data.txt": b"1"},
+    "binary is text": {LIBRARY: b"#!/bin/sh\n"},
+}
+MOVED = {
+    "no binary": (LIBRARY, ""),
+    "binary of another name": (LIBRARY, "binaries/linux64/other.so"),
+    "source missing": ("sources/spring.c", ""),
+    "description in a folder": (DESCRIPTION, f"spring/{DESCRIPTION}"),
+}
+
+
+def moved(sound: Files, old: str, new: str) -> bytes:
+    """The archive with a file elsewhere, or without it."""
+    content = {name: data for name, data in sound.items() if name != old}
+    return zipped(content | ({new: sound[old]} if new else {}))
+
+
+def spoilt(name: str, change: Callable[[bytes], bytes]) -> Mutant:
+    """A mutant by a change of its library."""
+    return Mutant(name, "archive", lambda sound: zipped(sound | {LIBRARY: change(sound[LIBRARY])}))
+
+
 ARCHIVE = [
-    packed("no binary", lambda content: content.pop(LIBRARY)),
-    packed(
-        "binary of another name", lambda content: content.update({"binaries/linux64/other.so": content.pop(LIBRARY)})
-    ),
-    packed("binary is text", lambda content: content.update({LIBRARY: b"#!/bin/sh\n"})),
-    packed("binary is cut off", lambda content: content.update({LIBRARY: content[LIBRARY][:4000]})),
-    packed("binary for another processor", _other_processor),
-    packed(
-        "function missing",
-        lambda content: content.update({LIBRARY: content[LIBRARY].replace(b"fmi2CancelStep\0", b"fmi2CancelStop\0")}),
-    ),
-    packed("DLL of another name", lambda content: content.update({"binaries/win64/other.dll": b"MZ"})),
-    packed("DLL is text", lambda content: content.update({"binaries/win64/spring.dll": b"text"})),
-    packed("folder of no platform", lambda content: content.update({"binaries/linux/spring.so": content[LIBRARY]})),
-    packed("source missing", lambda content: content.pop("sources/spring.c")),
-    packed("source empty", lambda content: content.update({"sources/spring.c": b""})),
-    packed("documentation without a start", lambda content: content.update({"documentation/other.html": b"x"})),
-    packed("picture is text", lambda content: content.update({"model.png": b"x"})),
-    packed("folder in capitals", lambda content: content.update({"Resources/data.txt": b"1"})),
-    packed("file where no tool looks", lambda content: content.update({"data.txt": b"1"})),
-    packed(
-        "description in a folder", lambda content: content.update({f"spring/{DESCRIPTION}": content.pop(DESCRIPTION)})
-    ),
+    *(Mutant(name, "archive", lambda sound, files=files: zipped(sound | files)) for name, files in ADDED.items()),
+    *(Mutant(name, "archive", lambda sound, way=way: moved(sound, *way)) for name, way in MOVED.items()),
+    spoilt("binary is cut off", lambda library: library[:4000]),
+    spoilt("binary for another processor", lambda library: library[:18] + struct.pack("<H", 183) + library[20:]),
+    spoilt("function missing", lambda library: library.replace(b"fmi2CancelStep\0", b"fmi2CancelStop\0")),
     rezipped("path with a backslash", _entry("resources\\data.txt")),
     rezipped("path out of the folder", _entry("../data.txt")),
     rezipped("absolute path", _entry("/tmp/data.txt")),
     rezipped("file twice", _twice),
     rezipped("symbolic link", _link),
-    rezipped("packed by LZMA", _lzma),
+    Mutant("packed by LZMA", "archive", lambda sound: zipped(sound, method=zipfile.ZIP_LZMA)),
     Mutant("damaged", "archive", _damaged),
     Mutant("marked as encrypted", "archive", _marked_as_encrypted),
     Mutant("cut off", "archive", lambda sound: zipped(sound)[:-400]),
