@@ -181,11 +181,11 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     # communication steps whole, and in parts if co-simulation allows it
     sizes = (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
-    for starts, inputs in _perturbations(fmu):
+    for starts in _perturbations(fmu):
         # the same motion by CVODE, and by communication steps of one or two sizes
         try:
-            exchange = _integrated(fmu, starts, inputs)
-            slaves = [_stepped(fmu, starts, inputs, parts) for parts in sizes]
+            exchange = _integrated(fmu, starts)
+            slaves = [_stepped(fmu, starts, parts) for parts in sizes]
         except Exception:  # fmpy or CVODE can't run the model with these values
             continue
         rows = min(map(len, (exchange, *slaves)))
@@ -197,12 +197,12 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
         # a difference that shrinks with the step is due to the solver; accept it up to POOR
         apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart) | (apart > POOR), apart, 0.0)
         if apart.max() > AGREEMENT:  # ignore what a tighter tolerance of CVODE changes
-            tighter = _integrated(fmu, starts, inputs, 0.01 * INTEGRATION_TOLERANCE)
+            tighter = _integrated(fmu, starts, 0.01 * INTEGRATION_TOLERANCE)
             unsure = change(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
             apart = np.where(apart > 3.0 * unsure, apart, 0.0)
         # report the largest difference unless Euler's method explains it
         worst = int(np.argmax(apart))
-        if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
+        if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, whole, exchange):
             yield Finding(
                 f"{fmu.smooth_outputs[worst].name} differs by {apart[worst]:.1%} of its motion between model exchange, "
                 f"integrated by CVODE, and co-simulation",
@@ -212,27 +212,24 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
             return
 
 
-def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
-    """Yield start values and inputs: perturbed states, then perturbed inputs, then neither."""
-    states = {variable: moved(variable, PERTURBATION) for variable in fmu.perturbable_states}
-    still = np.array([start_of(variable) for variable in fmu.inputs])
-    if states:
-        yield states, still
+def _perturbations(fmu: FmuUnderTest) -> Iterator[dict[Any, float]]:
+    """Yield start values of states and inputs, by variable: perturbed states, then perturbed inputs, then neither."""
+    still = {variable: start_of(variable) for variable in fmu.inputs}
+    if states := fmu.perturbable_states:
+        yield still | {variable: moved(variable, PERTURBATION) for variable in states}
     if fmu.inputs:
-        yield {}, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs])
-    yield {}, still
+        yield {variable: moved(variable, PERTURBATION) for variable in fmu.inputs}
+    yield still
 
 
-def _integrated(
-    fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, tolerance: float = INTEGRATION_TOLERANCE
-) -> RealArray:
+def _integrated(fmu: FmuUnderTest, starts: dict[Any, float], tolerance: float = INTEGRATION_TOLERANCE) -> RealArray:
     """Outputs of model exchange after each step, by fmpy's CVODE with constant inputs, shape (steps, outputs)."""
     steps = min(fmu.steps, POINTS)
     stop = fmu.start + steps * fmu.step
     signals = np.zeros(2, dtype=[("time", "f8"), *((variable.name, "f8") for variable in fmu.inputs)])
     signals["time"] = (fmu.start, stop)
-    for variable, value in zip(fmu.inputs, inputs, strict=True):
-        signals[variable.name] = value
+    for variable in fmu.inputs:
+        signals[variable.name] = starts[variable]
     with redirect_stdout(None):  # fmpy prints the names of inputs without values
         result = fmpy.simulate_fmu(
             str(fmu.folder),
@@ -245,7 +242,7 @@ def _integrated(
             solver="CVode",
             relative_tolerance=tolerance,
             record_events=False,
-            start_values={variable.name: value for variable, value in starts.items()},
+            start_values={variable.name: value for variable, value in starts.items() if variable not in fmu.inputs},
             input=signals if fmu.inputs else None,
             output=[variable.name for variable in fmu.smooth_outputs],
             timeout=LONGEST,
@@ -253,17 +250,15 @@ def _integrated(
     return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
 
 
-def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, parts: int) -> RealArray:
+def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], parts: int) -> RealArray:
     """Outputs of co-simulation after each step with constant inputs, shape (steps, outputs)."""
     slave = replace(fmu, kind=InterfaceType.COSIMULATION)
     with slave.instance("stepped") as instance:
-        instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
+        instance.initialize(starts)
         return np.asarray(instance.read_steps(fmu.smooth_outputs, min(fmu.steps, POINTS), parts))
 
 
-def _is_euler(
-    fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, slave: RealArray, exact: RealArray
-) -> bool:
+def _is_euler(fmu: FmuUnderTest, starts: dict[Any, float], slave: RealArray, exact: RealArray) -> bool:
     """Whether Euler's method with one of the tried steps reproduces co-simulation."""
     steps = [fmu.step / parts for parts in EULER]
     steps += [step for step in (1e-2, 1e-3, 1e-4) if fmu.step / 100 <= step < fmu.step]
@@ -272,7 +267,7 @@ def _is_euler(
         parts = round(fmu.step / step)
         rows = []
         with suppress(FMICallException), fmu.instance("euler") as instance:
-            instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
+            instance.initialize(starts)
             for n in range(len(slave) * parts):
                 instance.set_continuous_states(instance.continuous_states() + step * instance.derivatives())
                 instance.library.setTime(fmu.start + (n + 1) * step)

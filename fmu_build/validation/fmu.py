@@ -91,7 +91,9 @@ class FmuUnderTest:
     memory: dict[int, Any] = field(default_factory=dict)
     misuse: list[str] = field(default_factory=list)
     _instances: int = 0
-    _functions: Any = None
+    _kept: list[Any] = field(
+        default_factory=list
+    )  # callbacks, of replaced copies too: fmpy's logger has a pointer to the last ones
 
     def __post_init__(self) -> None:
         # times from the default experiment, defaults where it has none
@@ -272,7 +274,7 @@ class FmuUnderTest:
 
     @cached_property
     def _callbacks(self) -> Any:
-        """The callbacks of all instances, kept because they must outlive them."""
+        """The callbacks of all instances."""
 
         def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
             self.messages.append((message or b"").decode(errors="replace"))
@@ -297,6 +299,6 @@ class FmuUnderTest:
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
         with suppress(Exception):  # formats variadic log messages; fmpy has it on some platforms only
-            self._functions = callbacks.logger, callbacks.allocateMemory, callbacks.freeMemory
+            self._kept.append((callbacks, callbacks.logger, callbacks.allocateMemory, callbacks.freeMemory))
             addLoggerProxy(byref(callbacks))
         return callbacks
