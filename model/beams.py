@@ -65,7 +65,19 @@ class Shape:
     text: str
 
 
+@dataclass(frozen=True)
+class Slenderness:
+    """Slenderness of a beam: rotary = I/(A l²), shear = EI/(k G A l²)."""
+
+    rotary: float
+    shear: float
+
+
+THIN = Slenderness(0.0, 0.0)
+"""That of an Euler-Bernoulli beam."""
+
 STATIC = "Craig and Bampton's static shape under a force at the tip, as the tip's displacement"
+THICK = ", with shear and rotary inertia"
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 
 
@@ -77,11 +89,6 @@ def ordinal(mode: int) -> str:
 def fixed_interface(mode: int) -> str:
     """The description of a fixed-interface mode."""
     return f"Craig and Bampton's {ordinal(mode)} mode with the tip held"
-
-
-def pinned_pinned(mode: int) -> str:
-    """The description of a pinned-pinned mode."""
-    return f"{ordinal(mode)} mode of a beam pinned at both ends"
 
 
 def _root_near(centre: float, function: Callable[[float], float]) -> float:
@@ -152,24 +159,43 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
     return value, slope, curvature
 
 
-def tip_force_bending() -> Shape:
-    """Static shape of a cantilever under a tip force, (3 xi² - xi³)/2; its coordinate is the tip displacement."""
+def tip_force_bending(slenderness: Slenderness = THIN) -> Shape:
+    """Static shape of a cantilever under a tip force, (3 xi² - xi³)/2 + 3 s xi, scaled to 1 at the tip: its coordinate is the tip
+    displacement."""
+    # share of bending in the tip deflection; shear has the rest
+    share = 1.0 / (1.0 + 3.0 * slenderness.shear)
+    linear = 3.0 * slenderness.shear
 
     def slope(xi: RealArray) -> RealArray:
-        return np.asarray(3.0 * xi - 1.5 * xi**2)
-
-    return Shape(lambda xi: 1.5 * xi**2 - 0.5 * xi**3, slope, slope, lambda xi: 3.0 - 3.0 * xi, 1.0, 3.0, STATIC)
-
-
-def pinned_pinned_bending(mode: int) -> Shape:
-    """Pinned-pinned bending shape k: sin(k pi xi); the tip doesn't move."""
-    k = mode * np.pi
-
-    def slope(xi: RealArray) -> RealArray:
-        return np.asarray(k * np.cos(k * xi))
+        return np.asarray(share * (3.0 * xi - 1.5 * xi**2 + linear))
 
     return Shape(
-        lambda xi: np.sin(k * xi), slope, slope, lambda xi: -(k**2) * np.sin(k * xi), 0.0, k, pinned_pinned(mode)
+        value=lambda xi: share * (1.5 * xi**2 - 0.5 * xi**3 + linear * xi),
+        slope=slope,
+        rotation=lambda xi: share * (3.0 * xi - 1.5 * xi**2),
+        strain=lambda xi: share * (3.0 - 3.0 * xi),
+        tip=1.0,
+        wave_number=3.0,
+        text=STATIC,
+    )
+
+
+def pinned_pinned_bending(mode: int, slenderness: Slenderness = THIN) -> Shape:
+    """Pinned-pinned shape k: sin(k pi xi); the tip doesn't move, the section rotation is proportional to cos(k pi xi)."""
+    # the lower root of the frequency equation
+    k, r, s = mode * np.pi, slenderness.rotary, slenderness.shear
+    b = 1.0 + k**2 * (r + s)
+    square = 2.0 * k**4 / (b + np.sqrt(b**2 - 4.0 * r * s * k**4))
+    # rotation of the section = slope minus shear angle
+    turning = k - square * s / k
+    return Shape(
+        value=lambda xi: np.sin(k * xi),
+        slope=lambda xi: k * np.cos(k * xi),
+        rotation=lambda xi: turning * np.cos(k * xi),
+        strain=lambda xi: -turning * k * np.sin(k * xi),
+        tip=0.0,
+        wave_number=k,
+        text=f"{ordinal(mode)} mode of a beam pinned at both ends" + (THICK if slenderness.shear else ""),
     )
 
 
@@ -259,14 +285,6 @@ SPARE_POLYNOMIALS = 20
 Number = TypeVar("Number", float, "casadi.SX")
 
 
-@dataclass(frozen=True)
-class Slenderness:
-    """Slenderness of a beam, both zero for an Euler-Bernoulli beam: rotary = I/(A l²), shear = EI/(k G A l²)."""
-
-    rotary: float
-    shear: float
-
-
 def shear_coefficient(outer: Number, inner: Number, poissons_ratio: Number) -> Number:
     """Shear coefficient k of a round tube or rod with diameters in m, Cowper (1966)."""
     ratio = (inner / outer) ** 2
@@ -284,59 +302,11 @@ def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
     return Slenderness(rotary, 2.0 * (1.0 + nu) / k * rotary)
 
 
-def timoshenko_shapes(basis: Basis, group: LinkGroup, modes: int, slenderness: Slenderness) -> tuple[Shape, ...]:
-    """The first `modes` bending shapes of a link group, like `flexfmu.model.beams.family_shapes`."""
-    if group == "distal":
-        return tuple(pinned_pinned_timoshenko(k, slenderness) for k in range(1, modes + 1))
-    if basis == "craig-bampton":
-        return (tip_force_timoshenko(slenderness), *_clamped_modes(modes - 1, slenderness, tip_held=True))
-    return _clamped_modes(modes, slenderness, tip_held=False)
-
-
-def tip_force_timoshenko(slenderness: Slenderness) -> Shape:
-    """Static shape of a cantilever under a tip force: (3 xi² - xi³)/2 + 3 s xi, scaled to 1 at the tip."""
-    # share of bending in the tip deflection; shear has the rest
-    share = 1.0 / (1.0 + 3.0 * slenderness.shear)
-    linear = 3.0 * slenderness.shear
-
-    def slope(xi: RealArray) -> RealArray:
-        return np.asarray(share * (3.0 * xi - 1.5 * xi**2 + linear))
-
-    return Shape(
-        value=lambda xi: share * (1.5 * xi**2 - 0.5 * xi**3 + linear * xi),
-        slope=slope,
-        rotation=lambda xi: share * (3.0 * xi - 1.5 * xi**2),
-        strain=lambda xi: share * (3.0 - 3.0 * xi),
-        tip=1.0,
-        wave_number=3.0,
-        text=STATIC,
-    )
-
-
-def pinned_pinned_timoshenko(mode: int, slenderness: Slenderness) -> Shape:
-    """Pinned-pinned shape k: sin(k pi xi); its section rotation is proportional to cos(k pi xi)."""
-    # the lower root of the frequency equation
-    k, r, s = mode * np.pi, slenderness.rotary, slenderness.shear
-    b = 1.0 + k**2 * (r + s)
-    square = 2.0 * k**4 / (b + np.sqrt(b**2 - 4.0 * r * s * k**4))
-    # rotation of the section = slope minus shear angle
-    turning = k - square * s / k
-    return Shape(
-        value=lambda xi: np.sin(k * xi),
-        slope=lambda xi: k * np.cos(k * xi),
-        rotation=lambda xi: turning * np.cos(k * xi),
-        strain=lambda xi: -turning * k * np.sin(k * xi),
-        tip=0.0,
-        wave_number=k,
-        text=f"{pinned_pinned(mode)}, with shear and rotary inertia",
-    )
-
-
 def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tuple[Shape, ...]:
     """Modes of a clamped beam with a free or a pinned tip, by a Ritz method in polynomials, converged to rounding."""
     from scipy.linalg import eigh  # here, since other beams need no scipy
 
-    if not modes:
+    if modes < 1:
         return ()
     # trial functions that satisfy the clamp, and the pin if there is one
     count = 2 * modes + SPARE_POLYNOMIALS
@@ -375,7 +345,7 @@ def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tupl
                 strain=turning.deriv(),
                 tip=0.0 if tip_held else float(value(1.0)),
                 wave_number=float(len(value.coef)),
-                text=f"{text}, with shear and rotary inertia",
+                text=text + THICK,
             )
         )
     return tuple(shapes)
@@ -389,34 +359,36 @@ FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
 )
 """Elastic families: link group and direction of deflection."""
 
-_MODES: dict[tuple[Direction, LinkGroup], tuple[Callable[[int], Shape], ...]] = {
-    ("bending", "proximal"): (clamped_free_bending, clamped_pinned_bending),
-    ("bending", "distal"): (pinned_pinned_bending, pinned_pinned_bending),
-    ("axial", "proximal"): (fixed_free_axial, fixed_fixed_axial),
-    ("axial", "distal"): (fixed_free_axial, fixed_fixed_axial),
-}
-"""Family → shapes with a free tip, and with the tip held; the tip of a pinned-pinned link is at rest in both."""
 
-
-def family_shapes(basis: Basis, group: LinkGroup, direction: Direction, modes: int) -> tuple[Shape, ...]:
-    """The first `modes` shapes of a family."""
-    free, held = _MODES[direction, group]
-    if basis == "assumed-modes" or free is held or not modes:
-        return tuple(free(k) for k in range(1, modes + 1))
-    static = tip_force_bending() if direction == "bending" else tip_force_axial()
-    return (static, *(held(k) for k in range(1, modes)))
+def family_shapes(
+    basis: Basis, group: LinkGroup, direction: Direction, modes: int, slenderness: Slenderness = THIN
+) -> tuple[Shape, ...]:
+    """The first `modes` shapes of a family; slenderness is that of a Timoshenko beam that bends."""
+    numbers, static_first = range(1, modes + 1), basis == "craig-bampton"
+    # the tip of a pinned-pinned link is at rest in both bases
+    if (group, direction) == ("distal", "bending"):
+        return tuple(pinned_pinned_bending(k, slenderness) for k in numbers)
+    if slenderness.shear:
+        static, dynamic = (
+            tip_force_bending(slenderness),
+            _clamped_modes(modes - static_first, slenderness, static_first),
+        )
+    elif direction == "bending":
+        static, shape = tip_force_bending(), clamped_pinned_bending if static_first else clamped_free_bending
+        dynamic = tuple(shape(k) for k in numbers)
+    else:
+        static, shape = tip_force_axial(), fixed_fixed_axial if static_first else fixed_free_axial
+        dynamic = tuple(shape(k) for k in numbers)
+    return (static, *dynamic)[:modes] if static_first else dynamic
 
 
 def scene_shapes(scene: Scene) -> dict[tuple[LinkGroup, Direction], tuple[Shape, ...]]:
     """The shapes of each elastic family that the scene has, in the order of `FAMILIES`; those of its beam theory."""
     chosen, found = scene.effects, dict[tuple[LinkGroup, Direction], tuple[Shape, ...]]()
     for group, direction in FAMILIES:
-        modes: int = getattr(chosen, f"{group}_{direction}")
-        if not modes:
-            continue
-        # shear matters in bending alone
-        if direction == "bending" and chosen.beam == "timoshenko":
-            found[group, direction] = timoshenko_shapes(chosen.basis, group, modes, slenderness(scene.mechanism, group))
-        else:
-            found[group, direction] = family_shapes(chosen.basis, group, direction, modes)
+        if modes := getattr(chosen, f"{group}_{direction}"):
+            # shear matters in bending alone
+            thick = direction == "bending" and chosen.beam == "timoshenko"
+            slender = slenderness(scene.mechanism, group) if thick else THIN
+            found[group, direction] = family_shapes(chosen.basis, group, direction, modes, slender)
     return found

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh, lu_factor, lu_solve
 
 from flexfmu.model.finite_elements.robot import HELD, MOTORS, FiniteElementRobot
@@ -85,8 +84,6 @@ def _columns(*vectors: RealArray) -> tuple[RealArray, ...]:
     return tuple(vector[:, None] for vector in vectors)
 
 
-Factors = tuple[RealArray, NDArray[np.int32]]
-
 METHOD = radau(3)
 
 CONVERGED = 1e-6
@@ -130,78 +127,47 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
     Raises:
         EquilibriumError: the start has no static equilibrium, or the iteration of a step doesn't converge.
     """
-    integration = _Integration(robot, joints.evaluate(0.0, 0)[0, 0])
-    wanted = set(instants.tolist())
+    x = equilibrium(robot, joints.evaluate(0.0, 0)[0, 0]).coordinates
+    v, a = np.zeros((2, x.size))
+    end, motors, wanted = list(robot.mesh.end), list(MOTORS), set(instants.tolist())
+    factors, factors_step, recorded = None, 0.0, list[tuple[float, RealArray, RealArray, RealArray, RealArray]]()
     # intervals between instants and breakpoints; a breakpoint that equals an instant but for rounding is dropped
     stop = float(instants[-1])
     breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
-    for begin, end in pairwise(sorted({0.0, *breakpoints, *instants.tolist()})):
+    for start, finish in pairwise(sorted({0.0, *breakpoints, *instants.tolist()})):
         # equal steps within each interval; the motor motion at all stages at once
-        count = math.ceil((end - begin) / step * (1.0 - 1e-9))
-        h = (end - begin) / count
-        stages = begin + h * (np.arange(count)[:, None] + METHOD.nodes)
-        motors = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
+        count = math.ceil((finish - start) / step * (1.0 - 1e-9))
+        h = (finish - start) / count
+        stages = start + h * (np.arange(count)[:, None] + METHOD.nodes)
+        driven = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
         for n in range(count):
-            integration.advance(float(stages[n, -1]), h, motors[:, n].transpose(0, 2, 1))
-        if end in wanted:
-            integration.record(end)
-    return integration.motion()
-
-
-class _Integration:
-    """State of the integration: present motion, factorised iteration matrix and recorded instants."""
-
-    def __init__(self, robot: FiniteElementRobot, joints: RealArray) -> None:
-        self._robot = robot
-        self._x = equilibrium(robot, joints).coordinates
-        self._v, self._a, self._force = np.zeros((3, self._x.size))
-        self._factors: Factors | None = None
-        self._factors_step = 0.0
-        self._recorded: list[tuple[float, RealArray, RealArray, RealArray, RealArray]] = []
-
-    def advance(self, time: float, h: float, motors: RealArray) -> None:
-        """Advance by a step h [s] to `time`; `motors` are angles, rates and accelerations (3, 2, stages)."""
-        # predict with constant accelerations, prescribe the motors
-        x = self._x[:, None] + h * METHOD.nodes * self._v[:, None]
-        v, a = self._v[:, None] + np.zeros(3), self._a[:, None] + np.zeros(3)
-        x[HELD:] += h**2 * a[HELD:] @ METHOD.twice.T
-        v[HELD:] += h * a[HELD:] @ METHOD.matrix.T
-        x[list(MOTORS)], v[list(MOTORS)], a[list(MOTORS)] = motors
-        # correct until the equations of motion hold; the last stage is the new state
-        force = self._balance(time, h, x, v, a)
-        self._x, self._v, self._a, self._force = x[:, -1], v[:, -1], a[:, -1], force[:, -1]
-
-    def _balance(self, time: float, h: float, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
-        """Solve for the stages' accelerations by Newton's method, in place; returns the final forces (size, 3)."""
-        for iteration in range(1, MAXIMUM_ITERATIONS + 1):
-            force = self._robot.forces(x, v, a)
-            change = lu_solve(self._matrix(h, x[:, 1], v[:, 1], a[:, 1]), -force[HELD:].T.ravel()).reshape(3, -1).T
-            a[HELD:] += change
-            v[HELD:] += h * change @ METHOD.matrix.T
-            x[HELD:] += h**2 * change @ METHOD.twice.T
-            if iteration % MANY == 0:
-                self._factors = None
-            if np.abs(change).max() <= CONVERGED * (SCALE + np.abs(a).max()):
-                return self._robot.forces(x, v, a)
-        raise EquilibriumError(
-            f"the finite elements' forces don't balance at {time:.6g} s: take smaller steps than {h:.3g} s"
-        )
-
-    def _matrix(self, h: float, x: RealArray, v: RealArray, a: RealArray) -> Factors:
-        """LU factors of the iteration matrix at the middle stage, for a new step size or after `MANY` iterations."""
-        if self._factors is None or abs(h - self._factors_step) > 1e-9 * h:
-            k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(x, v, a))
-            self._factors = lu_factor(
-                np.kron(np.eye(3), m) + h * np.kron(METHOD.matrix, c) + h**2 * np.kron(METHOD.twice, k)
-            )
-            self._factors_step = h
-        return self._factors
-
-    def record(self, time: float) -> None:
-        """Record the present state."""
-        end, motors = list(self._robot.mesh.end), list(MOTORS)
-        self._recorded.append((time, self._x[end], self._v[end], self._a[end], self._force[motors]))
-
-    def motion(self) -> ElementMotion:
-        """The motion at the recorded instants."""
-        return ElementMotion(*(np.array(column) for column in zip(*self._recorded, strict=True)))
+            # predict with constant accelerations, prescribe the motors
+            x, v, a = x[:, None] + h * METHOD.nodes * v[:, None], v[:, None] + np.zeros(3), a[:, None] + np.zeros(3)
+            x[HELD:] += h**2 * a[HELD:] @ METHOD.twice.T
+            v[HELD:] += h * a[HELD:] @ METHOD.matrix.T
+            x[motors], v[motors], a[motors] = driven[:, n].transpose(0, 2, 1)
+            # correct the stages' accelerations by Newton's method until the equations of motion hold
+            for iteration in range(1, MAXIMUM_ITERATIONS + 1):
+                # the iteration matrix at the middle stage, for a new step size or after `MANY` iterations
+                if factors is None or abs(h - factors_step) > 1e-9 * h:
+                    k, c, m = (each[HELD:, HELD:] for each in robot.tangents(x[:, 1], v[:, 1], a[:, 1]))
+                    matrix = np.kron(np.eye(3), m) + h * np.kron(METHOD.matrix, c) + h**2 * np.kron(METHOD.twice, k)
+                    factors, factors_step = lu_factor(matrix), h
+                change = lu_solve(factors, -robot.forces(x, v, a)[HELD:].T.ravel()).reshape(3, -1).T
+                a[HELD:] += change
+                v[HELD:] += h * change @ METHOD.matrix.T
+                x[HELD:] += h**2 * change @ METHOD.twice.T
+                if iteration % MANY == 0:
+                    factors = None
+                if np.abs(change).max() <= CONVERGED * (SCALE + np.abs(a).max()):
+                    break
+            else:
+                raise EquilibriumError(
+                    f"the finite elements' forces don't balance at {stages[n, -1]:.6g} s: take smaller steps than {h:.3g} s"
+                )
+            # the last stage is the new state
+            x, v, a = x[:, -1], v[:, -1], a[:, -1]
+        if finish in wanted:
+            torque = robot.forces(*_columns(x, v, a))[motors, 0]
+            recorded.append((finish, x[end], v[end], a[end], torque))
+    return ElementMotion(*(np.array(column) for column in zip(*recorded, strict=True)))

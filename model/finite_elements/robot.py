@@ -106,39 +106,26 @@ def straight(root: Point, tip: Point, elements: int) -> RealArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
-    """All elements of a link group.
-
-    Attributes:
-        element: functions of each element.
-        index: indices of the coordinates of each element (E, 6).
-    """
-
-    element: BeamElement
-    index: Index
-
-
-@dataclass(frozen=True, eq=False)
 class FiniteElementRobot:
     """The five-bar of a scene as beam elements; forces are evaluated for S states at once.
 
     Attributes:
         scene: the scene; its mode shapes have no meaning here: all links bend and stretch, with foreshortening.
         mesh: indices of the coordinates.
-        chains: elements of each link group.
+        chains: functions of an element of each link group, and indices of the coordinates of all its elements (E, 6).
     """
 
     scene: Scene
     mesh: Mesh
-    chains: tuple[Chain, ...]
+    chains: tuple[tuple[BeamElement, Index], ...]
 
     def forces(self, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
         """Forces (size, S) that the motion needs, for coordinates, rates and accelerations (size, S) each."""
         # elements of all links
         total = np.zeros(x.shape)
-        for chain in self.chains:
-            parts = _mapped(chain.element.force, chain.index, x, v, a)
-            np.add.at(total, chain.index.T, parts.transpose(1, 2, 0))
+        for element, indices in self.chains:
+            parts = _mapped(element.force, indices, x, v, a)
+            np.add.at(total, indices.T, parts.transpose(1, 2, 0))
         # payload: point mass with its weight, and rotary inertia
         end, payload = list(self.mesh.end), self.scene.payload
         total[end] += payload.mass * (a[end] - np.array(self.scene.effects.gravity)[:, None])
@@ -148,9 +135,9 @@ class FiniteElementRobot:
     def tangents(self, x: RealArray, v: RealArray, a: RealArray) -> tuple[RealArray, RealArray, RealArray]:
         """Jacobians of the forces by x, v and a, (size, size) each, at one state (size,) each."""
         total = np.zeros((3, self.mesh.size, self.mesh.size))
-        for chain in self.chains:
-            parts = _mapped(chain.element.tangent, chain.index, x[:, None], v[:, None], a[:, None])[0]
-            for index, part in zip(chain.index, parts.T, strict=True):
+        for element, indices in self.chains:
+            parts = _mapped(element.tangent, indices, x[:, None], v[:, None], a[:, None])[0]
+            for index, part in zip(indices, parts.T, strict=True):
                 # Jacobians by x, v and a, column by column
                 blocks = part.reshape(3, COORDINATES, COORDINATES)
                 total[:, index[:, None], index[None, :]] += blocks.transpose(0, 2, 1)
@@ -182,7 +169,13 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
         SceneError: the scene has damping or drive effects that this formulation doesn't have.
     """
     # damping and loads that the formulation supports
-    time = _damping_time(scene)
+    damping = scene.effects.damping
+    if not isinstance(damping, StiffnessDampingSection | NoDampingSection):
+        raise SceneError(
+            f"finite elements have no damping of the kind '{damping.kind}', which belongs to modes: "
+            'set `effects.damping` to { kind = "none" } or { kind = "stiffness", time = ... }'
+        )
+    time = damping.time if isinstance(damping, StiffnessDampingSection) else 0.0
     for key in scene.loads:
         if key not in KNOWN:
             raise SceneError(
@@ -193,7 +186,7 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
     for group, links in LINKS.items():
         section = beam_section(scene, group)
         element = beam_element(section, section.length / elements, scene.effects.gravity, time)
-        chains.append(Chain(element, np.vstack([mesh.elements(link) for link in links])))
+        chains.append((element, np.vstack([mesh.elements(link) for link in links])))
     return FiniteElementRobot(scene, mesh, tuple(chains))
 
 
@@ -203,18 +196,6 @@ def _mapped(function: casadi.Function, index: Index, *states: RealArray) -> Real
     columns = [z[index].transpose(1, 2, 0).reshape(COORDINATES, count * elements) for z in states]
     result = function.map(count * elements)(*columns).full()
     return np.asarray(result.reshape(-1, count, elements).transpose(1, 0, 2))
-
-
-def _damping_time(scene: Scene) -> float:
-    damping = scene.effects.damping
-    if isinstance(damping, StiffnessDampingSection):
-        return damping.time
-    if isinstance(damping, NoDampingSection):
-        return 0.0
-    raise SceneError(
-        f"finite elements have no damping of the kind '{damping.kind}', which belongs to modes: "
-        'set `effects.damping` to { kind = "none" } or { kind = "stiffness", time = ... }'
-    )
 
 
 COORDINATES = 6

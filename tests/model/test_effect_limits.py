@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from flexfmu.model.beams import family_shapes, slenderness, timoshenko_shapes
+from flexfmu.model.beams import family_shapes, slenderness
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.scene.assembly import elbows, motor_angles
 from flexfmu.model.scene.file import load_scene
@@ -141,8 +141,8 @@ def test_a_thick_cantilever_yields_to_a_force_at_its_tip_by_bending_and_shear(in
     shear = wave_speeds(scene, "proximal")[2]
     assert thin / thick == pytest.approx(1.0 + 3.0 * shear, rel=1e-9)
     slender = slenderness(scene.mechanism, "proximal")
-    static, *held = timoshenko_shapes("craig-bampton", "proximal", 4, slender)
-    free = timoshenko_shapes("assumed-modes", "proximal", 4, slender)
+    static, *held = family_shapes("craig-bampton", "proximal", "bending", 4, slender)
+    free = family_shapes("assumed-modes", "proximal", "bending", 4, slender)
     assert static.value(np.ones(1))[0] == pytest.approx(1.0, rel=1e-14)
     assert min(shape.strain(np.zeros(1))[0] for shape in (*held, *free)) > 0.0
 
