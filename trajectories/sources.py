@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from flexfmu.trajectories.errors import TrajectoryError, positive
-from flexfmu.trajectories.jets import Jet, RealArray, compose
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates, PiecewisePolynomial, moved
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory, merged
 
@@ -100,46 +100,23 @@ def from_ruckig(trajectory: Any, coordinates: Coordinates = "joints") -> Piecewi
 
 
 def from_toppra(trajectory: Any, coordinates: Coordinates = "joints") -> PiecewisePolynomial:
-    """Return the motion that a toppra algorithm's `compute_trajectory` gives, of either parametrizer.
-
-    `ParametrizeSpline` gives a cubic spline. `ParametrizeConstAccel` gives a path's cubic spline after quadratic polynomials of
-    time: degree 6, between grid points and the path's knots.
+    """Return the motion that a toppra algorithm's `compute_trajectory` gives with `ParametrizeSpline`, its default: a cubic spline.
 
     Args:
         trajectory: the motion.
         coordinates: what moves, as for `from_scipy`.
 
     Raises:
-        TrajectoryError: it is something else, hasn't two degrees of freedom, or its path isn't a spline.
+        TrajectoryError: it is something else, or hasn't two degrees of freedom.
     """
     if trajectory is None:
         raise TrajectoryError("toppra found no trajectory: relax its limits, or move the path")
     if hasattr(trajectory, "cspl"):
         return from_scipy(trajectory.cspl, coordinates)
-    path = getattr(getattr(trajectory, "_path", None), "cspl", None)
-    if path is None:
-        raise TrajectoryError(
-            f"expected what toppra's compute_trajectory returns for a SplineInterpolator, got {type(trajectory).__name__}: "
-            'for other paths choose parametrizer="ParametrizeSpline"'
-        )
-    pieces, grid, speeds = _pieces_of(path), np.asarray(trajectory._ss), np.asarray(trajectory._velocities)
-    _check_axes(pieces.taylor.shape[2])
-    # time between grid points, at constant acceleration along the path
-    widths, taylor = list[float](), list[RealArray]()
-    for (s, end), (speed, last) in zip(pairwise(grid.tolist()), pairwise(speeds.tolist()), strict=True):
-        acceleration = 0.5 * (last**2 - speed**2) / (end - s)
-        inside = pieces.starts[(pieces.starts > s) & (pieces.starts < end)].tolist()
-        for a, b in pairwise(merged([s, end], inside, SAME_TIME * float(grid[-1] - grid[0]))):
-            # speeds at both ends of a part of one path piece
-            v, w = (max(speed**2 + 2.0 * acceleration * (each - s), 0.0) ** 0.5 for each in (a, b))
-            inner = np.zeros((7, 1))
-            inner[:3, 0] = a, v, 0.5 * acceleration
-            outer = np.zeros((7, AXES, 1))
-            here = pieces.about(np.array([a]), np.array([0.5 * (a + b)]))
-            outer[: len(here), :, 0] = here[:, 0]
-            widths.append(2.0 * (b - a) / (v + w))
-            taylor.append(compose(Jet(outer), Jet(inner)).coefficients[:, :, 0])
-    return PiecewisePolynomial(np.concatenate([[0.0], np.cumsum(widths)]), np.stack(taylor, axis=1), coordinates)
+    raise TrajectoryError(
+        f"expected what toppra's compute_trajectory returns, got {type(trajectory).__name__}: choose "
+        'parametrizer="ParametrizeSpline"'
+    )
 
 
 def _check_axes(axes: int) -> None:

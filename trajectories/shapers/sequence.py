@@ -25,7 +25,6 @@ from flexfmu.trajectories.errors import TrajectoryError, positive, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, SmoothPiece
-from flexfmu.trajectories.roots import root_between
 from flexfmu.trajectories.trajectory import SAME_TIME, TaskTrajectory, Trajectory, merged
 
 SUM_ROUNDING = 1e-9
@@ -33,15 +32,6 @@ SUM_ROUNDING = 1e-9
 
 SAME_IMPULSE = 1e-12
 """Fraction of the duration within which two impulses of a convolution coincide."""
-
-TOUCH = 1e-6
-"""Relative tolerance of a residual level: humps of EI shapers reach their tolerance exactly."""
-
-FURTHEST = 100.0
-"""Multiple of the design frequency up to which the end of the insensitive range is searched."""
-
-FINENESS = 200
-"""Samples per 1/duration, which is the width of the narrowest feature of a sensitivity curve."""
 
 
 @dataclass(frozen=True)
@@ -156,42 +146,6 @@ class ImpulseSequence:
         pole = complex(checked_ratio(ratio), math.sqrt(1.0 - ratio**2))
         exponents = np.outer(omega, pole * np.array(self.times) - ratio * self.duration)
         return np.asarray(np.abs(np.exp(exponents) @ np.array(self.amplitudes)))
-
-    def insensitivity(self, frequency: float, level: float = 0.05, ratio: float = 0.0) -> float:
-        """Return the width of the range around the design frequency in which the residual is at most ``level``.
-
-        The width is divided by the design frequency: 0.4 means ±20 % (Singhose, Seering and Singer, "Residual Vibration
-        Reduction Using Vector Diagrams to Generate Shaped Inputs", J. Mech. Des. 116, 1994). It is zero if the residual at the
-        design frequency exceeds the level, infinite if the range has no upper end below 100 times that frequency.
-
-        Args:
-            frequency: design frequency [Hz].
-            level: admissible residual, 0 to 1 exclusive.
-            ratio: damping ratio.
-
-        Raises:
-            TrajectoryError: an argument is out of range.
-        """
-        positive("design frequency", frequency, "Hz")
-        limit = checked_fraction("level", level) * (1.0 + TOUCH)
-        if self.residual(frequency, ratio)[0] > limit or self.duration == 0.0:
-            return 0.0
-        # the ends of the range, from the design frequency downwards and upwards
-        low = self._crossing(frequency, 0.0, limit, ratio)
-        high = self._crossing(frequency, FURTHEST * frequency, limit, ratio)
-        return (high - low) / frequency
-
-    def _crossing(self, start: float, end: float, limit: float, ratio: float) -> float:
-        """Return the first frequency [Hz] from ``start`` towards ``end`` at which the residual exceeds the limit."""
-        # a grid fine enough for the narrowest feature, then the root within one interval
-        count = max(FINENESS, math.ceil(FINENESS * abs(end - start) * self.duration))
-        grid = np.linspace(start, end, count + 1)
-        above = np.flatnonzero(self.residual(grid, ratio) > limit)
-        if not above.size:
-            return math.inf if end > start else 0.0
-        return root_between(
-            lambda frequency: float(self.residual(frequency, ratio)[0]) - limit, grid[above[0] - 1], grid[above[0]]
-        )
 
     def convolve(self, other: ImpulseSequence) -> ImpulseSequence:
         """Return the convolution of both sequences, which cancels the modes of both; coinciding impulses are added."""

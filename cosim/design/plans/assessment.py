@@ -220,17 +220,6 @@ class Assessment:
         }
         return RunMetrics(self.candidate.label, lambda companions, names: found)
 
-    @property
-    def objective(self) -> Mapping[str, float]:
-        """What a plan may minimise → value."""
-        return {
-            "time": self.time,
-            "torque": self.torque,
-            "rms_torque": self.rms_torque,
-            "energy": self.energy,
-            "residual": self.residual,
-        }
-
 
 Judged = tuple[float, tuple[Peaks, ...], tuple[float, float, float], tuple[Limit, ...]]
 """What a journal has of an assessment."""
@@ -288,13 +277,24 @@ class Judge:
         torques = [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
         moving = recording.time <= end
         points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
-        off, clear = self._off_path(points[moving]), self._clear(points[moving])
+        off, clear = (
+            self._off_path(points[moving]),
+            self.goals.clearance.along(points[moving], self.goals.wishes.margin),
+        )
         # from when on the vibration counts
         residual = float(metrics["residual_vibration_amplitude"])
         if wait := self.goals.wishes.settled_within:
             rest = points[-1]
             residual = float(np.hypot(*(points[recording.time >= end + wait] - rest).T).max())
-        limited = self.goals.limits
+        # forces in elbows and between the legs and the end effector; no stress in rigid links
+        reaction = stress = math.nan
+        if "reaction" in self.goals.limits:
+            names = [f"{place}{leg}.reaction" for place in ("elbow", "leg") for leg in (1, 2)]
+            forces = [np.hypot(*(recording[f"{name}.{axis}"].values for axis in "xy")) for name in names]
+            reaction = max(float(force.max()) for force in forces)
+        if "stress" in self.goals.limits:
+            combined = [each.combined.value for each in link_stresses(run) if each.combined is not None]
+            stress = max(combined, default=0.0)
         return Peaks(
             variation,
             (float(metrics["peak_torque_1"]), float(metrics["peak_torque_2"])),
@@ -305,13 +305,9 @@ class Judge:
             float(metrics["positive_energy_1"]) + float(metrics["positive_energy_2"]),
             (float(off.max()), float(recording.time[off.argmax()])),
             (float(clear.min()), float(recording.time[clear.argmin()])),
-            _largest_reaction(run) if "reaction" in limited else math.nan,
-            _largest_stress(run) if "stress" in limited else math.nan,
+            reaction,
+            stress,
         )
-
-    def _clear(self, points: RealArray) -> RealArray:
-        """Distances (N,) [m] on the way through points from the keep-out region."""
-        return self.goals.clearance.along(points, self.goals.wishes.margin)
 
     def _off_path(self, points: RealArray) -> RealArray:
         """Distances (N,) [m] of points from the given path."""
@@ -360,15 +356,3 @@ def _needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[
                 yield need[k], usual[k], f"joint {k + 1}, {each.variation}{when}"
         else:
             yield need, usual, str(each.variation)
-
-
-def _largest_reaction(run: Run) -> float:
-    """The largest force in an elbow or between a leg and the end effector [N]."""
-    names = [f"{place}{leg}.reaction" for place in ("elbow", "leg") for leg in (1, 2)]
-    forces = [np.hypot(*(run.recording[f"{name}.{axis}"].values for axis in "xy")) for name in names]
-    return max(float(force.max()) for force in forces)
-
-
-def _largest_stress(run: Run) -> float:
-    """The largest stress of a link [Pa]; 0 for rigid links."""
-    return max((each.combined.value for each in link_stresses(run) if each.combined is not None), default=0.0)

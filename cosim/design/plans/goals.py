@@ -238,15 +238,7 @@ def checked_goals(scene: Scene) -> Goals:
         InputError: no motion can keep to the wishes; the message names the wish, its value and the remedy.
     """
     goals = goals_of(scene)
-    _check_ends(goals)
-    _check_way(goals)
-    check_holding_torque(goals)
-    _check_duration(goals)
-    return goals
-
-
-def _check_ends(goals: Goals) -> None:
-    """Start and end may not lie where the end effector must not be."""
+    # start and end may not lie where the end effector must not be
     for name, point in (("start", goals.trace[0]), ("end", goals.trace[-1])):
         distance = float(goals.clearance.distance(point[None])[0])
         if distance < -goals.wishes.margin:
@@ -254,6 +246,10 @@ def _check_ends(goals: Goals) -> None:
                 f"`plan.keep_out` contains the {name} of the motion, ({point[0]:g}, {point[1]:g}) m, {1e3 * -distance:.3g} mm "
                 f"within its outline: make the region smaller"
             )
+    _check_way(goals)
+    check_holding_torque(goals)
+    _check_duration(goals)
+    return goals
 
 
 def _check_way(goals: Goals) -> None:

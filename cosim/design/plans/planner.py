@@ -155,29 +155,19 @@ class PlanResult(Rows):
         from flexfmu.cosim.reports.figure_style import INK, draw, logarithmic, style
 
         names = [name for name in FRONT if name != "time"]
+        groups = [
+            (self.assessed, "o", 3.5, INK, None),
+            ((self.given,), "s", 7.0, "#1f8a5f", "given"),
+            ((self.chosen,), "D", 7.0, "#c7394f", "chosen"),
+        ]
         with style():
             figure = draw(9.0, 5.6)
             for axes, name in zip(figure.subplots(2, 2, sharex=True).ravel(), names, strict=True):
                 factor, unit = DRAWN.get(name, (1.0, shown_unit(FIGURES[name][1])))
-                for each in self.assessed:
-                    face = INK if each.feasible else "none"
-                    axes.plot(
-                        each.time, factor * getattr(each, name), "o", markersize=3.5, color=INK, markerfacecolor=face
-                    )
-                for each, sign, colour, label in (
-                    (self.given, "s", "#1f8a5f", "given"),
-                    (self.chosen, "D", "#c7394f", "chosen"),
-                ):
-                    face = colour if each.feasible else "none"
-                    axes.plot(
-                        each.time,
-                        factor * getattr(each, name),
-                        sign,
-                        markersize=7,
-                        color=colour,
-                        markerfacecolor=face,
-                        label=label,
-                    )
+                for group, sign, size, colour, label in groups:
+                    for each in group:
+                        place, face = (each.time, factor * getattr(each, name)), colour if each.feasible else "none"
+                        axes.plot(*place, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
                 values = [getattr(each, name) for each in (*self.assessed, self.given)]
                 if max(values) > MANY * min(values) > 0.0:
                     logarithmic(axes)
@@ -243,9 +233,19 @@ def plan_scene(
     check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
     found, failures = [judge.given], list(_notes(scene, goals))
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
+
+    def proposed() -> Iterator[Candidate]:
+        yield from candidates
+        for name in (each for each in METHODS if each in methods):
+            try:
+                yield from METHODS[name](goals, found, processes, show, journal)
+            except FAILURES as error:
+                # a method that fails doesn't end the plan
+                failures.append(f"{name}: {error}")
+
     interrupted = False
     try:
-        for candidate in _candidates(goals, found, methods, candidates, processes, show, journal, failures):
+        for candidate in proposed():
             try:
                 found.append(judge.assess(candidate))
             except FAILURES as error:
@@ -282,25 +282,6 @@ def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
         )
 
 
-def _candidates(
-    goals: Goals,
-    found: Sequence[Assessment],
-    methods: Collection[str],
-    given: Sequence[Candidate],
-    processes: int,
-    show: ShowProgress,
-    journal: WorkJournal,
-    failures: list[str],
-) -> Iterator[Candidate]:
-    """The candidates of all methods; a method that fails doesn't end the plan."""
-    yield from given
-    for name in (each for each in METHODS if each in methods):
-        try:
-            yield from METHODS[name](goals, found, processes, show, journal)
-        except FAILURES as error:
-            failures.append(f"{name}: {error}")
-
-
 def _dominates(one: Assessment, other: Assessment) -> bool:
     """Whether one is at least as good in every figure, and better in one; what misses a limit doesn't dominate what keeps all."""
     if other.feasible and not one.feasible:
@@ -319,7 +300,7 @@ def _ranked(found: Sequence[Assessment], goals: Goals) -> list[Assessment]:
 
     def rank(each: Assessment) -> tuple[float, float]:
         excess = 0.0 if each.feasible else max(use.share for use in each.uses)
-        return excess, each.objective[goals.wishes.minimise]
+        return excess, float(getattr(each, goals.wishes.minimise))
 
     return sorted(found, key=rank)
 

@@ -136,15 +136,12 @@ def frozen(candidate: Candidate) -> Candidate:
     )
 
 
-def robustness(
-    candidate: Candidate, goals: Goals, *, slow: bool = True, journal: WorkJournal = NOWHERE
-) -> Iterator[RobustnessLine]:
+def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOWHERE) -> Iterator[RobustnessLine]:
     """What remains of the candidate's figures in richer models, beyond the bands, and in a loop.
 
     Args:
         candidate: the motion.
         goals: what it was planned for.
-        slow: whether the finite elements judge too: some ten seconds.
         journal: where lines are kept.
 
     Raises:
@@ -159,8 +156,7 @@ def robustness(
     for name, (stiffness, damping) in BANDS.items():
         if damping == 1.0 or not isinstance(goals.scene.effects.damping, NoDampingSection):
             lines[f"{RICHEST}, {name}"] = partial(_assessed, fixed, goals, richest, stiffness, damping)
-    if slow:
-        lines["finite elements"] = partial(_by_elements, fixed, goals)
+    lines["finite elements"] = partial(_by_elements, fixed, goals)
     lines |= {name: partial(_in_a_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
     # each of them, or that there is none and why
     content = fixed.content
