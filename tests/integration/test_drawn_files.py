@@ -46,49 +46,10 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 TOKEN = re.compile(rb"[A-Za-z_][\w.]*|[-+]?[\d.]+(?:e[-+]?\d+)?|\s+|.", re.DOTALL)
 
 HOSTILE = (
-    *(
-        b"",
-        b"\0",
-        b"\xff\xfe",
-        b"\xef\xbb\xbf",
-        b'"',
-        b"'",
-        b"=",
-        b"[",
-        b"{",
-        b"}",
-        b"<",
-        b"/>",
-        b"&#0;",
-        b"&lol;",
-        b"\n",
-        b"\r",
-    ),
-    *(
-        b"nan",
-        b"inf",
-        b"-inf",
-        b"1e999",
-        b"-1",
-        b"0",
-        b"1e-320",
-        b"true",
-        b"[]",
-        b"{}",
-        b"0x7fffffffffffffff",
-        b"99999999999",
-    ),
-    *(
-        b"9" * 5000,
-        b"[" * 3000,
-        b"a." * 500,
-        b"x" * 300,
-        b"../../x",
-        b"/dev/zero",
-        b"=1+1",
-        "ü\u202e\U0001f600".encode(),
-    ),
-)
+    b"", b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b'"', b"'", b"=", b"[", b"{", b"}", b"<", b"/>", b"&#0;", b"&lol;", b"\n", b"\r",
+    b"nan", b"inf", b"-inf", b"1e999", b"-1", b"0", b"1e-320", b"true", b"[]", b"{}", b"0x7fffffffffffffff", b"99999999999",
+    b"9" * 5000, b"[" * 3000, b"a." * 500, b"x" * 300, b"../../x", b"/dev/zero", b"=1+1", "ü\u202e\U0001f600".encode(),
+)  # fmt: skip
 """Tokens that readers of numbers, names, nested values and paths have to refuse in a sentence."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import flexfmu
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.cosim.engine.master.grid import time_grid
@@ -28,6 +30,7 @@ from flexfmu.cosim.many.variants import VariantError, VariantResult, run_variant
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import PeakMetrics, measuring, metrics_of
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
+from flexfmu.fmu_build.codegen import LANES_FILE
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -185,10 +188,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [pytest.param(each, id=id) for id, each in SCENES.items()],
-)
+@pytest.mark.parametrize("changes", SCENES.values(), ids=SCENES)
 def test_other_scenes(changes: dict[str, Any]) -> None:
     """Effects, tolerances and methods; explicit steps have one time for all, so other durations are left to the FMU.
 
@@ -274,3 +274,45 @@ def test_branches_have_no_lanes(tmp_path: Path) -> None:
         archive.writestr("sources/model_residual.c", "casadi_real a1=(a0<a2);")
     with pytest.raises(ModelError, match=r"model_residual\.c has one"):
         batch_library(tmp_path / "branches.fmu", 1)
+
+
+COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
+HAS_LANES = sys.platform == "linux" and platform.machine() == "x86_64"
+
+SHORT: dict[str, Any] = {"trajectory.duration": 0.2, "trajectory.dwell": 0.05, "cosimulation.step": 1e-3}
+FOUR_LANES: dict[str, dict[str, Any]] = {
+    "radau": {"cosimulation.tolerance": 1e-5},
+    "gauss4": {"cosimulation.tolerance": 1e-8},
+    "gauss2": {"cosimulation.integrator": "gauss2"},
+    "odd count": {"effects.distal_bending": 1, "effects.proximal_axial": 2, "effects.gravity": [0.0, 0.0]},
+    "torques": {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05},
+}
+
+
+@pytest.mark.skipif(not HAS_LANES or COMPILER is None, reason="the reference is linux64: lanes need its registers")
+@pytest.mark.parametrize("changes", FOUR_LANES.values(), ids=FOUR_LANES)
+def test_lanes_give_the_same_bits(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers that depend on the processor's registers couldn't be compared between machines."""
+    scene = flexfmu.load_scene("barnard2012-6kg").replace(SHORT | changes)
+    with_lanes = flexfmu.run(scene)
+    assert f"sources/{LANES_FILE}" in zipfile.ZipFile(with_lanes.fmu_path).namelist()
+    monkeypatch.setenv("CC", f"{COMPILER} -DFLEX_PLAIN")
+    plain = flexfmu.run(scene)
+
+    assert plain.fmu_path != with_lanes.fmu_path
+    assert plain.health.statistics == with_lanes.health.statistics
+    for name in plain.recording.columns:
+        np.testing.assert_array_equal(plain.recording[name].values, with_lanes.recording[name].values, err_msg=name)
+
+
+def test_equations_that_branch_have_no_lanes() -> None:
+    """Friction chooses between formulas: a processor that follows one lane would give the others wrong numbers."""
+    scene = flexfmu.load_scene("barnard2012-6kg").replace(
+        SHORT
+        | {
+            "cosimulation.drive": "torque",
+            "effects.motor_inertia": 0.05,
+            "effects.joint_friction": {"kind": "stiction", "coulomb": 1.0, "breakaway": 1.5, "stribeck_velocity": 0.01},
+        }
+    )
+    assert f"sources/{LANES_FILE}" not in zipfile.ZipFile(flexfmu.build(scene)).namelist()

@@ -1,4 +1,4 @@
-"""Wishes that can't be fulfilled are told in one sentence before anything is simulated."""
+"""Wishes that can't be fulfilled are told in one sentence; distances to regions agree with closed forms."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.design.plans.goals import LEAST_DWELL, checked_goals, goals_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
+from flexfmu.trajectories.jets import RealArray
 
 SCENE = load_scene("barnard2012-6kg")
 """From (-0.175, 0.320) by -25 mm to (0.175, 0.320) m."""
@@ -117,3 +119,123 @@ def test_a_limit_is_kept_where_nothing_exceeds_it(limit: float, value: float, is
     """The verdict and the excess agree, for largest and for smallest values."""
     found = Limit("figure", limit, "1", is_upper=is_upper).used(value)
     assert found.met is (found.excess(value) <= 0.0)
+
+
+def signed_distance(corners: RealArray, points: RealArray) -> RealArray:
+    """Distances (N,) of points from a polygon, negative within it, by the winding number and the distances from all sides."""
+    after = np.roll(corners, -1, axis=0)
+    side, away = after - corners, points[:, None] - corners
+    onward = points[:, None] - after
+    turn = np.arctan2(
+        away[..., 0] * onward[..., 1] - away[..., 1] * onward[..., 0], np.einsum("nkj,nkj->nk", away, onward)
+    )
+    share = np.clip(np.einsum("nkj,kj->nk", away, side) / np.einsum("kj,kj->k", side, side), 0.0, 1.0)
+    distance = np.hypot(*np.moveaxis(away - share[..., None] * side, -1, 0)).min(axis=1)
+    return np.asarray(np.where(np.abs(turn.sum(axis=1)) > np.pi, -distance, distance))
+
+
+def star(random: np.random.Generator) -> RealArray:
+    """Corners (N, 2) about the origin, 0.5 to 1 away from it, some of them reflex."""
+    count, angle = int(random.integers(3, 9)), random.uniform(0.0, 2.0 * np.pi)
+    around = angle + 2.0 * np.pi * np.sort(random.uniform(0.0, 1.0, count) * 0.3 + np.arange(count)) / count
+    return np.asarray(random.uniform(0.5, 1.0, count)[:, None] * np.column_stack([np.cos(around), np.sin(around)]))
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 10_000))
+def test_distances_from_outlines_and_their_gradients(seed: int) -> None:
+    """By a second formulation, whatever the sense of rotation, at reflex corners too; the gradient is the slope of the distance."""
+    random = np.random.default_rng(seed)
+    corners, points = star(random), random.uniform(-2.0, 2.0, (500, 2))
+    polygon = Polygon.of(corners)
+    distance, gradient = polygon.distance(points)
+    assert distance == pytest.approx(signed_distance(corners, points), abs=1e-14)
+    assert Polygon.of(corners[::-1]).distance(points)[0] == pytest.approx(distance, abs=1e-14)
+    step = 1e-7
+    slope = np.stack(
+        [(polygon.distance(points + step * e)[0] - polygon.distance(points - step * e)[0]) / (2 * step) for e in np.eye(2)],
+        axis=1,
+    )  # fmt: skip
+    # but where two sides are equally near
+    smooth = np.abs(np.hypot(*slope.T) - 1.0) < 1e-5
+    assert smooth.mean() > 0.98
+    assert gradient[smooth] == pytest.approx(slope[smooth], abs=1e-4)
+
+
+def test_a_motion_clears_what_it_goes_around() -> None:
+    across = np.linspace(0.0, 0.3, 301)
+    trace = np.column_stack([across, 0.05 * np.sin(np.pi * across / 0.3)])
+    clearance = clearance_of_trace(trace, corridor=0.01, below=1e-3)
+    allowed = [[0.15, 0.055], [-0.005, 0.001], [0.305, 0.02], [0.15, 0.0599]]
+    kept_clear = [[0.15, 0.04], [0.15, 0.065], [-0.02, 0.001], [0.32, 0.02], [0.15, -0.002]]
+    assert (clearance.distance(np.array(allowed)) > 0.0).all()
+    assert (clearance.distance(np.array(kept_clear)) < 0.0).all()
+    # without regions everything is allowed
+    assert np.isinf(Clearance((), np.empty((0, 2)), np.empty((0, 2))).distance(np.array(kept_clear))).all()
+
+
+def way_of(random: np.random.Generator) -> RealArray:
+    """A smooth way of about 0.3 m with points some 0.5 mm apart, as a run records it."""
+    x = np.linspace(-0.15, 0.15, 601)
+    bends = random.uniform(-0.01, 0.01, 4)
+    return np.column_stack([x, sum(bend * np.cos((k + 1) * 9.0 * x) for k, bend in enumerate(bends))])
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10_000))
+def test_the_depth_of_a_way_is_that_of_a_finely_sampled_one(seed: int) -> None:
+    """Walls of 10 µm to 3 mm, wedges, stars and blocks, wherever points of the way lie."""
+    random = np.random.default_rng(seed)
+    way = way_of(random)
+    place = way[random.integers(50, 550)] + random.uniform(-1e-3, 1e-3, 2)
+    stretch = np.array([10.0 ** random.uniform(-5.0, -2.5), 10.0 ** random.uniform(-3.0, -1.3)])
+    shape, angle = star(random) * stretch, random.uniform(0.0, 2.0 * np.pi)
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    region = Polygon.of(place + shape @ turned.T)
+    found = max((each.depth for each in region.stretches(way)), default=0.0)
+    # a thousandth of a millimetre apart, where the way is near
+    near = np.flatnonzero(np.hypot(*(way - place).T) < np.hypot(*shape.T).max() + 1e-3)
+    low, high = max(near[0] - 1, 0), min(near[-1] + 1, len(way) - 1)
+    index = np.linspace(low, high, 500 * (high - low) + 1)
+    fine = np.column_stack([np.interp(index, np.arange(len(way)), each) for each in way.T])
+    exact = max(0.0, -float(signed_distance(region.corners, fine).min()))
+    assert found == pytest.approx(exact, abs=1.5e-6)
+    assert found >= exact - 1e-8
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10_000), st.floats(1e-6, 1e-3), st.floats(2e-3, 0.05), st.floats(-1.2, 1.2))
+def test_a_way_through_a_wall_is_as_far_off_as_the_walls_end(
+    seed: int, thickness: float, beyond: float, slant: float
+) -> None:
+    """However thin the wall is, and more so the thinner; beside it, and where a corner is cut, the depth alone counts."""
+    way = way_of(np.random.default_rng(seed))
+    k = 300
+    along = (way[k + 1] - way[k - 1]) / np.hypot(*(way[k + 1] - way[k - 1]))
+    up = np.array(
+        [np.sin(slant) * along[0] - np.cos(slant) * along[1], np.sin(slant) * along[1] + np.cos(slant) * along[0]]
+    )
+    side = 0.5 * thickness * np.array([up[1], -up[0]])
+    place = way[k] + 1e-4 * along
+    wall = Polygon.of(
+        [place - 0.1 * up - side, place - 0.1 * up + side, place + beyond * up + side, place + beyond * up - side]
+    )
+    passed = Clearance((wall,), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    # far from it no motion of 0.1 mm would go around it
+    if beyond > 12.0 * thickness / np.cos(slant):
+        assert passed.passage(way) > 0.3 * beyond
+        assert passed.passage(way) < 1.1 * beyond + thickness
+        assert passed.along(way, 1.0).min() < -0.3 * beyond
+    # moved aside by more than the wall reaches, nothing is passed
+    clear = Clearance((Polygon.of(wall.corners - 0.2 * up),), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    assert clear.passage(way + 0.0) == 0.0
+
+
+def test_a_corner_that_is_cut_is_not_passed_through() -> None:
+    """The depth counts there, as within a margin it is allowed."""
+    box = Clearance((Polygon.of([(0, 0), (1, 0), (1, 1), (0, 1)]),), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    for depth in (1e-6, 1e-4, 1e-2):
+        cut = np.array([[-1.0, 1.0 + 2 * depth], [1.0 + 2 * depth, -1.0]])[:, ::-1]
+        assert box.passage(cut) == 0.0
+        grazing = np.array([[-0.5, 1.0 - depth], [1.5, 1.0 - depth]])
+        assert box.along(grazing, 1e-3).min() == pytest.approx(-depth)

@@ -1,4 +1,4 @@
-"""Motions from CSV files: what is read, what is written, and what a wrong file says."""
+"""Splines through rows of a table, and tables from files and into them: orders, continuity, exactness, digits."""
 
 from __future__ import annotations
 
@@ -10,12 +10,180 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flexfmu.cosim.engine.trajectory_slave import TabulatedTrajectory, TrajectorySlave
+from flexfmu.cosim.experiment.cycles import ThereAndBack
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import LameBlend, PickAndPlacePath
-from flexfmu.trajectories.piecewise import spline
+from flexfmu.trajectories.piecewise import DEGREES, PiecewisePolynomial, spline
 from flexfmu.trajectories.profiles import bang_bang
 from flexfmu.trajectories.table import read_table, smoothed, write_table
-from flexfmu.trajectories.trajectory import TaskTrajectory
+from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+
+PATH = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> Trajectory:
+    """A motion whose acceleration jumps."""
+    return TaskTrajectory(PATH, bang_bang(), 0.43)
+
+
+@pytest.fixture(scope="module")
+def table(trajectory: Trajectory) -> TabulatedTrajectory:
+    """The same by look-up."""
+    return TabulatedTrajectory(trajectory)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_it_is_the_trajectory(trajectory: Trajectory, table: TabulatedTrajectory, side: str) -> None:
+    """Position, velocity and acceleration to rounding, on both sides of breakpoints and at rest before and after; higher
+    derivatives nearly."""
+    random = np.random.default_rng(3).uniform(-0.1, 0.6, 300)
+    times = np.concatenate([random, trajectory.breakpoints])
+    exact, found = trajectory.evaluate(times, 6, side), table.evaluate(times, 6, side)  # type: ignore[arg-type]
+    error = abs(found - exact).max(axis=(1, 2)) / abs(exact).max(axis=(1, 2))
+    assert (error < [1e-13, 1e-13, 1e-13, 1e-10, 1e-8, 1e-6, 1e-4]).all(), error
+
+
+def test_repeated_motions_too(trajectory: Trajectory) -> None:
+    """There and back, with breakpoints that two motions share."""
+    motion = ThereAndBack(trajectory, 0.0, 2)
+    times = np.array(motion.breakpoints)
+    table = TabulatedTrajectory(motion)
+    for side in ("left", "right"):
+        np.testing.assert_allclose(
+            table.evaluate(times, 2, side), motion.evaluate(times, 2, side), rtol=0.0, atol=1e-11
+        )
+
+
+def streamed(trajectory: Trajectory, times: np.ndarray) -> TrajectorySlave:
+    """A slave that has been asked for points before, and is now asked for these."""
+    slave = TrajectorySlave(trajectory, ("x", "y"), "m")
+    slave.prepare(np.linspace(0.0, 0.43, 20))
+    slave.prepare(times)
+    return slave
+
+
+@pytest.mark.parametrize("width", [2e-4, 4e-3, 2e-2])
+def test_a_chosen_step_gets_the_same_polynomial(trajectory: Trajectory, width: float) -> None:
+    """Whether points are few or many: the same references throughout the step, on long ones as exactly as the polynomial
+    itself follows the trajectory."""
+    begin = 0.0712
+    few = begin + width * np.array([0.0, 0.5, 1.0])
+    many = np.concatenate([few, np.linspace(0.3, 0.4, 20)])
+    within = np.linspace(0.0, 0.5 * width, 20)
+    found, exact = (streamed(trajectory, times).announced[0] for times in (few, many))
+    powers = np.array([within**j for j in range(10)]) / np.cumprod([1.0, *range(1, 10)])[:, None]
+    values = [np.einsum("jn,jv->vn", powers, polynomial) for polynomial in (found, exact)]
+    truth = trajectory.evaluate(begin + within, 2).swapaxes(1, 2).reshape(6, -1)
+    own = abs(values[1] - truth).max(axis=1)
+    scale = np.repeat(abs(trajectory.evaluate(np.linspace(0.0, 0.43, 200), 2)).max(axis=(1, 2)), 2)
+    assert (abs(values[0] - values[1]).max(axis=1) < 3e-13 * scale + 0.01 * own).all()
+
+
+def test_choosing_steps_is_cheap(
+    trajectory: Trajectory, table: TabulatedTrajectory, count_calls: Callable[..., int]
+) -> None:
+    """Three points take a fraction of the calls that the trajectory's series need."""
+    times = np.array([0.1, 0.101, 0.102])
+    exact, looked_up = (count_calls(lambda each=each: each.evaluate(times, 6)) for each in (trajectory, table))
+    assert looked_up < 0.25 * exact
+
+
+SPLINES = [(degree, order) for degree in DEGREES for order in range(degree // 2 + 1)]
+"""Degree, and highest order of given derivatives."""
+
+
+def rest_to_rest(order: int) -> np.polynomial.Polynomial:
+    """The polynomial of degree 2 order + 1 from 0 to 1 whose derivatives up to ``order`` vanish at both ends."""
+    rate = np.polynomial.Polynomial([0.0, 1.0, -1.0]) ** order
+    return rate.integ() / rate.integ()(1.0)
+
+
+def derivatives(polynomial: np.polynomial.Polynomial, time: np.ndarray, order: int) -> np.ndarray:
+    """The polynomial p and -3 p + 1 with derivatives, (order + 1, N, 2)."""
+    rows = np.array([polynomial.deriv(k)(time) for k in range(order + 1)])
+    second = -3.0 * rows
+    second[0] += 1.0
+    return np.stack([rows, second], axis=-1)
+
+
+def uneven(count: int, seed: int = 1) -> np.ndarray:
+    """Times from 0 to 1 whose steps differ by up to a factor of three."""
+    steps = np.random.default_rng(seed).uniform(0.5, 1.5, count - 1)
+    return np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+
+
+@pytest.mark.parametrize(("degree", "order"), SPLINES)
+def test_a_polynomial_of_its_degree_is_reproduced(degree: int, order: int) -> None:
+    """With all derivatives, and through the end conditions of rest also without them."""
+    polynomial, time = rest_to_rest(degree // 2), uneven(12)
+    found = spline(time, derivatives(polynomial, time, order), degree)
+    instants = np.linspace(0.0, 1.0, 301)[1:-1]
+    expected = derivatives(polynomial, instants, degree)
+    np.testing.assert_allclose(found.evaluate(instants, 2), expected[:3], atol=1e-10)
+    assert abs(found.evaluate(instants, degree + 2)[degree + 1 :]).max() == 0.0
+
+
+@pytest.mark.parametrize(("degree", "order"), SPLINES)
+def test_as_often_differentiable_as_stated(degree: int, order: int) -> None:
+    """``degree`` - 1 - m derivatives are continuous at each knot, the next one jumps there."""
+    time = uneven(9)
+    values = derivatives(np.polynomial.Polynomial([0.0]), time, order)
+    values[0, :, 0] = np.sin(7.0 * time)
+    values[1:, 1:-1, 0] = np.random.default_rng(3).normal(size=(order, 7))
+    found, continuity = spline(time, values, degree), degree - 1 - order
+    left, right = (found.evaluate(time[1:-1], degree, side) for side in ("left", "right"))
+    jumps = abs(left - right)[:, :, 0].max(axis=1) / abs(right[:, :, 0]).max(axis=1)
+    assert jumps[: continuity + 1].max() < 1e-9 < 1e-3 < jumps[continuity + 1]
+    assert found.breakpoints == pytest.approx(tuple(time))
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_converges_with_its_degree_plus_one(degree: int) -> None:
+    """Position alone, through a motion with so many derivatives zero at its ends that the end conditions hold."""
+    instants, errors = np.linspace(0.0, 1.0, 500), []
+    for count in (33, 65):
+        time = np.linspace(0.0, 1.0, count)
+        there_and_back = np.sin(np.pi * time) ** 10
+        found = spline(time, np.column_stack([there_and_back, there_and_back])[np.newaxis], degree)
+        errors.append(abs(found.evaluate(instants, 0)[0, :, 0] - np.sin(np.pi * instants) ** 10).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(degree + 1, abs=0.6)
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=8), st.floats(0.1, 10.0))
+def test_scaled_in_time(values: list[float], duration: float) -> None:
+    """A motion that takes c times as long has derivatives that are smaller by powers of c."""
+    positions = np.column_stack([values, values[::-1]])[np.newaxis]
+    motion = spline(np.arange(len(values)), positions)
+    slower, pace = motion.with_duration(duration), motion.duration / duration
+    instants = np.linspace(0.0, duration, 23)
+    assert slower.duration == duration
+    for order, row in enumerate(slower.evaluate(instants, 3, "left")):
+        expected = motion.evaluate(instants * pace, 3, "left")[order] * pace**order
+        np.testing.assert_allclose(row, expected, rtol=1e-9, atol=1e-9 * max(1.0, pace**order) * 10.0)
+
+
+def test_stands_still_before_and_after() -> None:
+    """Also at the outer limits of start and end, with a velocity that would run on."""
+    motion = PiecewisePolynomial(np.array([0.0, 2.0]), np.array([[[1.0, 0.0]], [[0.5, 0.0]], [[1.0, 1.0]]]))
+    before, after = motion.evaluate([-1.0], 2)[:, 0], motion.evaluate([3.0], 2)[:, 0]
+    np.testing.assert_array_equal(before, [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(after, [[6.0, 4.0], [0.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(motion.evaluate([0.0], 2, "left")[1:], 0.0)
+    np.testing.assert_array_equal(motion.evaluate([2.0], 2, "right")[:, 0], after)
+    assert motion.evaluate([2.0], 1, "left")[1, 0] == pytest.approx([4.5, 4.0])
+
+
+def test_no_breakpoint_where_nothing_jumps() -> None:
+    """A knot within a polynomial, or within standstill, is none."""
+    taylor = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 2.0]])
+    later = np.array([[0.25, 0.5], [1.0, 2.0], [1.0, 2.0]])
+    still = np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]])
+    coefficients = np.stack([taylor, later, still, still], axis=1)
+    motion = PiecewisePolynomial(np.array([0.0, 0.5, 1.0, 2.0, 3.0]), coefficients)
+    assert motion.breakpoints == (0.0, 1.0, 3.0)
+
 
 Write = Callable[[str], Path]
 
