@@ -1,15 +1,138 @@
-"""Within one unit of the last place of mpmath's 60 digits, everywhere; C99's annex F at the ends."""
+"""The elementary functions of the C runtime, called through a small program: within one unit of the last place of mpmath's 60 digits,
+everywhere; C99's annex F at the ends; the same bits in lanes; tables as their generator gives them."""
 
 from __future__ import annotations
 
 import math
 import os
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
-from elementary_support.arguments import NAMES, PAIR_RANGES, calls_of, special_calls
-from elementary_support.probe import Array, Call, Evaluate
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Call = tuple[str, float, float]
+Evaluate = Callable[[Sequence[Call]], Array]
+
+ROOT = Path(__file__).parents[2]
+RUNTIME = ROOT / "fmu_build" / "c-runtime" / "math"
+SOURCES = [Path(__file__).with_name("probe.c"), *sorted(RUNTIME.glob("elementary_*.c"))]
+FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off", "-fno-math-errno")
+COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
+
+
+def digits(calls: Sequence[Call]) -> str:
+    """What the program reads: one call a line, numbers as the digits of their bits."""
+    bits = np.array([call[1:] for call in calls], dtype=float).view(np.uint64)
+    return "\n".join(f"{name} {x:016x} {y:016x}" for (name, _, _), (x, y) in zip(calls, bits.tolist(), strict=True))
+
+
+def results_of(program: Path, calls: Sequence[Call], emulator: Sequence[str] = ()) -> Array:
+    """Result of each call, one after the other."""
+    outcome = subprocess.run([*emulator, program], input=digits(calls), capture_output=True, text=True, check=False)
+    assert outcome.returncode == 0, outcome.stderr
+    return np.array([int(word, 16) for word in outcome.stdout.split()], dtype=np.uint64).view(float)
+
+
+def build_probe(folder: Path, flags: Sequence[str]) -> Path:
+    """The program."""
+    if COMPILER is None:
+        pytest.skip("no C compiler")
+    program = folder / "probe"
+    subprocess.run(
+        [COMPILER, *FLAGS, *flags, f"-I{RUNTIME}", f"-I{RUNTIME.parent / 'lanes'}", *SOURCES, "-o", program, "-lm"],
+        check=True,
+    )
+    return program
+
+
+TINY, HUGE = 5e-324, float(np.finfo(float).max)
+SPECIAL = (0.0, -0.0, TINY, -TINY, 2.2250738585072014e-308, 1.0, -1.0, 0.5, 2.0, -3.0, 1e22, HUGE, -HUGE)
+WORST_ANGLE = 6381956970095103 * 2.0**797
+"""The double that is nearest to a multiple of pi/2, relative to what is left: Muller, Elementary Functions, table 11.1."""
+
+RANGES = {
+    **dict.fromkeys(("sin", "cos", "tan"), (-10.0, 10.0)),
+    **dict.fromkeys(("asin", "acos", "atanh"), (-1.0, 1.0)),
+    **dict.fromkeys(("atan", "sinh", "cosh"), (-5.0, 5.0)),
+    **dict.fromkeys(("expm1", "tanh"), (-3.0, 3.0)),
+    **dict.fromkeys(("erf", "asinh"), (-4.0, 4.0)),
+    **dict.fromkeys(("floor", "ceil"), (-9.0, 9.0)),
+    "exp": (-745.0, 709.7),
+    "log": (0.0, 4.0),
+    "log1p": (-1.0, 3.0),
+    "acosh": (1.0, 6.0),
+}
+"""Function of one argument → where it is used."""
+
+PAIR_RANGES = {
+    "atan2": ((-1.0, 1.0), (-1.0, 1.0)),
+    "pow": ((0.0, 10.0), (-300.0, 300.0)),
+    "hypot": ((-3.0, 3.0), (-3.0, 3.0)),
+    "fmod": ((-300.0, 300.0), (-3.0, 3.0)),
+    "remainder": ((-300.0, 300.0), (-3.0, 3.0)),
+}
+
+
+NAMES = [*RANGES, *PAIR_RANGES]
+"""All functions."""
+
+
+def calls_of(name: str, count: int, seed: int) -> list[Call]:
+    """Finite arguments of a function: where it is used, near zero, of any size, and near multiples of pi/2."""
+    random = np.random.default_rng(seed)
+    if name in PAIR_RANGES:
+        (a, b), (c, d) = PAIR_RANGES[name]
+        pairs = np.column_stack([random.uniform(a, b, count), random.uniform(c, d, count)])
+        wide = np.column_stack([_of_any_size(random, count // 2), _of_any_size(random, count // 2)])
+        return [(name, float(x), float(y)) for x, y in np.vstack([pairs, wide])]
+    arguments = [
+        random.uniform(*RANGES[name], count),
+        _of_any_size(random, count // 2),
+        _near_quarters(random, count // 4),
+    ]
+    small = random.uniform(-1.0, 1.0, count // 4) * 2.0 ** random.uniform(-60.0, 0.0, count // 4)
+    start = 1.0 if name == "acosh" else 0.0
+    return [(name, float(x), 0.0) for x in np.concatenate([*arguments, start + small, [WORST_ANGLE]])]
+
+
+def special_calls(names: Sequence[str]) -> list[Call]:
+    """Zeros, ones, numbers beyond the normal ones and infinities, in all combinations; NaN too."""
+    values = (*SPECIAL, math.inf, -math.inf, math.nan)
+    return [(name, x, y) for name in names for x in values for y in (values if name in PAIR_RANGES else (0.0,))]
+
+
+def _of_any_size(random: np.random.Generator, count: int) -> Array:
+    """Of any exponent, numbers below the normal ones included."""
+    bits = random.integers(0, 2**64, 2 * count, dtype=np.uint64).view(float)
+    return bits[np.isfinite(bits)][:count]
+
+
+def _near_quarters(random: np.random.Generator, count: int) -> Array:
+    """Doubles around k pi/2, k up to a billion."""
+    multiples = np.floor(2.0 ** random.uniform(0.0, 30.0, count)) * (math.pi / 2.0)
+    return multiples * (1.0 + random.integers(-2, 3, count) * 2.0**-53)
+
+
+@pytest.fixture(scope="session")
+def evaluate(tmp_path_factory: pytest.TempPathFactory) -> Evaluate:
+    """Function that gives the result of each call."""
+    program = build_probe(tmp_path_factory.mktemp("plain"), ("-O2",))
+    return lambda calls: results_of(program, calls)
+
+
+@pytest.fixture(scope="session")
+def evaluate_sanitized(tmp_path_factory: pytest.TempPathFactory) -> Evaluate:
+    """The same under the address and undefined-behaviour sanitizers."""
+    flags = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    program = build_probe(tmp_path_factory.mktemp("sanitized"), flags)
+    return lambda calls: results_of(program, calls)
+
 
 COUNT = int(os.environ.get("FLEXFMU_ELEMENTARY", "300"))
 """Arguments drawn for each function: a thousand times as many were tried."""
@@ -132,3 +255,13 @@ def test_ldexp_rounds_once(exponent: int, evaluate: Evaluate) -> None:
             return math.copysign(math.inf, x)
 
     np.testing.assert_array_equal(evaluate([("ldexp", x, exponent) for x in mantissas]), [exact(x) for x in mantissas])
+
+
+@pytest.mark.slow
+def test_headers_are_generated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A number that nobody can derive again is a number that nobody can trust."""
+    monkeypatch.syspath_prepend(str(ROOT / "generators"))
+    from elementary_constants import headers
+
+    kept = (ROOT / "fmu_build" / "c-runtime" / "math").glob("elementary_*_constants.h")
+    assert {path.name: path.read_text() for path in kept} == headers()
