@@ -232,18 +232,3 @@ def test_a_table_holds_them(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.evaluate(instants, 2)[order], motion.evaluate(instants, 2)[order], atol=scale)
     assert found.breakpoints == pytest.approx(motion.breakpoints)
     assert found.coordinates == "joints"
-
-
-def test_a_table_holds_b_splines(tmp_path: Path) -> None:
-    """A planner's B-spline of degree 5 from rest to rest is its table, one row for each knot."""
-    random, knots = np.random.default_rng(4), np.concatenate([[0.0] * 5, np.linspace(0.0, 0.5, 9), [0.5] * 5])
-    controls = random.normal(size=(len(knots) - 6, 2))
-    controls[1:3], controls[-3:-1] = controls[0], controls[-1]
-    motion = from_scipy(BSpline(knots, controls, 5))
-    write_table(tmp_path / "motion.csv", motion)
-    table = read_table(tmp_path / "motion.csv")
-    assert len(table.time) == 9
-    instants = np.linspace(0.0, 0.5, 300)
-    for order, scale in enumerate((1e-13, 1e-11, 1e-8, 1e-6)):
-        found, expected = (each.evaluate(instants, 3)[order] for each in (table.trajectory(), motion))
-        np.testing.assert_allclose(found, expected, atol=scale)
