@@ -11,8 +11,7 @@ from paper_scene import SCENES
 from speed_figure import SpeedFigure
 
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.many.lockstep import SideBySide
-from flexfmu.cosim.many.variants import run_variants
+from flexfmu.cosim.many.variants import SideBySide, run_variants
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.metrics import measuring
 from flexfmu.fmu_build.batch_build import lanes_of_processor

@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.analysis import effects, margins, modes
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
@@ -26,7 +25,7 @@ from flexfmu.cosim.cli.console import (
     print_text,
     show_note,
 )
-from flexfmu.cosim.cli.design import plan, shaper, tune
+from flexfmu.cosim.cli.design import effects, margins, modes, plan, shaper, tune
 from flexfmu.cosim.cli.export import build, cache, export, fmus, validate
 from flexfmu.cosim.cli.options import help_and_signature
 from flexfmu.cosim.cli.run import run

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.benchmarks.hard_cases import extremes, singularity, suite
+from flexfmu.benchmarks.hard_cases import singularity, suite
 from flexfmu.benchmarks.hard_cases.case import (
     CLOSURE,
     NOT_FINITE,
@@ -33,7 +33,6 @@ from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.model.scene.assembly import motor_angles
-from flexfmu.model.statics import natural_frequencies
 
 ROOT = Path(__file__).parents[2]
 PASSED = CaseReport("all is well", (Criterion("error", 1e-6, 1e-5), Criterion("numbers not finite", 0.0, 0.0)))
@@ -106,19 +105,6 @@ def test_pose_of_the_singular_approach() -> None:
         ]
         assert [elbows[0][0], elbows[1][0]] == pytest.approx([-1e-3 * half, 1e-3 * half], abs=1e-9)
         assert all(y < elbow[1] for elbow in elbows)
-
-
-@pytest.mark.slow
-def test_figures_that_make_models_stiff() -> None:
-    """The table says how stiff the models are; the model has these frequencies."""
-    damped, many = (case.hard for case in extremes.stiffness_cases())
-    (slow, fast), (low, high) = (
-        natural_frequencies(each, motor_angles(each.mechanism, each.trajectory.start))[[0, -1]]
-        for each in (extremes.damped_robot(), extremes.many_modes_robot())
-    )
-    assert f"swings at {slow:.0f} Hz" in damped
-    assert f"decays at {extremes.DAMPING_TIME * (2.0 * np.pi * fast) ** 2 / 1e6:.1f}e6 /s" in damped
-    assert f"at {high / 1e3:.0f} kHz, {round(high / low, -2):.0f} times" in many
 
 
 def test_command_tells_what_happened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -327,11 +327,6 @@ def blend_length(curve: str) -> float:
     return plan(trajectory_scene(POLYNOMIAL, curve)).profiled.path.blend.curve.length
 
 
-def path_length(curve: str) -> float:
-    """Arc length of the whole path [m]; it doesn't depend on the motion profile, so any will do."""
-    return plan(trajectory_scene(POLYNOMIAL, curve)).profiled.path.length
-
-
 def peak_task_acceleration(profile: str, curve: str) -> float:
     """Largest norm of the end effector's acceleration [m/s²], both sides of every jump included."""
     task = plan(trajectory_scene(profile, curve)).task
@@ -427,7 +422,7 @@ def evaluators(
 
     return {
         "blend_length": lambda row, column: blend_length(row),
-        "path_length": lambda row, column: path_length(column),
+        "path_length": lambda row, column: plan(trajectory_scene(POLYNOMIAL, column)).profiled.path.length,
         "peak_task_acceleration": peak_task_acceleration,
         "peak_joint_acceleration_1": peak_joint_acceleration,
         "natural_frequency": natural_frequency,

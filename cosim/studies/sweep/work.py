@@ -22,8 +22,7 @@ from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.experiment.recorded_instants import DERIVATIVES
 from flexfmu.cosim.experiment.scene_build import build_scene, depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.many.lockstep import PeakMeasure
-from flexfmu.cosim.many.variants import DURATION, FEW, Variant, VariantTask, bands
+from flexfmu.cosim.many.variants import DURATION, FEW, PeakMeasure, Variant, VariantTask, bands
 from flexfmu.cosim.metrics.metrics import ChosenMetrics
 from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor

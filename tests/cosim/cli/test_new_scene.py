@@ -64,13 +64,6 @@ def test_a_file_is_overwritten_by_force_alone(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["robot.toml"]
 
 
-def test_a_new_scene_runs_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With JSON for scripts."""
-    monkeypatch.chdir(tmp_path)
-    assert json.loads(flexfmu("new", "robot.toml", "--json").stdout)["path"] == "robot.toml"
-    assert json.loads(flexfmu("modes", "robot.toml", "--poses", "3", "--json").stdout)["scene"] == "robot"
-
-
 def test_a_new_scene_has_a_basis_for_any_robot(tmp_path: Path) -> None:
     """One mode each of three families, Craig-Bampton; the paper's basis, asked for by name, is warned of once the robot is another one."""
     path, paper = tmp_path / "robot.toml", tmp_path / "paper.toml"

@@ -174,15 +174,6 @@ def test_the_panel_names_its_highest_peak() -> None:
     assert [text for _, text in panel.marks] == ["mode 1"]
 
 
-def test_a_spectrum_far_below_another_changes_nothing() -> None:
-    """A motion without vibration beside one with it."""
-    time = np.arange(0.0, 2.0, 1e-3)
-    found = spectrum(time, np.sin(2.0 * np.pi * 60.0 * time), 0.0)
-    assert found is not None
-    loud, quiet = Curve(*found), Curve(found[0], 1e-6 * found[1])
-    assert spectrum_panel("y", [loud, quiet]).limits == spectrum_panel("y", [loud]).limits
-
-
 def test_angles_do_not_jump_where_a_leg_points_left() -> None:
     """Beside the base the path crosses the direction in which arc tangents jump by a turn; the motors do not."""
     rigid = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.damping": "none"}

@@ -64,14 +64,6 @@ def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:
     assert json.loads(to_json(summary)) == json.loads(json.dumps(summary))
 
 
-def test_metrics_of_the_run_are_plain_numbers(make_run: MakeRun) -> None:
-    """The residual vibration is that of the run in memory: it starts at 2e-4 m in each direction's sine, 58 Hz."""
-    metrics = summarise(run := make_run(), measure_run(run))["metrics"]
-    assert 2.0e-4 < metrics["residual_vibration_amplitude"] < 2.9e-4
-    assert metrics["end_velocity_error"] == pytest.approx(0.0, abs=1e-12)
-    assert 0.05 < metrics["settling_time"] < 0.08
-
-
 def test_curves_peak_at_the_metrics(make_run: MakeRun) -> None:
     """The report's curves are in the unit of their axis: the highest point of each is the metric beside it."""
     run = tracking(make_run())
@@ -155,12 +147,6 @@ def test_cut_short_run_has_no_metrics(make_run: MakeRun) -> None:
     assert set(summary["metrics"].values()) == {None}
     assert summary["health"]["outcome"] == "step failed"
     assert summary["health"]["end_time"] == pytest.approx(0.2, abs=1e-3)
-
-
-def test_json_refuses_what_json_does_not_know() -> None:
-    """NaN in a file would stop every other reader."""
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        to_json({"metric": float("nan")})
 
 
 def test_report_is_one_offline_file(make_run: MakeRun) -> None:

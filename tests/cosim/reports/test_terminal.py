@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from rich.console import Console
 from rich.table import Column, Table
 
-import flexfmu
 from flexfmu.cosim.cli.run_summary import _metrics_table as metrics_table
 from flexfmu.cosim.cli.scenes import _table as scenes_table
 from flexfmu.cosim.engine.results import Recording
@@ -81,17 +79,6 @@ def test_no_number_is_cut_or_broken(command: str, width: int) -> None:
     for row in zip(*(column.cells for column in table.columns), strict=True):
         plain.add_row(*row)
     assert width > 60 or command == "scenes" or lost_numbers(plain, width)
-
-
-def test_every_table_of_a_terminal_is_one_that_fits() -> None:
-    """No module makes a table of rich's own, so that what holds for drawn tables holds for those of all commands."""
-    root = Path(flexfmu.cosim.__path__[0])
-    own = [
-        path for path in root.rglob("*.py") if re.search(r"from rich\.table import .*Table", path.read_text("utf-8"))
-    ]
-    assert len(own) > 5
-    makers = {path.name for path in own if re.search(r"(?<!\w)Table\(", path.read_text("utf-8"))}
-    assert makers == set()
 
 
 def test_drawn_tables_fit_every_width() -> None:

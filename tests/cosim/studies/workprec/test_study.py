@@ -120,16 +120,6 @@ def test_errors_fall_with_tolerance_and_order(subject: SceneUnderTest) -> None:
 
 
 @pytest.mark.slow
-def test_failures_are_trials_too(subject: SceneUnderTest) -> None:
-    """A fixed step beyond the stability limit makes a cross in the diagram, with the FMU's own words."""
-    changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 1e-3}
-    (trial,) = fmu_trials(subject, "integrators", [("rk4", "1 ms", changes, {"communication_step": 1e-3})])
-    assert trial.failed
-    assert trial.time is None
-    assert "integration" in trial.note
-
-
-@pytest.mark.slow
 def test_formulations(subject: SceneUnderTest) -> None:
     """All formulations move alike; without stabilisation the constraints drift more."""
     trials = list(formulation_trials(subject))
