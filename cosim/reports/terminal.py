@@ -94,8 +94,9 @@ class FittingTable(Table):
         """Render the table, or its rows as blocks; files that the output goes to have 80 columns for names."""
         width = options.max_width if console.is_terminal or not self.stacks else min(options.max_width, NARROW)
         for table in (self, *([self._stacked()] if self.stacks else [])):
-            for padding in (self.padding, NARROW_PADDING):
-                table.padding = padding
+            for is_narrow in (False, True):
+                if is_narrow:
+                    table.padding, table.show_edge = NARROW_PADDING, False
                 if table._fits(console, options, width):
                     yield from Table.__rich_console__(table, console, options.update(max_width=width))
                     return
