@@ -174,12 +174,11 @@ class SlaveFacts:
 
 def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
     """Facts about the slaves for the summary."""
-    return tuple(
-        SlaveFacts(slave.name, _description(slave), slave.sample_time, offset(slave))
-        if isinstance(slave, Sampled) and slave.sample_time < inf
-        else SlaveFacts(slave.name, _description(slave))
-        for slave in slaves
-    )
+    found = []
+    for slave in slaves:
+        clock = (slave.sample_time, offset(slave)) if isinstance(slave, Sampled) and slave.sample_time < inf else ()
+        found.append(SlaveFacts(slave.name, _description(slave), *clock))
+    return tuple(found)
 
 
 def plain_names(

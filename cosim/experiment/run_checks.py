@@ -166,17 +166,14 @@ def divergence(run: Run, velocities: Sequence[Column | None] | None = None) -> s
     factor, since = found
     worst = int(error.argmax())
     joint = 1 + [*known][int(abs(errors[worst]).argmax())]
+    if factor >= FAST:
+        grows = f"grows {factor:.4g}-fold per {unit} of {step:g} s"
+    else:
+        grows = f"grows tenfold in {step * log(10.0) / log(factor):.3g} s" if factor > 1.0 + ROUNDING else "stays"
     return (
         f"joint{joint}.velocity is up to {error[worst]:.3g} rad/s off its reference, where the motion needs {peak:.3g} rad/s; the error "
-        f"{_growth_text(factor, unit, step)} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
+        f"{grows} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
     )
-
-
-def _growth_text(factor: float, unit: str, step: float) -> str:
-    """How an error goes that changes by a factor in each step [s]."""
-    if factor >= FAST:
-        return f"grows {factor:.4g}-fold per {unit} of {step:g} s"
-    return f"grows tenfold in {step * log(10.0) / log(factor):.3g} s" if factor > 1.0 + ROUNDING else "stays"
 
 
 Growth = tuple[float, float]

@@ -72,11 +72,8 @@ def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
         return f"`{key}` is a list of tables: write [[{key}]] {remedy}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         kinds = [tag for each in sections_in(annotation) if each is not ObjectSection for tag in tags_of(each)]
-        found = (
-            "but is missing"
-            if kind == "union_tag_not_found"
-            else f"got {(value if isinstance(value, dict) else vars(value)).get('kind')!r}"
-        )
+        given = (value if isinstance(value, dict) else vars(value)).get("kind")
+        found = "but is missing" if kind == "union_tag_not_found" else f"got {given!r}"
         return f"`{key}.kind` must be one of {', '.join(map(repr, kinds))}, {found}"
     # a value out of range, of the wrong form, or anything else that pydantic finds
     if kind in _BOUNDS:

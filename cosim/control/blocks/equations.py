@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import accumulate
 from typing import Any
 
@@ -68,7 +67,11 @@ def block(
     arguments = [
         symbol.sym(letter, len(each)) for letter, each in zip("xup", (states, inputs, parameters), strict=True)
     ]
-    output, update = (casadi.densify(each) for each in equations(*arguments))
+    y, following = (casadi.densify(each) for each in equations(*arguments))
+    output = casadi.Function("output", arguments, [y], ["x", "u", "p"], ["y"])
+    # direct feedthrough follows from the output function: the inputs that each output depends on
+    sparsity = output.jac_sparsity(0, 1)
+    pairs = list(zip(sparsity.row(), sparsity.get_col(), strict=True))
     result = SymbolicBlock(
         name=name,
         description=description,
@@ -79,15 +82,18 @@ def block(
         outputs=tuple(outputs),
         parameters=tuple(parameters),
         states=tuple(float(value) for value in states),
-        output=casadi.Function("output", arguments, [output], ["x", "u", "p"], ["y"]),
-        update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
+        output=output,
+        update=casadi.Function("update", arguments, [following], ["x", "u", "p"], ["next_x"]),
+        feedthrough={
+            variable.name: tuple(inputs[column].name for row, column in pairs if row == i)
+            for i, variable in enumerate(outputs)
+        },
         latency=latency or {},
         c_files=c_files or {},
         libraries=libraries or {},
     )
-    # direct feedthrough follows from the output function
     check_variables(result)
-    return _with_feedthrough(result)
+    return result
 
 
 def split(vector: Vector, *sizes: int) -> list[Vector]:
@@ -114,14 +120,3 @@ def rows_in_turn(rows: NDArray[np.float64], name: str) -> Equations:
     table = casadi.interpolant(name, "linear", [nodes], np.vstack([rows, rows[-1:]]).ravel())
     last = float(len(rows) - 1)
     return lambda x, u, p: (table(x), casadi.fmin(x + 1.0, last))
-
-
-def _with_feedthrough(block: SymbolicBlock) -> SymbolicBlock:
-    """Return the block with its direct feedthrough: the inputs that each output depends on."""
-    sparsity = block.output.jac_sparsity(0, 1)
-    pairs = list(zip(sparsity.row(), sparsity.get_col(), strict=True))
-    feedthrough = {
-        variable.name: tuple(block.inputs[column].name for row, column in pairs if row == i)
-        for i, variable in enumerate(block.outputs)
-    }
-    return replace(block, feedthrough=feedthrough)

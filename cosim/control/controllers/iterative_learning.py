@@ -120,12 +120,8 @@ def norm_optimal_law(
     r = regularisation * np.linalg.norm(p, 2, axis=(2, 3)).max() ** 2
     adjoint = p.conj().swapaxes(2, 3)
     inverse = np.linalg.solve(adjoint @ p + r * np.eye(p.shape[-1]), adjoint)
-    filtered = (
-        inverse
-        * (np.fft.rfft(q, size) * np.exp(2j * pi * np.arange(size // 2 + 1) / size * (len(q) // 2)))[
-            :, np.newaxis, np.newaxis
-        ]
-    )
+    low_pass = np.fft.rfft(q, size) * np.exp(2j * pi * np.arange(size // 2 + 1) / size * (len(q) // 2))
+    filtered = inverse * low_pass[:, np.newaxis, np.newaxis]
     # E(i) is the value at -i of the impulse response, kept as far as it matters
     kernel = np.roll(np.fft.irfft(filtered, size, axis=1)[:, ::-1], 1 + size // 2, axis=1)
     sizes = abs(kernel).max(axis=(0, 2, 3))

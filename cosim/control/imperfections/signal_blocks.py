@@ -232,10 +232,8 @@ def jitter(s: JitterSection, context: LoopContext) -> SymbolicBlock:
 def start_states(name: str) -> tuple[int, int]:
     """Return the start states of a named stream with seed 0."""
     digest = sha256(name.encode()).digest()
-    first, second = (
-        1 + int.from_bytes(digest[8 * i : 8 * i + 8], "big") % (modulus - 1) for i, modulus in enumerate(MODULI)
-    )
-    return first, second
+    first, second = (int.from_bytes(digest[i : i + 8], "big") for i in (0, 8))
+    return 1 + first % (MODULI[0] - 1), 1 + second % (MODULI[1] - 1)
 
 
 def seeded(names: Sequence[str], seed: Vector) -> Vector:
@@ -244,12 +242,8 @@ def seeded(names: Sequence[str], seed: Vector) -> Vector:
     They are whole numbers (2 n,): first those of all first congruential generators, then those of all second ones.
     """
     starts = np.array([start_states(name) for name in names], dtype=float).T
-    return casadi.vertcat(
-        *(
-            _long_product(_jump(seed, multiplier, modulus), casadi.DM(start), modulus)
-            for start, multiplier, modulus in zip(starts, MULTIPLIERS, MODULI, strict=True)
-        )
-    )
+    jumps = [_jump(seed, multiplier, modulus) for multiplier, modulus in zip(MULTIPLIERS, MODULI, strict=True)]
+    return casadi.vertcat(*map(_long_product, jumps, map(casadi.DM, starts), MODULI))
 
 
 def draw(states: Vector) -> tuple[Vector, Vector]:
