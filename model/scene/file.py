@@ -31,9 +31,8 @@ PAPER_KEYS = (
 
 def shipped_scenes() -> tuple[str, ...]:
     """Names of the scenes that come with the package, sorted."""
-    return tuple(
-        sorted(entry.name.removesuffix(".toml") for entry in _scene_folder().iterdir() if entry.name.endswith(".toml"))
-    )
+    names = [entry.name for entry in _scene_folder().iterdir()]
+    return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
 
 
 def scene_schema() -> str:

@@ -10,17 +10,15 @@ from pydantic import BeforeValidator, Field, model_validator
 from flexfmu.model.scene.loop import LoopSection, OwnPart
 from flexfmu.model.scene.section import (
     NotNegativePerJoint,
+    PerJoint,
     Positive,
     PositivePerJoint,
     Seconds,
     SecondsOrZero,
     Section,
-    for_both,
     named_kind,
     quantity,
 )
-
-NumberPerJoint = Annotated[tuple[float, float], BeforeValidator(for_both)]
 
 
 class SignalSection(LoopSection):
@@ -42,8 +40,8 @@ class SaturationSection(SignalSection):
     kind: Literal["saturation"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
     limit: PositivePerJoint | None = None
-    lower: NumberPerJoint | None = None
-    upper: NumberPerJoint | None = None
+    lower: PerJoint | None = None
+    upper: PerJoint | None = None
 
     @model_validator(mode="after")
     def _one_kind_of_limits(self) -> Self:

@@ -71,8 +71,7 @@ class MotorSection(Section):
 
     def of_joint(self, joint: int) -> Motor:
         """The motor of joint 0 or 1."""
-        values = {key: value for key, value in self.model_dump().items() if value is not None}
-        return Motor(**{key: value[joint] for key, value in values.items()})
+        return Motor(**{key: value[joint] for key, value in self.model_dump(exclude_none=True).items()})
 
 
 def one_table(value: Any) -> Any:

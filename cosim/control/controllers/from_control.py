@@ -30,7 +30,7 @@ class LinearSystem:
         inputs, outputs: variables in the order of u and y.
 
     Raises:
-        InputError: shapes don't fit, a number isn't finite, two signals share a name, the sample time isn't positive.
+        InputError: shapes don't fit, a number isn't finite, the sample time isn't positive.
     """
 
     A: RealArray
@@ -53,11 +53,6 @@ class LinearSystem:
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, matrix(getattr(self, name), shape, name))
-        # names must be unique
-        names = [signal.name for signal in (*self.inputs, *self.outputs)]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"linear system: two signals are named {name!r}; give each its own name")
 
     @property
     def order(self) -> int:

@@ -185,7 +185,6 @@ def _values(values: Sequence[float] | None, count: int, what: str) -> RealArray:
 
 POSITIONS = ("joint1.position", "joint2.position")
 RATES = ("joint1.velocity", "joint2.velocity")
-TORQUES = ("joint1.torque", "joint2.torque")
 
 
 @builds(StateFeedbackSection)
@@ -205,12 +204,11 @@ def lqg(s: StateFeedbackSection, context: LoopContext) -> SymbolicBlock:
     scene, position = without_coulomb_friction(context.scene), context.position(s.pose)
     # the plant: the linearised robot with zero-order hold; the cost needs the rates too
     robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2].sample(s.sample_time)
-    full = from_control(robot)
-    cost = full.C.T @ np.diag(1.0 / np.square([*s.position_error, *s.velocity_error])) @ full.C
-    K, _, _ = control.dlqr(full.A, full.B, cost, np.diag(1.0 / np.square(s.torque_deviation)))
+    cost = robot.C.T @ np.diag(1.0 / np.square([*s.position_error, *s.velocity_error])) @ robot.C
+    K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(s.torque_deviation)))
     # the observer measures positions alone
     noise = s.torque_noise**2 * np.eye(2), s.measurement_noise**2 * np.eye(2)
-    L, _, _ = control.dlqe(full.A, full.B, full.C[: len(POSITIONS)], *noise)
+    L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
     measured = from_control(robot[:2, :])
     # feedforward of the steady state that belongs to each reference, about the equilibrium
     point = operating_point(scene, position)

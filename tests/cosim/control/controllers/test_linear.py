@@ -15,7 +15,6 @@ from flexfmu.cosim.control.controllers.from_control import (
     LinearSystem,
     control_block,
     dotted,
-    from_control,
     state_space,
 )
 from flexfmu.cosim.control.controllers.joints import named_signals
@@ -135,7 +134,7 @@ DISCRETE = control.tf([1.0], [1.0, -0.5], H)
     (control.tf([1.0, 2.0, 3.0], [1.0, 2.0], H), {}, r"element \[0, 0\] isn't proper: its numerator has degree 2"),
     (DISCRETE, {"inputs": ["a", "b"]}, r"inputs must be a sequence of 1 names, one for each of \['u\[0\]'\]"),
     (DISCRETE, {"inputs": "u"}, "inputs must be a sequence of 1 names"),
-    (DISCRETE, {"outputs": ["u[0]"]}, r"two signals are named 'u\[0\]'"),
+    (DISCRETE, {"outputs": ["u[0]"]}, r"two variables are named 'u\[0\]'"),
     (DISCRETE, {"units": {"u[1]": "m"}}, r"names 'u\[1\]', which is no variable; did you mean 'u\[0\]'?"),
     (control.frd([1.0, 2.0], [1.0, 2.0]), {}, "need a control.StateSpace or control.TransferFunction, got Frequency"),
     ("plant.ss", {}, "need a control.StateSpace or control.TransferFunction, got str"),
@@ -143,7 +142,7 @@ DISCRETE = control.tf([1.0], [1.0, -0.5], H)
 def test_refused_systems(system: Any, options: dict[str, Any], message: str) -> None:
     """What would have to be guessed is asked for instead."""
     with pytest.raises(InputError, match=message):
-        from_control(system, **options)
+        control_block(system, **options)
 
 
 @pytest.mark.parametrize(("change", "message"), [
