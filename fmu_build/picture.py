@@ -122,10 +122,12 @@ def plant_picture(
         start, end = view(bar.start), view(bar.end)
         labels.append(Label(bar.name, ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 0.25 * FONT_SIZE), "middle"))
     for spot in drawing.spots if labelled else ():
-        at = np.array(view(spot.position))
-        x, y = (at - middle) / (hypot(*(at - middle)) or 1.0)
+        spot_at = np.array(view(spot.position))
+        x, y = (spot_at - middle) / (hypot(*(spot_at - middle)) or 1.0)
         anchor: Anchor = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
-        labels.append(Label(spot.name, (at[0] + DISTANCE * x, at[1] + DISTANCE * y + 0.25 * FONT_SIZE), anchor))
+        labels.append(
+            Label(spot.name, (spot_at[0] + DISTANCE * x, spot_at[1] + DISTANCE * y + 0.25 * FONT_SIZE), anchor)
+        )
     return Picture(width, height, tuple(lines), tuple(labels))
 
 
