@@ -179,14 +179,6 @@ def _decibels(value: float) -> float:
     return 20.0 * log10(value) if value > 0.0 else -inf
 
 
-def _milli(value: float) -> float:
-    return 1e3 * value
-
-
-def _hertz(value: float) -> float:
-    return 0.5 * value / pi
-
-
 LOOP_FIGURES: Mapping[str, MetricDefinition] = {
     name: MetricDefinition(label, unit, text, display=(shown, convert))
     for name, label, unit, shown, convert, text in (
@@ -195,14 +187,16 @@ LOOP_FIGURES: Mapping[str, MetricDefinition] = {
         ("gain_reduction", "Gain reduction", "1", "dB", _decibels,
          "Largest factor on the torques below 1 with which the loop is unstable; 0 if there is none."),
         ("phase_margin", "Phase margin", "rad", "deg", degrees, "Phase lag with which the loop is unstable."),
-        ("delay_margin", "Delay margin", "s", "ms", _milli, "Delay with which the loop is unstable."),
+        ("delay_margin", "Delay margin", "s", "ms", lambda value: 1e3 * value, "Delay with which the loop is unstable."),
         ("disk_margin", "Disk margin", "1", "1", float, "Size of the disk of changes of gain and phase, 0 to 2."),
         ("sensitivity_peak", "Sensitivity peak", "1", "1", float,
          "Largest gain from disturbances to what remains of them."),
-        ("bandwidth", "Bandwidth", "rad/s", "Hz", _hertz,
+        ("bandwidth", "Bandwidth", "rad/s", "Hz", lambda value: 0.5 * value / pi,
          "Lowest frequency at which less than 3 dB of a disturbance are suppressed."),
-        ("crossover", "Crossover frequency", "rad/s", "Hz", _hertz, "Highest frequency at which the loop's gain is 1."),
-        ("cpu_time", "Processor time of the simulation", "s", "ms", _milli, "Processor time that the simulation took."),
+        ("crossover", "Crossover frequency", "rad/s", "Hz", lambda value: 0.5 * value / pi,
+         "Highest frequency at which the loop's gain is 1."),
+        ("cpu_time", "Processor time of the simulation", "s", "ms", lambda value: 1e3 * value,
+         "Processor time that the simulation took."),
     )
 }
 """Figures of a loop beside the metrics of its run: the worst margins along the path, and what it costs."""

@@ -4,7 +4,7 @@ and as tables."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from rich.console import RenderableType
@@ -23,10 +23,8 @@ from flexfmu.cosim.design.effects.choice import (
 from flexfmu.cosim.design.effects.estimator import Estimator, scales
 from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
-from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.choice_text import choice_sentence, percent, set_text
@@ -39,10 +37,7 @@ from flexfmu.model.scene.choice import (
     integrator_tolerance,
 )
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.linearized_motion import Cost, costs
-
-POSES = 3
-"""Number of poses for natural frequencies: start, middle and end of the path."""
+from flexfmu.model.selection.linearized_motion import Cost
 
 Place = Literal["in", "out", "given"]
 """In the chosen set, out of it, or given: a load of the robot, which can't be chosen."""
@@ -71,14 +66,12 @@ class EffectStudy:
         scene: with the chosen set; ``scene.effects.choice`` has the estimates.
         estimator: of the scene.
         cost: of the chosen set.
-        poses: natural frequencies of the chosen set along the path.
         rows: every effect: those in the set, those out of it, then the loads.
     """
 
     scene: Scene
     estimator: Estimator
     cost: Cost
-    poses: list[ModalPose]
     rows: tuple[EffectRow, ...]
 
     def __str__(self) -> str:
@@ -116,7 +109,7 @@ def study_effects(
         # an integrator's tolerance that belongs to another choice, or to none, is replaced
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     # the choice, and every set that differs by one effect or load
-    motion, joints = plan(scene), followed(scene)
+    joints = followed(scene)
     chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show)
     show("looking at what the robot gives", None)
     choice = chosen.effects.choice
@@ -127,10 +120,8 @@ def study_effects(
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
         *(("given", each.scene, estimate) for each, estimate in loads),
     ]
-    show("timing the equations", None)
-    own, *others = costs((chosen, *(other for _, other, _ in found)))
-    rows = tuple(EffectRow(place, each, cost) for (place, _, each), cost in zip(found, others, strict=True))
-    return EffectStudy(chosen, estimator, own, modes_along_path(replace(motion, scene=chosen), POSES), rows)
+    rows = tuple(EffectRow(place, each, Cost.of(other)) for place, other, each in found)
+    return EffectStudy(chosen, estimator, Cost.of(chosen), rows)
 
 
 @dataclass(frozen=True)
@@ -201,19 +192,15 @@ def contribution_table(study: EffectStudy) -> Table:
     table = titled_table(
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
         *(" ", "Effect", "Change"),
-        numbers=(*metrics, "states", "operations", "time"),
+        numbers=(*metrics, "states", "operations"),
     )
     # the chosen set, then the extra cost of each neighbouring set
     cost = study.cost
-    own = f"{cost.states}", f"{cost.operations}", f"{1e6 * cost.time:.3g} µs"
-    table.add_row("", "the set itself", "", *("" for _ in metrics), *own)
+    table.add_row("", "the set itself", "", *("" for _ in metrics), f"{cost.states}", f"{cost.operations}")
     for row in study.rows:
         states, operations = row.cost.states - cost.states, row.cost.operations - cost.operations
-        slower = 100.0 * (row.cost.time / cost.time - 1.0)
-        more = f"{states:+d}" if states else "", f"{operations:+d}", f"{slower:+.0f} %"
-        table.add_row(
-            row.place, row.estimate.effect, row.estimate.change, *map(percent, row.estimate.contribution), *more
-        )
+        more, each = (f"{states:+d}" if states else "", f"{operations:+d}"), row.estimate
+        table.add_row(row.place, each.effect, each.change, *map(percent, each.contribution), *more)
     return table
 
 
@@ -241,7 +228,6 @@ def study_data(study: EffectStudy, comparisons: Iterable[EffectComparison]) -> d
         "limit": (1.0 - INTEGRATOR_SHARE) * choice.tolerance,
         "scales": dict(study.estimator.scales),
         "cost": vars(study.cost),
-        "poses": [pose.to_dict() for pose in study.poses],
         "absent": absent_effects(study.scene),
         "effects": [
             {

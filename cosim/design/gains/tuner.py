@@ -303,8 +303,9 @@ def summary(result: TuneResult) -> dict[str, Any]:
     """
     study, given, best = result.study, result.given, result.best
 
-    def finite(value: float | None) -> float | None:
-        return value if value is not None and isfinite(value) else None
+    def figures(of: Callable[[Mapping[str, float | None]], float | None]) -> dict[str, float | None]:
+        values = {"given": of(given.figures), "tuned": of(best.figures)}
+        return {name: each if each is not None and isfinite(each) else None for name, each in values.items()}
 
     return {
         "scene": study.scene.name,
@@ -312,20 +313,9 @@ def summary(result: TuneResult) -> dict[str, Any]:
             each.key: {"low": each.low, "high": each.high, "given": own, "tuned": result.values.get(each.key, own)}
             for each, own in zip(study.over, study.given(), strict=True)
         },
-        "minimise": {
-            "name": study.minimise.name,
-            "unit": study.minimise.unit,
-            "given": finite(study.minimise.of(given.figures)),
-            "tuned": finite(study.minimise.of(best.figures)),
-        },
+        "minimise": {"name": study.minimise.name, "unit": study.minimise.unit, **figures(study.minimise.of)},
         "conditions": [
-            {
-                "text": each.text,
-                "unit": each.goal.unit,
-                "limit": each.limit.limit,
-                "given": finite(each.closest(given.figures)),
-                "tuned": finite(each.closest(best.figures)),
-            }
+            {"text": each.text, "unit": each.goal.unit, "limit": each.limit.limit, **figures(each.closest)}
             for each in study.conditions
         ],
         "payload_band": study.band,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,27 +32,6 @@ from flexfmu.trajectories.jets import RealArray
 
 MODEL_BASED = ("computed-torque", "disturbance-observer")
 """Kinds of controllers with a model of the robot's motion."""
-
-
-@dataclass(frozen=True, eq=False)
-class RobotVariables:
-    """Stands for the robot's FMU where only its variables matter."""
-
-    name: str
-    variables: tuple[SlaveVariable, ...]
-    feedthrough: Mapping[str, Sequence[str]]
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Do nothing."""
-
-    def set(self, indices: object, values: RealArray) -> None:
-        """Do nothing."""
-
-    def get(self, indices: object, values: RealArray) -> None:
-        """Do nothing."""
-
-    def step(self, time: float, step: float) -> None:
-        """Do nothing."""
 
 
 class WiredLoop:
@@ -295,7 +275,7 @@ class WiredLoop:
             if (feeding := self._feeding.get((1, name))) is not None:
                 feed(self._source(feeding), plant.b[:, k], plant.d[:, k], slice(0, n), slice(0, len(plant.outputs)))
         for j, (i, lag, k) in enumerate(lags):
-            rate, row = 1.0 / _times(lag)[k], n + j
+            rate, row = 1.0 / lag.latency[_names(lag, "output")[k]], n + j
             a[row, row] -= rate
             c[self._signals[i, _names(lag, "output")[k]], row] = 1.0
             if (feeding := self._feeding.get((i, _names(lag, "input")[k]))) is not None:
@@ -303,11 +283,11 @@ class WiredLoop:
         return Continuous(a, c, (held, c_held), (by_channel, c_channel))
 
 
-def _robot(scene: Scene) -> RobotVariables:
-    """The robot's variables."""
+def _robot(scene: Scene) -> Any:
+    """Stands for the robot's FMU, of which only the variables matter."""
     plant = torque_driven_plant(scene)
     variables = [SlaveVariable(each.name, each.causality, each.unit) for each in (*plant.inputs, *plant.outputs)]
-    return RobotVariables(PLANT, tuple(variables), plant.feedthrough)
+    return SimpleNamespace(name=PLANT, variables=tuple(variables), feedthrough=plant.feedthrough)
 
 
 def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
@@ -351,8 +331,3 @@ def _reachable(pairs: set[tuple[int, int]]) -> set[int]:
 
 def _names(slave: Slave, causality: str) -> list[str]:
     return [each.name for each in slave.variables if each.causality == causality]
-
-
-def _times(lag: Lag) -> list[float]:
-    """Time constants [s] of a lag's channels."""
-    return [lag.latency[name] for name in _names(lag, "output")]
