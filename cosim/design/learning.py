@@ -213,14 +213,10 @@ def _cut_at_the_probe(loop: LinearLoop, probes: Mapping[int, Sequence[str]], lea
     inputs, metered = [*inputs, inputs[which][rows]], np.zeros((2, signals + 4 + count))
     metered[:, signals : signals + 2] = np.eye(2)
     inputs[which] = metered
-    blocks = [
-        replace(
-            each, a=np.zeros((0, 0)), b=np.zeros((0, each.b.shape[1])), c=np.zeros((len(each.c), 0)), d=0.0 * each.d
-        )
-        if k in probes
-        else each
-        for k, each in enumerate(loop.blocks)
-    ]
+    blocks = [*loop.blocks]
+    for k in probes:
+        b, c, d = np.zeros((0, blocks[k].b.shape[1])), np.zeros((len(blocks[k].c), 0)), 0.0 * blocks[k].d
+        blocks[k] = replace(blocks[k], a=np.zeros((0, 0)), b=b, c=c, d=d)
     blocks[which] = replace(blocks[which], b=np.zeros((0, 2)), d=np.eye(2))
     meter = LinearBlock(np.zeros((2, 2)), np.eye(2), np.eye(2), np.zeros((2, 2)), old.sample_time, old.offset)
     held = np.pad(x.held[0], ((0, 0), (0, 2))), np.pad(x.held[1], ((0, 2), (0, 2)))

@@ -87,11 +87,12 @@ class Pieces:
         size = float(np.abs(control).max())
         return largest_magnitude(control + size) - size
 
-    def curves(self, *controls: RealArray) -> tuple[RealArray, list[RealArray]]:
-        """Return times [s] and the values of polynomials then, about `POINTS` in the order of time."""
+    def curves(self) -> dict[str, RealArray]:
+        """Return times [s], with speed, torque and power then, about `POINTS` in the order of time."""
         theta = np.linspace(0.0, 1.0, int(np.clip(POINTS // self.start.size, 2, SAMPLES.size)))
         time = (self.start[:, np.newaxis] + np.outer(self.duration, theta)).ravel()
-        return time, [_sampled(each, theta).T.ravel() for each in controls]
+        controls = {"speed": self.speed, "torque": self.torque, "power": self.power}
+        return {"time": time} | {name: _sampled(each, theta).T.ravel() for name, each in controls.items()}
 
 
 def divided(start: RealArray, duration: RealArray, control: RealArray) -> tuple[RealArray, RealArray, RealArray]:
@@ -294,7 +295,6 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
         electrical = pieces.power + resistance / constant**2 * pieces.square
         loss, mean = resistance * (rms / constant) ** 2, pieces.mean(electrical)
         highest = pieces.highest(electrical)
-    time, (speeds, torques, powers) = pieces.curves(pieces.speed, pieces.torque, pieces.power)
     return MotorLoad(
         joint=joint + 1,
         motor=motor,
@@ -305,10 +305,7 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
         copper_loss=loss,
         mean_electrical_power=mean,
         peak_electrical_power=highest,
-        time=time,
-        speed=speeds,
-        torque=torques,
-        power=powers,
+        **pieces.curves(),
     )
 
 

@@ -85,11 +85,8 @@ class LinkStress:
     @property
     def exceeded(self) -> Iterator[str]:
         """A sentence if the yield strength is exceeded: by how much, when and where."""
-        if (
-            (peak := self.combined) is not None
-            and (limit := self.yield_strength) is not None
-            and not peak.value <= limit
-        ):
+        peak, limit = self.combined, self.yield_strength
+        if peak is not None and limit is not None and not peak.value <= limit:
             yield (
                 f"{self.link}: stress of {1e-6 * peak.value:.4g} MPa at {peak.time:.4g} s, {1e3 * peak.place:.4g} mm from its "
                 f"base, exceeds the yield strength of {1e-6 * limit:g} MPa"

@@ -101,18 +101,13 @@ def linear_block(slave: Slave, inputs: RealArray) -> tuple[LinearBlock, RealArra
     a, b, c, d = _derivatives(slave, states, inputs, parameters)
     if len(inputs) and not (b.any() or d.any()):
         # dead zones and backlash: the gain for large signals, which all pass
-        a, b, c, d = (
-            np.zeros((0, 0)),
-            np.zeros((0, len(inputs))),
-            np.zeros((len(block.outputs), 0)),
-            _gain(block, inputs),
-        )
+        a, b, c = np.zeros((0, 0)), np.zeros((0, len(inputs))), np.zeros((len(block.outputs), 0))
+        d = _gain(block, inputs)
     outputs = np.asarray(block.output(states, inputs, parameters).full())[:, 0]
     linear = LinearBlock(a, b, c, d, block.sample_time, block.offset)
     linear = linear.within(np.ones(len(inputs), bool), np.ones(len(outputs), bool))
-    for matrix in (linear.a, linear.b, linear.c, linear.d):
-        if not np.isfinite(matrix).all():
-            raise InputError(f"{slave.name} has no finite derivatives at its operating point")
+    if not all(np.isfinite(each).all() for each in (linear.a, linear.b, linear.c, linear.d)):
+        raise InputError(f"{slave.name} has no finite derivatives at its operating point")
     return linear, outputs
 
 
@@ -137,9 +132,8 @@ def _derivatives(
         return found[0], found[1], found[2], found[3]
     update = casadi.Function("update", [x := casadi.MX.sym("x", len(states))], [block.update(x, inputs, parameters)])
     course = np.hstack([states[:, np.newaxis], np.asarray(update.mapaccum(AVERAGED)(states).full())])
-    several = jacobians.map(AVERAGED + 1)(
-        course, casadi.repmat(inputs, 1, AVERAGED + 1), casadi.repmat(parameters, 1, AVERAGED + 1)
-    )
+    same = [casadi.repmat(each, 1, AVERAGED + 1) for each in (inputs, parameters)]
+    several = jacobians.map(AVERAGED + 1)(course, *same)
     a, b, c, d = (
         np.asarray(many.full()).reshape(len(one), AVERAGED + 1, -1).mean(axis=1)
         for many, one in zip(several, found, strict=True)

@@ -188,11 +188,8 @@ class WiredLoop:
             (feeding := self._feeding.get((i, name))) is not None and feeding.source in self._looped
             for name in _names(slave, "input")
         ]
-        leading = {
-            slave.variables[each.output].name
-            for each in connections
-            if each.source == i and each.target in self._looped
-        }
+        led = [each for each in connections if each.source == i and each.target in self._looped]
+        leading = {slave.variables[each.output].name for each in led}
         outgoing = [name in leading for name in _names(slave, "output")]
         return np.array(incoming, bool), np.array(outgoing, bool)
 
@@ -246,12 +243,8 @@ class WiredLoop:
         n = len(plant.a)
         lags = [(i, lag, k) for i, lag in self._lags for k in range(len(_names(lag, "output")))]
         size, outputs, signals = n + len(lags), len(self._outputs), len(self._signals)
-        a, held, by_channel = np.zeros((size, size)), np.zeros((size, outputs)), np.zeros((size, len(channels)))
-        c, c_held, c_channel = (
-            np.zeros((signals, size)),
-            np.zeros((signals, outputs)),
-            np.zeros((signals, len(channels))),
-        )
+        a, held, by_channel = (np.zeros((size, each)) for each in (size, outputs, len(channels)))
+        c, c_held, c_channel = (np.zeros((signals, each)) for each in (size, outputs, len(channels)))
         a[:n, :n], c[: len(plant.outputs), :n] = plant.a, plant.c
         places = {(i, _names(lag, "output")[k]): n + j for j, (i, lag, k) in enumerate(lags)}
 

@@ -18,7 +18,6 @@ from flexfmu.cosim.design.shapers.study import (
     CandidateResult,
     DesignModes,
     Drive,
-    PayloadTrial,
     alternatives,
     candidates,
     design_modes,
@@ -180,37 +179,26 @@ def terminal_table(title: str, results: Sequence[CandidateResult], recommended: 
 
 def to_csv(results: Sequence[CandidateResult]) -> str:
     """Return CSV with one line for each simulation, in SI units; a settling time beyond the dwell is left empty."""
-    drive = "controllers" if results[0].candidate.motion.scene.controller else "motion-driven"
-    return csv_text(
-        [
-            {
-                "drive": drive,
-                "shaper": result.candidate.name,
-                "shapes": result.candidate.application,
-                "added_time": result.added_time,
-                "path_deviation": result.path_deviation,
-                **trial_data(trial),
-                "peak_jerk": result.peak_jerk,
-            }
-            for result in results
-            for trial in result.trials
-        ]
-    )
-
-
-def trial_data(trial: PayloadTrial) -> dict[str, float | None]:
-    """Return a simulation as plain data in SI units."""
-    return {
-        "payload_error": trial.payload_error,
-        "residual_vibration": trial.residual,
-        "settling_time": trial.settling_time,
-        "peak_torque": trial.peak_torque,
-    }
+    drive, rows = "controllers" if results[0].candidate.motion.scene.controller else "motion-driven", []
+    for result in results:
+        data = result_data(result)
+        shared = {"drive": drive, **{key: data[key] for key in ("shaper", "shapes", "added_time", "path_deviation")}}
+        rows += [{**shared, **trial, "peak_jerk": result.peak_jerk} for trial in data["trials"]]
+    return csv_text(rows)
 
 
 def result_data(result: CandidateResult) -> dict[str, Any]:
     """Return a result as plain data in SI units."""
     candidate = result.candidate
+    trials = [
+        {
+            "payload_error": trial.payload_error,
+            "residual_vibration": trial.residual,
+            "settling_time": trial.settling_time,
+            "peak_torque": trial.peak_torque,
+        }
+        for trial in result.trials
+    ]
     return {
         "shaper": candidate.name,
         "shapes": candidate.application,
@@ -224,5 +212,5 @@ def result_data(result: CandidateResult) -> dict[str, Any]:
         "worst_peak_torque": result.peak_torque,
         "peak_jerk": result.peak_jerk if isfinite(result.peak_jerk) else None,
         "section": dict(candidate.section),
-        "trials": [trial_data(trial) for trial in result.trials],
+        "trials": trials,
     }
