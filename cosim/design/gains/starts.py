@@ -23,7 +23,6 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import positions_along
@@ -93,9 +92,14 @@ def joint_inertias(scene: Scene, pose: Pose = "end") -> RealArray:
         InputError: there is no such pose.
         TrajectoryError: the motion is not feasible.
     """
+    from flexfmu.model.numeric import inverse_dynamics  # needs CasADi
+
     shares = {"start": 0.0, "middle": 0.5, "end": 1.0}
     if pose not in shares:
         raise InputError(f"there is no pose {pose!r}; choose from {', '.join(shares)}")
     x, y = positions_along(plan(scene).task, shares[pose])[0].tolist()
-    (matrix,) = load_mass_matrix(scene, np.array([motor_angles(scene.mechanism, (x, y))]))
-    return np.asarray(np.diag(matrix) + scene.effects.motor_inertia)
+    angles, torque = np.array(motor_angles(scene.mechanism, (x, y))), inverse_dynamics(scene)
+    rest = np.zeros(2)
+    still = np.asarray(torque(angles, rest, rest)).ravel()
+    columns = [np.asarray(torque(angles, rest, unit)).ravel() - still for unit in np.eye(2)]
+    return np.array([columns[0][0], columns[1][1]])

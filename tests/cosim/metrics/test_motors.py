@@ -25,7 +25,8 @@ from flexfmu.model.scene.motor import Motor
 
 MakeRun = Callable[..., Run]
 OMEGA = 2.0 * math.pi
-MOTOR = Motor(continuous_torque=1.0, peak_torque=3.0, maximum_speed=300.0, gear_ratio=10.0, gear_efficiency=0.8)
+SECTION = {"continuous_torque": 1.0, "peak_torque": 3.0, "maximum_speed": 300.0}
+MOTOR = Motor(**SECTION, gear_ratio=10.0, gear_efficiency=0.8)
 
 
 def waves(offset: float, amplitude: float, shift: int = 0, steps: int = 500) -> Column:
@@ -75,9 +76,8 @@ def test_sine_torque_at_constant_speed(run: Run) -> None:
     for steps in (500, 499):
         assert loaded(run, (20.0, 0.0), (0.0, 5.0), steps=steps).margins[1].value == pytest.approx(exact, rel=1e-9)
     # without losses in the gear it is the sine's
-    assert loaded(run, (0.0, 30.0), (5.0, 0.0), replace(MOTOR, gear_efficiency=1.0)).margins[1].value == pytest.approx(
-        3.0 / math.sqrt(2.0), rel=1e-10
-    )
+    perfect = loaded(run, (0.0, 30.0), (5.0, 0.0), replace(MOTOR, gear_efficiency=1.0))
+    assert perfect.margins[1].value == pytest.approx(3.0 / math.sqrt(2.0), rel=1e-10)
 
 
 def test_motor_inertia_counts_once(make_run: MakeRun) -> None:
@@ -136,19 +136,17 @@ def test_load_inertia_is_that_of_the_model(make_run: MakeRun) -> None:
 
 def test_inertia_ratio_is_a_metric_of_scenes_with_motors(make_run: MakeRun) -> None:
     """Load inertia over rotor inertia times the square of the ratio."""
-    section = {"continuous_torque": 1.0, "peak_torque": 3.0, "maximum_speed": 300.0}
-    run = make_run(changes={"motor": {**section, "rotor_inertia": [1e-4, 2e-4], "gear_ratio": 20}})
+    run = make_run(changes={"motor": {**SECTION, "rotor_inertia": [1e-4, 2e-4], "gear_ratio": 20}})
     found, load = metrics_of(run), largest_load_inertia(run)
     assert found["inertia_ratio_1"] == pytest.approx(load[0] / (1e-4 * 400.0))
     assert found["inertia_ratio_2"] == pytest.approx(load[1] / (2e-4 * 400.0))
     assert "inertia_ratio_1" not in metrics_of(make_run())
-    assert metrics_of(make_run(changes={"motor": section}))["inertia_ratio_1"] is None
+    assert metrics_of(make_run(changes={"motor": SECTION}))["inertia_ratio_1"] is None
 
 
 def test_summary_and_pictures(make_run: MakeRun) -> None:
     """With motors the summary has a table, each motor a picture; without, there is nothing new."""
-    section = {"continuous_torque": 1.0, "peak_torque": 3.0, "maximum_speed": 300.0, "torque_constant": 0.5}
-    run = make_run(changes={"motor": section})
+    run = make_run(changes={"motor": {**SECTION, "torque_constant": 0.5}})
     motors = summarise(run, {})["motors"]
     assert [motor["joint"] for motor in motors] == [1, 2]
     assert motors[0]["exceeded"]
@@ -186,8 +184,7 @@ def test_pieces_keep_their_signs(seed: int) -> None:
 def test_motors_and_strengths_do_not_change_the_fmu() -> None:
     """Variants of them share one FMU."""
     scene = load_scene("barnard2012-6kg")
-    section = {"continuous_torque": 1.0, "peak_torque": 3.0, "maximum_speed": 300.0}
-    other = scene.replace({"motor": section, "mechanism.material.yield_strength": 2e8})
+    other = scene.replace({"motor": SECTION, "mechanism.material.yield_strength": 2e8})
     assert scene_key(other) == scene_key(scene)
     assert not depends_on("motor.gear_ratio")
     assert not depends_on("mechanism.material.yield_strength")

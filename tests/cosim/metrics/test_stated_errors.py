@@ -164,18 +164,13 @@ def test_without_an_order_errors_stay_as_wide_as_the_change(changes: dict[str, A
     """Undamped modes, rounded signals and controlled steps: what a companion changes says nothing of how much is left."""
     scene = load_scene("barnard2012-6kg").replace({**changes, "trajectory.dwell": 0.01, "trajectory.duration": 0.2})
     found = run_scene(scene, communication_step=1e-3, tolerance=1e-4).companion
-    assert found is not None
-    assert found.share == 4.0
+    assert getattr(found, "share", None) == 4.0
 
 
 def test_orders_that_are_known(run: Run) -> None:
     """A damped robot, with a controller too: a companion's error is a part of the change, the smaller the tighter the run."""
-    shares = []
-    for tolerance in (1e-4, 1e-6, 1e-10):
-        found = PreparedScene(run.scene.replace(LOOP), tolerance=tolerance).run().companion
-        assert found is not None
-        shares.append(found.share)
-    assert shares == [1.0, 0.1, 1.0]
+    runs = [PreparedScene(run.scene.replace(LOOP), tolerance=each).run() for each in (1e-4, 1e-6, 1e-10)]
+    assert [each.companion.share for each in runs if each.companion] == [1.0, 0.1, 1.0]
 
 
 def test_a_short_step_does_not_spoil_the_acceleration() -> None:

@@ -76,9 +76,8 @@ def test_truncation_of_assumed_modes(make_run: MakeRun, modes: int, error: float
     if modes == 1:
         assert found.change is None
         return
-    moments = np.cumsum(
-        [float(shape.strain(np.zeros(1))[0]) * q for shape, q in zip(shapes, tips.values(), strict=True)]
-    )
+    at_clamp = [float(shape.strain(np.zeros(1))[0]) for shape in shapes]
+    moments = np.cumsum(np.multiply(at_clamp, [*tips.values()]))
     assert found.change == pytest.approx(abs(moments[-2] / moments[-1] - 1.0), rel=1e-6)
     assert found.change is not None
     assert found.change > abs(error)
