@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from hashlib import sha256
 from io import StringIO
+from mmap import mmap
 from pathlib import Path
 from threading import Thread
 from time import sleep
@@ -215,6 +216,32 @@ def prepared_folder(path: Path) -> OutputFolder:
     folder.prepare()
     _command.enter_context(folder.claimed())
     return folder
+
+
+BLAS_ROOM = 100e6, 32e6
+"""What NumPy's and SciPy's OpenBLAS each reserve [bytes]: in any case, and for each of at most `BLAS_THREADS` threads."""
+
+BLAS_THREADS = 64
+
+
+def check_room() -> None:
+    """Refuse a limit of memory that NumPy and SciPy can't be loaded in: OpenBLAS, once it gets none, asks for ever.
+
+    Raises:
+        MemoryError: there is less.
+    """
+    if sys.platform == "win32":
+        return
+    import resource
+
+    stated = os.environ.get("OPENBLAS_NUM_THREADS", "")
+    threads = min(int(stated) if stated.isdecimal() else os.cpu_count() or 1, BLAS_THREADS)
+    needed = 2 * int(BLAS_ROOM[0] + BLAS_ROOM[1] * threads)
+    if resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
+        try:
+            mmap(-1, needed).close()
+        except OSError:
+            raise MemoryError from None
 
 
 _hints: list[str] = []

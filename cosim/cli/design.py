@@ -103,24 +103,38 @@ def effects(
     tolerance: float | None = None,
     of: list[str] | None = None,
     check: bool = False,
+    out: Path | None = None,
+    restart: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
     """Choose the cheapest elastic effects within a tolerance; shows the accuracy and the cost of each.
 
+    Writes effects.json. Every estimate and run is kept at once, and whatever ends the command, the same command continues.
+
     Args:
         tolerance (RELATIVE): Largest error. Default: the scene's, or 0.01.
         of (METRIC): A metric to hold; may be repeated. Default: the scene's, or three of them.
         check: Also run the next richer sets and compare; builds their FMUs. Default: skip.
+        out (DIR): Folder of the results. Default: results/<name of the scene>-effects.
+        restart: Discard what an interrupted choice for another scene has left in the folder. Default: refuse.
     """
+    from flexfmu.cosim.design.effects.choice import requirements
     from flexfmu.cosim.design.effects.study import comparison_table, comparisons, report, study_data, study_effects
+    from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
-    robot = load_changed(scene, settings)
+    robot, asked = load_changed(scene, settings), tuple(of or [])
+    about = about_scene(robot) | {"of": requirements(robot, tolerance, asked)[1]}
+    folder = prepared_folder(out or usual_folder(robot.name, settings, "-effects"))
+    journal = WorkJournal(folder.path, "choice of effects", about, restart=restart, note=show_note)
     with progress() as show:
-        study = study_effects(robot, tolerance, tuple(of or []), show)
-        checked = tuple(comparisons(study, show)) if check else ()
+        study = study_effects(robot, tolerance, asked, show, journal)
+        checked = tuple(comparisons(study, show, journal)) if check else ()
+    data = study_data(study, checked)
+    folder.write("effects.json", to_json(data))
+    journal.remove()
     compared = [comparison_table(checked)] if check else []
-    print_result(json, study_data(study, checked), *report(study), *compared)
+    print_result(json, data, *report(study), *compared, f"results: {folder.path / 'effects.json'}")
     return 0
 
 

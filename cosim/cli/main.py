@@ -18,6 +18,7 @@ import typer
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
+    check_room,
     end_loading,
     keep_stdout,
     one_line_errors,
@@ -43,6 +44,10 @@ app = typer.Typer(
     epilog="Exit status: 0 done, 1 it ran and failed, 2 wrong usage or input, 129, 131, 143 ended by SIGHUP, SIGQUIT, SIGTERM. Results go to "
     "standard output, progress to standard error.",
 )
+
+
+WITHOUT_SCIPY = (new, scenes, schema, cache, validate)
+"""Commands that do with less memory than the others."""
 
 
 def main() -> None:
@@ -86,6 +91,8 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
         if command is not run:  # which loads most and ends it itself
             end_loading()
         with one_line_errors():
+            if command not in WITHOUT_SCIPY:
+                check_room()
             raise typer.Exit(command(**arguments))
 
     run_command.__doc__, parameters = help_and_signature(command)

@@ -276,6 +276,8 @@ def sweep(
         with progress() as show:
 
             def report(finished: int, total: int) -> None:
+                if not any(done) and 0 < finished < total:
+                    show_note(f"continuing: {finished} of {total} done")
                 done[:] = finished, total
                 show(f"{finished} of {total} cases", finished / total if total else 1.0)
 

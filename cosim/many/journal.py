@@ -94,6 +94,7 @@ class WorkJournal:
         about: what determines the results.
         restart: whether other work in the folder is discarded; otherwise it is an error.
         note: is called with a sentence if there are finished units.
+        total: number of all units; None where it isn't known before.
 
     Raises:
         InputError: the folder has other work.
@@ -108,6 +109,7 @@ class WorkJournal:
         *,
         restart: bool = False,
         note: Callable[[str], object] = lambda text: None,
+        total: int | None = None,
     ) -> None:
         self._known, self._lines = dict[str, Any](), None
         if folder is None:
@@ -124,7 +126,7 @@ class WorkJournal:
             )
         self._known = {each[0]: each[1] for each in found[1:] if isinstance(each, list) and len(each) == 2}
         if self._known:
-            note(f"continuing: {len(self._known)} done")
+            note(f"continuing: {len(self._known)} {'' if total is None else f'of {total} '}done")
 
     def __contains__(self, key: Any) -> bool:
         return _name(key) in self._known

@@ -278,6 +278,7 @@ def plan_motion(
     budget: float | None = None,
     robust: bool = True,
     out: str | Path | None = None,
+    restart: bool = False,
     progress: Callable[[str, float | None], None] | None = None,
     **wishes: Any,
 ) -> PlanResult:
@@ -295,8 +296,9 @@ def plan_motion(
         processes: number of processes of the search; None for one on each processor.
         budget: time [s] after which no further candidate is started; None for no limit.
         robust: whether the chosen motion is also run in richer models, up to half a minute.
-        out: folder for ``planned.toml``, which every command takes, ``front.csv``, ``plan.json`` and ``plan.html``; None for no
-            files.
+        out: folder for ``planned.toml``, which every command takes, ``front.csv``, ``plan.json`` and ``plan.html``; all that is
+            found is kept there at once, and the same call continues an interrupted one. None for no files.
+        restart: whether what an interrupted plan for another scene or other limits has left in ``out`` is discarded.
         progress: function that is called with what is being done, and the finished fraction where it is known.
         wishes: keys of the scene file's section ``plan``, such as ``minimise``, ``residual`` [m] or ``limits``; they replace the
             scene's.
@@ -307,7 +309,7 @@ def plan_motion(
     Raises:
         SceneError: the scene doesn't exist, or a key, a wish or its value is invalid.
         TrajectoryError: the given motion is not feasible.
-        InputError: wishes contradict each other, or a method is unknown.
+        InputError: wishes contradict each other, a method is unknown, or ``out`` has another plan.
         BuildError: the FMU can't be built.
         ResultsError: the given motion can't be run, or a file can't be written.
         TypeError: ``scene`` is of another type.
@@ -315,10 +317,12 @@ def plan_motion(
     from flexfmu.cosim.design.plans.assessment import own_candidate
     from flexfmu.cosim.design.plans.planned_files import write_plan
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
+    from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
     robot = as_scene(scene)
     if wishes:
         robot = robot.replace({f"plan.{key}": value for key, value in wishes.items()})
+    journal = WorkJournal(None if out is None else Path(out), "plan", about_scene(robot), restart=restart)
     result = plan_scene(
         robot,
         methods=METHODS if methods is None else tuple(methods),
@@ -327,9 +331,12 @@ def plan_motion(
         budget=budget,
         robust=robust,
         show=progress or (lambda text, fraction: None),
+        journal=journal,
     )
     if out is not None:
         write_plan(result, Path(out))
+    if not result.interrupted:
+        journal.remove()
     return result
 
 

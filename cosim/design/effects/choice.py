@@ -21,6 +21,7 @@ from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.enrichment import FOLLOWING
@@ -144,6 +145,7 @@ def choose_verified(
     of: tuple[MeasureName, ...],
     named: Collection[MeasureName] = (),
     show: ShowProgress = quiet,
+    journal: WorkJournal = NOWHERE,
 ) -> tuple[Scene, Estimator]:
     """Return the scene with the cheapest set of effects whose error is within the tolerance, and the estimator.
 
@@ -158,19 +160,21 @@ def choose_verified(
         of: the metrics.
         named: metrics that the user named, whose errors are relative to their own values, see `scales`.
         show: called with the current activity and the finished fraction.
+        journal: where the metrics of estimates and runs are kept.
 
     Raises:
         BuildError: an FMU can't be built.
         ResultsError: a run failed.
     """
     show("choosing the effects", None)
-    estimator = Estimator(scene, motion, of, named, rich_enough(scene, motion, tolerance, of, named))
-    first, runs = estimator, _Runs(estimator, of, show)
+    most = rich_enough(scene, motion, tolerance, of, named, journal)
+    estimator = Estimator(scene, motion, of, named, most, journal)
+    first, runs = estimator, _Runs(estimator, of, show, journal)
     # where estimates are off, they don't tell how many modes the richest set needs: add some until runs agree
     is_open = runs.contradict_estimates(tolerance)
     while is_open and (most := one_more(estimator.richest, get_args(FamilyName))) != estimator.richest:
-        before, estimator = runs, Estimator(scene, motion, of, named, most)
-        runs = _Runs(estimator, of, show)
+        before, estimator = runs, Estimator(scene, motion, of, named, most, journal)
+        runs = _Runs(estimator, of, show, journal)
         is_open = runs.change_from(before) > NUMERICAL * tolerance
     # choose, verify by runs, and increase the safety factors of metrics whose estimates were wrong; sets within the first richest one
     # may be small enough
@@ -194,17 +198,19 @@ class _Runs:
     Where the loop's run fails, or nothing controls the torques, the motors follow the motion instead.
     """
 
-    def __init__(self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress) -> None:
-        self._of, self._show, self._estimator = of, show, estimator
+    def __init__(
+        self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress, journal: WorkJournal = NOWHERE
+    ) -> None:
+        self._of, self._show, self._estimator, self._journal = of, show, estimator, journal
         self._known: dict[tuple[str, float], MetricValues] = {}
         show("running the richest set", None)
         needed, most = (*of, "peak_position_error"), estimator.richest
         self._is_alone = most.cosimulation.drive == "torque" and not most.controller
         try:
-            self._richest = observe(most, needed, EXACT, is_alone=self._is_alone).metrics
+            self._richest = self._observed(most, needed, EXACT)
         except CosimError:
             self._is_alone = True
-            self._richest = observe(most, needed, EXACT, is_alone=True).metrics
+            self._richest = self._observed(most, needed, EXACT)
         self._scales = scales(self._richest, estimator.named)
 
     def contradict_estimates(self, tolerance: float) -> bool:
@@ -251,11 +257,24 @@ class _Runs:
         key = effects.model_dump_json(), tolerance or scene.cosimulation.tolerance
         if key not in self._known:
             self._show("running the chosen set", None)
-            try:
-                self._known[key] = observe(scene, self._of, tolerance, is_alone=self._is_alone).metrics
-            except ResultsError:
-                self._known[key] = dict.fromkeys(self._of, inf)
+            self._known[key] = self._observed(scene, self._of, tolerance, fails=True)
         return self._known[key]
+
+    def _observed(
+        self, scene: Scene, of: tuple[MeasureName, ...], tolerance: float | None, *, fails: bool = False
+    ) -> MetricValues:
+        """The metrics of a run, from the journal if it has them; where it ``fails``, they may be infinite. Errors as for `observe`."""
+
+        def found() -> MetricValues:
+            try:
+                return observe(scene, of, tolerance, is_alone=self._is_alone).metrics
+            except ResultsError:
+                if not fails:
+                    raise
+                return dict.fromkeys(of, inf)
+
+        own = scene.effects.model_dump_json(exclude={"choice"}), scene.cosimulation.tolerance
+        return self._journal.kept(("run", *own, tolerance, self._is_alone, *of), dict[MeasureName, float], found)
 
 
 def observe(

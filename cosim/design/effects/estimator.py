@@ -18,6 +18,7 @@ from typing import Any, get_args
 import numpy as np
 
 from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
@@ -164,6 +165,7 @@ class Estimator:
         of: the metrics.
         named: metrics that the user named, see `scales`.
         most: the scene with the richest set, `richest(scene)` when None.
+        journal: where estimates are kept.
 
     Attributes:
         richest: the scene with the richest set.
@@ -177,8 +179,10 @@ class Estimator:
         of: tuple[MeasureName, ...],
         named: Collection[MeasureName] = (),
         most: Scene | None = None,
+        journal: WorkJournal = NOWHERE,
     ) -> None:
         self.richest, self._of, self.named = richest(scene) if most is None else most, of, named
+        self._journal = journal
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
         self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
@@ -209,7 +213,10 @@ class Estimator:
         """Return the metrics with a set of effects, in SI units; ``sharp`` adds the Newton iteration."""
         key = effects.model_dump_json(), sharp
         if key not in self._known:
-            self._known[key] = self._solution(effects, sharp).metrics(self._of)
+            unit = "estimate", self.richest.effects.model_dump_json(), *key
+            self._known[key] = self._journal.kept(
+                unit, dict[MeasureName, float], lambda: self._solution(effects, sharp).metrics(self._of)
+            )
         return self._known[key]
 
     def covers(self, effects: Effects) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from typing import get_args
 
 from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
@@ -28,21 +29,26 @@ MOST_MODES = 8
 
 
 def rich_enough(
-    scene: Scene, motion: Trajectory, tolerance: float, of: tuple[MeasureName, ...], named: Collection[MeasureName] = ()
+    scene: Scene,
+    motion: Trajectory,
+    tolerance: float,
+    of: tuple[MeasureName, ...],
+    named: Collection[MeasureName] = (),
+    journal: WorkJournal = NOWHERE,
 ) -> Scene:
     """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
 
     The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the
     number of modes and is left out meanwhile.
 
-    Arguments as for `choose_effects`; `named` as for `Estimator`.
+    Arguments as for `choose_effects`; `named` and `journal` as for `Estimator`.
     """
     most = richest(scene)
     while True:
         # compare with one more mode of every family
         grown_most = one_more(most, get_args(FamilyName))
         plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
-        estimator = Estimator(scene, motion, of, named, grown)
+        estimator = Estimator(scene, motion, of, named, grown, journal)
         # add the mode with the largest contribution until the rest is negligible
         while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]

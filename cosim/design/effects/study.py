@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 from rich.console import RenderableType
@@ -24,10 +25,12 @@ from flexfmu.cosim.design.effects.estimator import Estimator, scales
 from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.timing import fastest_in_turns
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.choice_text import choice_sentence, percent, set_text
+from flexfmu.model.enrichment import Neighbour
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import (
     INTEGRATOR_SHARE,
@@ -88,7 +91,11 @@ class EffectStudy:
 
 @one_blas_thread()
 def study_effects(
-    scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: ShowProgress = quiet
+    scene: Scene,
+    tolerance: float | None = None,
+    of: tuple[str, ...] = (),
+    show: ShowProgress = quiet,
+    journal: WorkJournal = NOWHERE,
 ) -> EffectStudy:
     """Choose a scene's effects and study each of them.
 
@@ -97,6 +104,7 @@ def study_effects(
         tolerance: relative tolerance; default as for `requirements`.
         of: metrics; default as for `requirements`.
         show: called with the current activity and the finished fraction.
+        journal: where the metrics of estimates and runs are kept, also from an earlier call for the same scene and metrics.
 
     Raises:
         BuildError, ResultsError: as for `resolved`.
@@ -110,7 +118,7 @@ def study_effects(
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     # the choice, and every set that differs by one effect or load
     joints = followed(scene)
-    chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show)
+    chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show, journal)
     show("looking at what the robot gives", None)
     choice = chosen.effects.choice
     assert choice is not None  # `choose_effects` sets it
@@ -152,12 +160,15 @@ EVERYTHING = "everything"
 """Effect in the comparison with the richest set; its estimated change includes the safety factor."""
 
 
-def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[EffectComparison]:
+def comparisons(
+    study: EffectStudy, show: ShowProgress = quiet, journal: WorkJournal = NOWHERE
+) -> Iterator[EffectComparison]:
     """Compare runs of the chosen set with the richest one, then with each next richer one; runs are made on demand.
 
     Args:
         study: the choice.
         show: called with the current activity and the finished fraction.
+        journal: where comparisons are kept.
 
     Raises:
         BuildError: an FMU can't be built.
@@ -177,13 +188,17 @@ def comparisons(study: EffectStudy, show: ShowProgress = quiet) -> Iterator[Effe
         own, longer = fastest_in_turns([base.run, other.run])
         return EffectComparison(effect, change, estimated, observed, longer / own)
 
+    def one_more(each: Neighbour) -> EffectComparison:
+        estimated = estimator.changes(chosen.effects, each.scene.effects)
+        return compare(each.effect, each.change, estimated, observe(each.scene, names, EXACT, is_alone=is_alone))
+
     yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
     # one more of each effect within the estimator's richest set
     for each in richer(chosen):
         if estimator.covers(each.scene.effects):
             show(f"running with {each.effect}: {each.change}", None)
-            estimated = estimator.changes(chosen.effects, each.scene.effects)
-            yield compare(each.effect, each.change, estimated, observe(each.scene, names, EXACT, is_alone=is_alone))
+            unit = "check", chosen.effects.model_dump_json(), each.scene.effects.model_dump_json()
+            yield journal.kept(unit, EffectComparison, partial(one_more, each))
 
 
 def contribution_table(study: EffectStudy) -> Table:

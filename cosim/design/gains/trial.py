@@ -214,7 +214,12 @@ def check_keys(scene: Scene, over: Sequence[Interval]) -> None:
 
 
 def trial_journal(
-    folder: Path, study: Study, *, restart: bool = False, note: Callable[[str], object] = lambda text: None
+    folder: Path,
+    study: Study,
+    *,
+    restart: bool = False,
+    note: Callable[[str], object] = lambda text: None,
+    total: int | None = None,
 ) -> WorkJournal:
     """The trials of a tuning in a folder, by their values; arguments and errors as for `WorkJournal`."""
     # what determines the trials of equal values
@@ -224,4 +229,4 @@ def trial_journal(
         "figures": sorted({part for goal in study.goals for part in goal.parts}),
         "payload band": study.band,
     }
-    return WorkJournal(folder, "tuning", about, restart=restart, note=note)
+    return WorkJournal(folder, "tuning", about, restart=restart, note=note, total=total)

@@ -181,7 +181,7 @@ def tune_scene(
         if folder is not None:
             OutputFolder(folder).prepare()
             stack.enter_context(OutputFolder(folder).claimed())
-            journal = trial_journal(folder, study, restart=restart, note=note)
+            journal = trial_journal(folder, study, restart=restart, note=note, total=trials or usual_trials(study)[1])
         return tune_study(
             study, method=method, trials=trials, seed=seed, processes=processes, journal=journal, show=show
         )
@@ -260,9 +260,8 @@ def tune_study(
     """
     from scipy.stats.qmc import Sobol  # takes a third of a second to import
 
-    count = len(study.over)
-    first = min(FIRST << (count - 1), MOST_FIRST)
-    total = first + USUAL * count + 1 if trials is None else trials
+    count, (first, usual) = len(study.over), usual_trials(study)
+    total = usual if trials is None else trials
     if method not in METHODS:
         raise InputError(f"there is no method {method!r} of tuning; choose from {', '.join(METHODS)}")
     if total < 2:
@@ -288,6 +287,13 @@ def tune_study(
     if study.rank(best)[0] == 2 and not interrupted:
         raise ResultsError(f"all {len(search.done)} trials failed, the first one: {search.done[0].message}")
     return TuneResult(study, search.done[0], best, tuple(search.done), interrupted)
+
+
+def usual_trials(study: Study) -> tuple[int, int]:
+    """Number of first trials, and of all, where the user names none."""
+    count = len(study.over)
+    first = min(FIRST << (count - 1), MOST_FIRST)
+    return first, first + USUAL * count + 1
 
 
 def summary(result: TuneResult) -> dict[str, Any]:

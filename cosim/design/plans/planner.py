@@ -241,7 +241,7 @@ def plan_scene(
                 yield from METHODS[name](goals, found, processes, show, journal)
             except FAILURES as error:
                 # a method that fails doesn't end the plan
-                failures.append(f"{name}: {error}")
+                _note_failure(failures, name, error)
 
     interrupted = False
     try:
@@ -249,7 +249,7 @@ def plan_scene(
             try:
                 found.append(judge.assess(candidate))
             except FAILURES as error:
-                failures.append(f"{candidate.label}: {error}")
+                _note_failure(failures, candidate.label, error)
             best = _ranked(found, goals)[0]
             show(f"{best.time:.4g} s, {1e6 * best.residual:.2g} µm: {best.candidate.label}", None)
             if budget is not None and monotonic() - clock > budget:
@@ -280,6 +280,13 @@ def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
             f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
             f'whatever the motion: planned from rest, `initial = "static"`, which the planned scene has'
         )
+
+
+def _note_failure(failures: list[str], what: str, error: Exception) -> None:
+    """Note why a motion or a method failed; a full disk and the like are neither's fault, and end the plan."""
+    if isinstance(error.__cause__, OSError):
+        raise error
+    failures.append(f"{what}: {error}")
 
 
 def _dominates(one: Assessment, other: Assessment) -> bool:

@@ -164,6 +164,8 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
         try:
             yield journal.kept(("robustness", name, content), RobustnessLine, partial(line, name))
         except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
+            if isinstance(error.__cause__, OSError):
+                raise  # a full disk, for example
             yield RobustnessLine(name, float("nan"), "", note=str(error))
 
 

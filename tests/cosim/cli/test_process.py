@@ -77,6 +77,15 @@ def test_missing_compiler(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the address space")
+def test_little_memory_is_one_line(tmp_path: Path) -> None:
+    """SciPy's library for linear algebra would ask for memory for ever, deaf to signals."""
+    command = f"ulimit -v 293000; exec {shlex.join(FLEXFMU)} effects {SCENE} --out {tmp_path}"
+    found = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    assert (found.returncode, found.stdout) == (1, "")
+    assert re.fullmatch("flexfmu: out of memory: .*\n", found.stderr)
+
+
 def test_useless_cache(tmp_path: Path) -> None:
     """A file in place of the cache's folder: one line says so, and the command does its work."""
     (tmp_path / "file").write_text("")

@@ -16,10 +16,11 @@ from flexfmu.cosim.design.effects.choice import EXACT, MEASURED, Observed, choos
 from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
 from flexfmu.cosim.design.effects.search import choose_effects
 from flexfmu.cosim.design.effects.study import comparisons, study_effects
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.many.journal import WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.summary import _beyond_tolerance
@@ -130,6 +131,30 @@ class Pretended:
         return Observed(
             {name: off * (exact[name] + self.factor * (own[name] - exact[name])) for name in of}, lambda: None
         )
+
+
+def test_estimates_and_runs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an interrupted choice has found isn't made again."""
+    joints, most, of, made = plan(OPEN).joints, with_set(OPEN, {}), ("peak_torque_1",), list[str]()
+
+    def chosen(said: list[str]) -> list[Any]:
+        journal = WorkJournal(tmp_path, "choice of effects", {}, note=said.append)
+        estimator = Estimator(OPEN, joints, of, most=most, journal=journal)
+        runs = verified._Runs(estimator, of, lambda *_: None, journal)
+        return [estimator.metrics(most.effects), runs._richest, runs.errors(most, 1e-3), runs.errors(most, 1e-4)]
+
+    def observed(scene: Scene, of: Any, tolerance: float, **_: object) -> Observed:
+        made.append(f"{tolerance:g}")
+        if tolerance == 1e-4:
+            raise ResultsError("the loop is unstable")
+        return Observed(dict.fromkeys(of, 2.0 + tolerance), lambda: None)
+
+    monkeypatch.setattr(verified, "observe", observed)
+    first, said = chosen([]), list[str]()
+    monkeypatch.setattr(Estimator, "_solution", lambda *_: pytest.fail("estimated again"))
+    assert chosen(said) == first
+    assert said == ["continuing: 4 done"]
+    assert made == ["1e-09", "0.001", "0.0001"]
 
 
 @pytest.mark.slow

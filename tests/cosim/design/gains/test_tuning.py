@@ -116,8 +116,8 @@ def test_an_interrupted_tuning_continues(tmp_path: Path, monkeypatch: pytest.Mon
     with (tmp_path / FILE).open("a") as file:
         file.write('{"values": [1')
     said = list[str]()
-    again = trial_journal(tmp_path, study(), note=said.append)
-    assert said == ["continuing: 22 done"]
+    again = trial_journal(tmp_path, study(), note=said.append, total=40)
+    assert said == ["continuing: 22 of 40 done"]
     made.clear()
     second = tune_study(study(), trials=40, journal=again)
     assert (second.trials, len(made)) == (whole.trials, 18)

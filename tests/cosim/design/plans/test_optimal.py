@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
 import time
@@ -13,12 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import flexfmu
 from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import optimal
 from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import JointSpline
@@ -153,6 +156,26 @@ def test_finished_units_are_not_made_again(tmp_path: Path, monkeypatch: pytest.M
     assert figures(found) == figures(planned(WorkJournal()))
     with pytest.raises(InputError, match=r"has another plan: scene.payload.mass was 6.*--restart"):
         WorkJournal(tmp_path, "plan", about_scene(SHORT.replace({"payload.mass": 3.0})))
+
+
+def test_a_full_disk_ends_a_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is no candidate's fault; the same call goes on once there is room."""
+    left, usual = [3], os.fsync
+    motions = {"slower": flexfmu.reference_motion(SLOWER[0].scene).joints}
+
+    def full(file: int) -> None:
+        left[0] -= 1
+        if not left[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        usual(file)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ResultsError, match=r"^can't write \S*journal.jsonl: No space left"):
+        flexfmu.plan_motion(SHORT, methods=(), candidates=motions, robust=False, out=tmp_path)
+    assert (tmp_path / FILE).exists()
+    flexfmu.plan_motion(SHORT, methods=(), candidates=motions, robust=False, out=tmp_path)
+    assert not (tmp_path / FILE).exists()
+    assert (tmp_path / "front.csv").exists()
 
 
 @pytest.mark.slow
