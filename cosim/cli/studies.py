@@ -40,6 +40,7 @@ def compare(
     delay: float | None = None,
     variant: list[str] | None = None,
     payload_band: str | None = None,
+    strict: bool = False,
     settings: list[str] | None = None,
     out: Path | None = None,
     json: bool = False,
@@ -62,6 +63,7 @@ def compare(
             stiff:pd.kp=2e4,pd.kd=200. May be repeated. Default: none.
         payload_band (BAND): Also run scenes with other payloads, unknown to the controllers: 0.2 for 20 % to both sides, or
             4,8 for 4 and 8 kg. Default: skip.
+        strict: Refuse files with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
         out (DIR): Write comparison.html and comparison.json there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.robustness import parse_band
@@ -78,7 +80,7 @@ def compare(
     band = None if payload_band is None else parse_band(payload_band)
     sources = given_sources(runs, variant or (), settings or ())
     with progress() as show:
-        found = compare_runs(compared_runs(sources, show, band), measured, meaning, delay)
+        found = compare_runs(compared_runs(sources, show, band, strict=strict), measured, meaning, delay, strict=strict)
     if out is not None:
         found.write(out)
     print_result(json, found.as_data(), *_shown_comparison(found, out))

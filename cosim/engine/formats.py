@@ -32,6 +32,7 @@ from pydantic_core import to_json
 from flexfmu.cosim.engine.columns import TWICE, Column, coded, csv_cells
 from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.cosim.engine.files import replacing, write_pieces
+from flexfmu.cosim.engine.showing import cell_text, safe_cell
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.errors import LARGEST_TABLE, read_bytes, read_text
 from flexfmu.fmu_build.archive import ANY_RATIO, LARGEST_RATIO
@@ -45,16 +46,12 @@ LINES = 96
 """Number of lines of a CSV file that are written at once: few enough for memory that is used again instead of new pages."""
 
 
-_LIKE_FORMULA, _FORMULA = re.compile(r"^(?='*[=+\-@])"), re.compile(r"^'(?='*[=+\-@])")
-"""Beginning of a name that a spreadsheet would run as a formula, which gets an apostrophe; and that apostrophe."""
-
-
 def write_csv(path: Path, time: RealArray, columns: Mapping[str, Column], about: About = NOTHING) -> Path:
     """Write time and values; see `flexfmu.cosim.engine.results.Recording.write_csv`."""
     for name in columns:
         if any(character in name for character in ';"\n'):
             raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
-    names = [_LIKE_FORMULA.sub("'", name.replace(",", ";")) for name in ("time", *columns)]
+    names = [safe_cell(name.replace(",", ";")) for name in ("time", *columns)]
     head = ",".join(f'"{name}"' for name in names) + "\n"
     return write_pieces(path, itertools.chain([head], _lines([Column("s", time), *columns.values()])))
 
@@ -76,7 +73,7 @@ def read_csv(path: Path) -> tuple[RealArray, dict[str, Column]]:
     """Return times (N,) [s] and signals; see `flexfmu.cosim.engine.results.Recording.read_csv`."""
     try:
         head, _, body = read_text(path).partition("\n")
-        names = [_FORMULA.sub("", name.strip().strip('"')).replace(";", ",") for name in head.split(",")]
+        names = [cell_text(name.strip().strip('"')).replace(";", ",") for name in head.split(",")]
         if not body.strip():
             raise ResultsError(f"{path} is no table of signals: it has no rows")
         # numpy reads tables of numbers alone many times faster

@@ -181,12 +181,29 @@ class Rows(ABC):
         return csv_text(self.rows())
 
 
+_LIKE_FORMULA, _APOSTROPHE = re.compile(r"^(?='*[=+\-@])"), re.compile(r"^'(?='*[=+\-@])")
+
+
+def safe_cell(text: str) -> str:
+    """A cell of a CSV file: what a spreadsheet would run as a formula begins with an apostrophe; numbers stay as they are."""
+    try:
+        float(text)
+    except ValueError:
+        return _LIKE_FORMULA.sub("'", text)
+    return text
+
+
+def cell_text(cell: str) -> str:
+    """The text of which `safe_cell` has made a cell."""
+    return _APOSTROPHE.sub("", cell)
+
+
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows of the same names as CSV, with a line of names."""
     text = StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    writer, names = csv.writer(text, lineterminator="\n"), [*rows[0]]
+    for cells in (names, *([row[name] for name in names] for row in rows)):
+        writer.writerow([safe_cell(each) if isinstance(each, str) else each for each in cells])
     return text.getvalue()
 
 

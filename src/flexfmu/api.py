@@ -157,6 +157,7 @@ def compare(
     mapping: Mapping[str, str] | None = None,
     delay: float | None = None,
     payload_band: float | tuple[float, float] | None = None,
+    strict: bool = False,
     **parts: Unpack[Parts],
 ) -> Comparison:
     """Compare runs, controllers and shapers with each other, and with a measurement.
@@ -177,6 +178,8 @@ def compare(
         delay: time of an event in the measurement minus that in the simulation [s]; None to estimate it from the first run.
         payload_band: scenes are also run with other payloads, which their controllers, shapers and motion don't know: a fraction to
             both sides, or the lightest and the heaviest payload [kg]; None to skip them.
+        strict: whether a value in a file that is no finite number is an error; otherwise such values are left out, with a warning that
+            names the first one's line.
         parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
@@ -199,7 +202,8 @@ def compare(
             with_parts(as_scene(each), parts) if isinstance(each, Scene | str | Path) else each for each in runs
         )
     meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
-    return compare_runs(compared_runs(runs, payload_band=payload_band), measured, meaning, delay)
+    compared = compared_runs(runs, payload_band=payload_band, strict=strict)
+    return compare_runs(compared, measured, meaning, delay, strict=strict)
 
 
 def build(

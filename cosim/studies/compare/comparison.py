@@ -227,6 +227,8 @@ def compare_runs(
     log: Log | None = None,
     mapping: Mapping[str, Mapped] | None = None,
     delay: float | None = None,
+    *,
+    strict: bool = False,
 ) -> Comparison:
     """Compare runs, and a measurement with each of them.
 
@@ -235,6 +237,7 @@ def compare_runs(
         log: a measurement for `read_log`; None without.
         mapping: name of a column of the measurement → what it is.
         delay: of the measurement [s]; None to estimate it from the first run.
+        strict: as for `read_log`.
 
     Raises:
         ResultsError: the file can't be read.
@@ -245,7 +248,7 @@ def compare_runs(
             raise InputError("a mapping of columns or a delay goes with a measurement")
         return Comparison(tuple(runs))
     units = {name: column.unit for run in reversed(runs) for name, column in run.recording.columns.items()}
-    recording = read_log(log, mapping or {}, units)
+    recording = read_log(log, mapping or {}, units, strict=strict)
     name = Path(log).stem if isinstance(log, str | Path) else "measured"
     # the delay from the first run, which all others get: it belongs to the measurement's clock
     measured = {each: _sampled(recording, each) for each in recording.columns}

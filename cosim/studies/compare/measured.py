@@ -23,7 +23,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.engine.showing import UNITS
+from flexfmu.cosim.engine.showing import UNITS, cell_text
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.errors import read_text
 
@@ -87,7 +87,28 @@ def _number(word: str, text: str) -> float:
     return value
 
 
-def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]) -> Recording:
+def tell_odd(source: object, odd: Sequence[tuple[int, str, str]], *, strict: bool) -> None:
+    """Warn of values that are no finite numbers and are left out, or refuse them.
+
+    Args:
+        source: where they are.
+        odd: line, column and cell of each.
+        strict: whether they are refused.
+
+    Raises:
+        InputError: there is one, and they are refused.
+    """
+    if not odd:
+        return
+    line, name, cell = min(odd)
+    what = f"{source}: {len(odd)} values are no finite numbers{'' if strict else ' and are left out'}"
+    text = f"{what}; the first is {cell[:20]!r} in line {line}, column {name[:40]!r}"
+    if strict:
+        raise InputError(f"{text}; without --strict they are left out")
+    warnings.warn(text, DataWarning, stacklevel=3)
+
+
+def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str], *, strict: bool = False) -> Recording:
     """Read the columns of a log that are signals of a simulation.
 
     The separator is a comma, semicolon or tab; with semicolons or tabs numbers may have a decimal comma. Lines before the header
@@ -98,6 +119,7 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
         log: the CSV file; a ``.parquet`` or ``.mat`` file, or what is in memory, in SI units where the mapping has no factor.
         mapping: name of a column → its meaning; others are taken where their name is that of a signal.
         signals: name of a simulated signal → its unit.
+        strict: whether a value that is no finite number is an error instead of left out.
 
     Raises:
         ResultsError: the file can't be read.
@@ -120,15 +142,7 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
             f"{source}, line {line}: the time in column {time_name!r} must not decrease, but it does there"
         )
     # what is left out
-    odd = [(line, name, cell) for name in meaning for line, cell in found.odd.get(name, ())]
-    if odd:
-        line, name, cell = min(odd)
-        warnings.warn(
-            f"{source}: {len(odd)} values are no finite numbers and are left out; the first is {cell[:20]!r} in line {line}, "
-            f"column {name[:40]!r}",
-            DataWarning,
-            stacklevel=2,
-        )
+    tell_odd(source, [(line, name, cell) for name in meaning for line, cell in found.odd.get(name, ())], strict=strict)
     columns = {
         each.signal: Column(signals[each.signal], _converted(table, units, name, each)[known])
         for name, each in meaning.items()
@@ -180,7 +194,7 @@ def _table(path: Path) -> _Log:
         # brackets with a number belong to the name: link11.bending[1]
         found = re.fullmatch(r"(.*?)\s*[\[(](?!\s*\d+\s*[\])])([^\])]*)[\])]\s*", cell.strip())
         name, unit = found.groups() if found else (cell.strip(), own[i] if i < len(own) else "")
-        names.append(name.replace(";", ","))  # as `Recording.write_csv` has it
+        names.append(cell_text(name.replace(";", ",")))  # as `Recording.write_csv` has it
         units[names[-1]] = unit.strip()
     for number, row in zip(places, rows, strict=False):
         if len(row) != len(header):

@@ -10,6 +10,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
@@ -24,6 +26,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun
+from flexfmu.cosim.studies.compare.measured import tell_odd
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values
@@ -44,6 +47,8 @@ def compared_runs(
     sources: Sequence[Source],
     show: ShowProgress = quiet,
     payload_band: PayloadBand | None = None,
+    *,
+    strict: bool = False,
 ) -> list[ComparedRun]:
     """Return the runs with different names; scenes are simulated now, with errors from one companion run each.
 
@@ -53,6 +58,7 @@ def compared_runs(
         sources: runs, folders, files and scenes.
         show: is called with what is being done, and the finished fraction.
         payload_band: scenes are also run at both ends of this band of payloads; None to skip.
+        strict: whether a value in a file that is no finite number is an error instead of left out.
 
     Raises:
         InputError: there is no source, a folder has no results, or a band of payloads can't be had.
@@ -62,7 +68,7 @@ def compared_runs(
     if not sources:
         raise InputError("there is nothing to compare; name at least one folder of results or scene")
     # bands are checked before anything is simulated
-    chosen = [_loaded(source, show) for source in sources]
+    chosen = [_loaded(source, show, strict) for source in sources]
     scenes = [each for each in chosen if isinstance(each, Scene)]
     if payload_band is not None:
         if not scenes:
@@ -120,7 +126,7 @@ def _given(argument: str, changes: Mapping[str, Any]) -> Source:
     return load_scene(source, {**changes, "name": name.strip()})
 
 
-def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
+def _loaded(source: Source, show: ShowProgress, strict: bool) -> ComparedRun | Scene:
     """The run that a source has, or the scene that is to be run, its effects chosen."""
     if isinstance(source, Run):
         return _measured(source)
@@ -132,9 +138,9 @@ def _loaded(source: Source, show: ShowProgress) -> ComparedRun | Scene:
                 raise InputError(
                     f"{path} has no results.csv, results.parquet or results.mat; write them with flexfmu run --out {path}"
                 )
-            return _read(there[0], path.resolve().name)
+            return _read(there[0], path.resolve().name, strict)
         if path.suffix in READABLE and path.is_file():
-            return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem)
+            return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem, strict)
         source = load_scene(source)
     if source.effects.select is not None:
         source = resolved(source, show)
@@ -193,9 +199,9 @@ def _measured(run: Run) -> ComparedRun:
     return ComparedRun(run.scene.name, run.recording, metrics, run.plan.duration)
 
 
-def _read(file: Path, name: str) -> ComparedRun:
+def _read(file: Path, name: str, strict: bool) -> ComparedRun:
     """Return the run of a file, with metrics and units from ``summary.json`` beside it, if there is one."""
-    recording, path = Recording.read(file), file.with_name("summary.json")
+    recording, path = _finite(Recording.read(file), file, strict), file.with_name("summary.json")
     summary: Mapping[str, Any] = {}
     try:
         summary = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
@@ -222,3 +228,15 @@ def _read(file: Path, name: str) -> ComparedRun:
     stop, scene = summary.get("health", {}).get("stop_time"), summary.get("scene", {})
     duration = None if stop is None or "trajectory" not in scene else stop - scene["trajectory"].get("dwell", 0.0)
     return ComparedRun(name, recording, metrics, duration)
+
+
+def _finite(recording: Recording, file: Path, strict: bool) -> Recording:
+    """The signals of a file without values that are no finite numbers, which are told by their lines, or refused."""
+    odd, columns, first = list[tuple[int, str, str]](), dict(recording.columns), 2 if file.suffix == ".csv" else 1
+    for name, column in recording.columns.items():
+        places = np.flatnonzero(~np.isfinite(column.values))
+        if places.size and column.texts is None:
+            odd += [(first + i, name, f"{column.values[i]:g}") for i in places.tolist()]
+            columns[name] = Column(column.unit, np.where(np.isfinite(column.values), column.values, np.nan))
+    tell_odd(file, odd, strict=strict)
+    return Recording(recording.time, columns) if odd else recording

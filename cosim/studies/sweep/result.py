@@ -23,7 +23,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder, replacing, write_pieces
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.engine.showing import Rows, shown_unit
+from flexfmu.cosim.engine.showing import Rows, cell_text, safe_cell, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, difference
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
@@ -268,7 +268,7 @@ class Results:
                 ) from None
             self.finished[number] = True
             if cells[-1]:
-                self.messages[number] = cells[-1]
+                self.messages[number] = cell_text(cells[-1])
         if not source.size:
             self._journal.append(self._head)
 
@@ -320,7 +320,7 @@ def signal_file(folder: Path, number: int) -> Path:
 def _line(cells: Iterable[str]) -> str:
     """Cells as a line of CSV without line breaks inside."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow([" ".join(each.splitlines()) for each in cells])
+    csv.writer(text, lineterminator="\n").writerow([safe_cell(" ".join(each.splitlines())) for each in cells])
     return text.getvalue()
 
 

@@ -20,6 +20,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.formats import valid_names
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.results import Column, LazyColumns, Recording
+from flexfmu.cosim.engine.showing import csv_text
 
 NUMBERS = np.array([1.0, 1.0 / 3.0, -1e-300, 2e5])
 
@@ -293,6 +294,8 @@ def test_names_do_not_become_formulas(tmp_path: Path) -> None:
     assert not any(cell.startswith(('"=', '"+', '"-', '"@')) for cell in head.split(","))
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     assert list(Recording.read(path)) == list(names)
+    # tables of variants, cases and candidates
+    assert csv_text([{"name": "=1+1", "-x": -1.5}, {"name": "-2", "-x": "+a"}]) == "name,'-x\n'=1+1,-1.5\n-2,'+a\n"
 
 
 @pytest.mark.parametrize("time", [[0.0, 2.0, 1.0], [0.0, np.nan], ["a", "b"]])

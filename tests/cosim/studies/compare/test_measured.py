@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import flexfmu
 from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.studies.compare.measured import Mapped, as_mapped, parse_mapping, read_log
+from flexfmu.cosim.studies.compare.sources import compared_runs
 
 SIGNALS = {"joint1.torque": "N.m", "joint1.position": "rad", "link11.bending[1]": "m"}
 
@@ -109,3 +111,19 @@ def test_what_is_no_number_is_told_by_line(tmp_path: Path) -> None:
     path = log(tmp_path, "\ufeff# drive 1\ntime,joint1.torque,other\n0,1,x\n1,inf,x\n2,,x\n3,nan,x\n")
     with pytest.warns(DataWarning, match=r"2 values are no finite numbers .* 'inf' in line 4, column 'joint1.torque'"):
         read_log(path, {}, SIGNALS)
+    with pytest.raises(
+        InputError, match=r"numbers; the first is 'inf' in line 4, column 'joint1.torque'; without --strict"
+    ):
+        read_log(path, {}, SIGNALS, strict=True)
+
+
+def test_a_file_of_results_is_looked_at_too(tmp_path: Path) -> None:
+    """What is no finite number in it is left out and told by line, or refused."""
+    path = log(tmp_path, "time,joint1.torque\n0,1\n1,inf\n2,nan\n3,4\n")
+    with pytest.warns(
+        DataWarning, match=r"2 values are no finite numbers and .* 'inf' in line 3, column 'joint1.torque'"
+    ):
+        (run,) = compared_runs([path])
+    np.testing.assert_array_equal(run.recording["joint1.torque"].values, [1.0, np.nan, np.nan, 4.0])
+    with pytest.raises(InputError, match="line 3"):
+        flexfmu.compare(path, strict=True)
