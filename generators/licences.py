@@ -29,6 +29,7 @@ def licence(package: Distribution) -> str:
     stated = package.metadata
     classifiers = [each.rpartition(" :: ")[2] for each in stated.get_all("Classifier") or () if "License ::" in each]
     text = (stated.get("License") or "").strip().partition("\n")[0][:LONGEST]
+    classifiers = [each for each in classifiers if each != "OSI Approved"]  # which says only that it is open
     return stated.get("License-Expression") or ", ".join(classifiers) or text or "not stated"
 
 

@@ -181,6 +181,7 @@ def orderly_termination() -> Iterator[None]:
             if number[0] in handled:
                 sleep(TERMINATION_GRACE)
                 if not asked:
+                    show_note("interrupted in a call of a library that hasn't returned")
                     os._exit(128 + number[0])
 
     # where Python's handler may wait for a library's call, a thread watches as well
@@ -345,11 +346,23 @@ def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
     ]
     if named:
         show_note(
-            f"note: the scene runs code from outside its folder: {', '.join(named)} (--sandbox of flexfmu run confines it)"
+            f"note: the scene runs code from outside its folder: {', '.join(named)} (--sandbox of run, sweep and compare confines it)"
         )
     if hint := basis_hint(scene):
         _hints.append(f"{hint} ({source})")
     return scene
+
+
+def scene_name(source: str, settings: Sequence[str] | None) -> str:
+    """The name of a scene, of which nothing else is used.
+
+    Raises:
+        SceneError: as for `load_changed`.
+    """
+    from flexfmu.model.scene.file import load_scene
+    from flexfmu.model.scene.keys import parse_setting
+
+    return load_scene(source, dict(map(parse_setting, settings or ()))).name
 
 
 def load_resolved(source: str, settings: Sequence[str] | None = None) -> Scene:

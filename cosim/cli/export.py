@@ -19,6 +19,7 @@ from flexfmu.cosim.cli.console import (
     show_note,
     usual_folder,
 )
+from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import Naming
@@ -197,6 +198,7 @@ def validate(
     static: bool = False,
     strict: bool = False,
     time_limit: Annotated[float | None, typer.Option(min=1.0)] = None,
+    sandbox: bool = False,
     json: bool = False,
 ) -> int:
     """Check any FMU 2.0: archive, description, binaries, and a test of each capability that it claims.
@@ -216,6 +218,8 @@ def validate(
     from flexfmu.fmu_build.validation.finding import Finding, Severity
     from flexfmu.fmu_build.validation.validate import TIME_LIMIT, validate_fmu
 
+    if sandbox and (status := run_in_sandbox(None)) is not None:
+        return status
     limit, broken = time_limit or TIME_LIMIT, None
     try:
         with progress() as show:

@@ -19,6 +19,8 @@ SHARED = """
     naming (CONVENTION): structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.
     platform (NAME): linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.
     processes (-j, --processes N): Processes. Default: one for each processor.
+    sandbox: Run what files bring without network and with the right to write into the folder of the results alone, within limits of
+        memory, files and processes (Linux). Default: with your rights.
     settings (--set KEY=VALUE): Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5,
         controller[0].derivative=120, controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Without --out the
         results have a folder of their own, named after the changes. Default: the scene as it is.

@@ -19,13 +19,14 @@ from flexfmu.cosim.cli.console import (
     prepared_folder,
     print_text,
     progress,
+    scene_name,
     show_note,
     usual_folder,
     write_results,
 )
 from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder, file_digest, to_json
+from flexfmu.cosim.engine.files import RESULTS, file_digest, to_json
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.run_options import RunOptions
@@ -64,8 +65,6 @@ def run(
         output_order (N): Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.
         isolate: Simulate in a child process, so that a slave that crashes, exits or hangs ends only the run. Default: what the
             scene says, or where other tools' FMUs or Python slaves take part.
-        sandbox: Run what the scene or file brings without network and with the right to write into the folder of the results alone,
-            within limits of memory, files and processes (Linux). Default: with your rights.
         verify: Verify the errors of the metrics by a second companion run. Default: take them from one.
         report: Draw report.html. Default: draw it, but with --json don't.
         record (SIGNAL): Record this signal alone; may be repeated. Default: what the scene says, or all.
@@ -96,12 +95,11 @@ def run(
             raise InputError(problem)
     chosen = tuple(dict.fromkeys(formats or ("csv",)))
     if sandbox:
-        folder = OutputFolder(
-            out
-            or (RESULTS / Path(scene).stem if is_ssp else usual_folder(load_changed(scene, settings).name, settings))
-        )
-        folder.prepare()
-        if (status := run_in_sandbox(folder.path)) is not None:
+        folder = out
+        if folder is None:
+            name = Path(scene).stem if is_ssp else scene_name(scene, settings)
+            folder = usual_folder(name, settings)
+        if (status := run_in_sandbox(folder)) is not None:
             return status
     if is_ssp:
         return _run_ssp(Path(scene), out, (stop_time, step, ssd, output_order), isolate, chosen, json)

@@ -17,10 +17,12 @@ from flexfmu.cosim.cli.console import (
     print_text,
     progress,
     rich_output,
+    scene_name,
     show_note,
     usual_folder,
 )
 from flexfmu.cosim.cli.options import OptionalScene, ProcessesOption
+from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, to_json
 
@@ -43,6 +45,7 @@ def compare(
     strict: bool = False,
     settings: list[str] | None = None,
     out: Path | None = None,
+    sandbox: bool = False,
     json: bool = False,
 ) -> int:
     """Compare runs with each other and with a measurement: metrics side by side, signals over each other, spectra.
@@ -71,6 +74,8 @@ def compare(
     from flexfmu.cosim.studies.compare.measured import parse_mapping
     from flexfmu.cosim.studies.compare.sources import compared_runs, given_sources
 
+    if sandbox and (status := run_in_sandbox(out)) is not None:
+        return status
     # what can be wrong is checked before anything is simulated
     meaning = dict(map(parse_mapping, mapping or ()))
     if measured is not None and not measured.is_file():
@@ -237,6 +242,7 @@ def sweep(
     restart: bool = False,
     dask: str | None = None,
     plot: bool | None = None,
+    sandbox: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -266,6 +272,11 @@ def sweep(
     from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import sweep_scene
 
+    if (
+        sandbox
+        and (status := run_in_sandbox(out or usual_folder(scene_name(scene, settings), settings, "-sweep"))) is not None
+    ):
+        return status
     robot = load_resolved(scene, settings)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:

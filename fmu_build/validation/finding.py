@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from flexfmu.errors import shortened
+
 
 class Severity(StrEnum):
     """Severity of a finding."""
@@ -98,7 +100,7 @@ class Finding:
         remedy = f"; {self.remedy}" if self.remedy else ""
         standard = "" if self.section.startswith("FMI") else "FMI 2.0.4, "
         section = f" [{standard}{self.section}]" if self.section else ""
-        return f"{self.severity}: {self.check}: {self.message}{more}{remedy}{section}"
+        return shortened(f"{self.severity}: {self.check}: {self.message}{more}{remedy}{section}")
 
 
 def named(check: str, findings: Iterable[Finding]) -> Iterator[Finding]:

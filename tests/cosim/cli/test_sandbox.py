@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 import tomlkit
@@ -14,9 +17,13 @@ from flexfmu.cosim.cli.sandbox import _confine, _landlock
 from flexfmu.model.scene.file import load_scene
 
 CONTROLLER = """
-import os, socket
+import ctypes, os, socket
 from pathlib import Path
 import flexfmu
+
+def mount():  # the root file system once more, to be written
+    if ctypes.CDLL(None, use_errno=True).mount(b"none", b"/", None, 32 | 4096, None):
+        raise OSError(ctypes.get_errno(), "refused")
 
 def attempt(what, action):
     try:
@@ -31,6 +38,9 @@ def mine(t, reference, measurement, state):
         attempt("write", lambda: Path({elsewhere!r}, "written").write_text("x"))
         attempt("remove", lambda: (os.remove(Path({elsewhere!r}, "there")), Path({elsewhere!r}, "there").touch()))
         attempt("network", lambda: socket.create_connection(("127.0.0.1", {port}), 1.0))
+        attempt("program", lambda: socket.socket(socket.AF_UNIX).connect({local!r}))
+        attempt("signal", lambda: os.kill({other}, 0))
+        attempt("mount", mount) if {confined} else None
         attempt("memory", lambda: bytearray(1 << 40))
     return [0.0, 0.0], state
 """
@@ -71,30 +81,51 @@ print(
     refused(lambda: Path({str(other)!r}, "x").write_text("x")),
     refused(lambda: datagram.sendto(b"x", ("127.0.0.1", 9))),
     refused(lambda: bytearray(1 << 40)),
+    refused(lambda: socket.socket(socket.AF_UNIX)),
     subprocess.run(["touch", {str(other / "y")!r}], stderr=subprocess.DEVNULL).returncode,
 )
 """
     ran = subprocess.run(
         [sys.executable, "-c", code], preexec_fn=lambda: _confine([str(own)]), stdout=subprocess.PIPE, text=True
     )
-    assert ran.stdout == "False True True True 1\n"
+    assert ran.stdout == "False True True True True 1\n"
     assert list(other.iterdir()) == []
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not _landlock(), reason="a sandbox on Linux with Landlock")
-@pytest.mark.parametrize("confined", [True, False])
-def test_a_sandbox_takes_rights_away(scene: Path, tmp_path: Path, confined: bool) -> None:
+@pytest.mark.parametrize("kind", ["none", "landlock", "bubblewrap"])
+def test_a_sandbox_takes_rights_away(scene: Path, tmp_path: Path, kind: str) -> None:
     """Without it the same scene does it all, which is what a scene may do; the results are the same."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        code = CONTROLLER.format(elsewhere=str(tmp_path / "elsewhere"), port=server.getsockname()[1])
+    if kind == "bubblewrap" and shutil.which("bwrap") is None:
+        pytest.skip("no bubblewrap")
+    # programs without bubblewrap
+    programs, confined = tmp_path / "programs", kind != "none"
+    programs.mkdir()
+    for folder in os.environ["PATH"].split(":"):
+        for path in Path(folder).glob("*") if kind == "landlock" else ():
+            if path.name != "bwrap" and not (programs / path.name).is_symlink():
+                (programs / path.name).symlink_to(path)
+    with (
+        TemporaryDirectory(prefix="s") as short,
+        socket.create_server(("127.0.0.1", 0)) as server,
+        socket.socket(socket.AF_UNIX) as program,
+    ):
+        local = f"{short}/s"
+        program.bind(local)
+        program.listen()
+        places = {"elsewhere": str(tmp_path / "elsewhere"), "port": server.getsockname()[1], "local": local}
+        code = CONTROLLER.format(**places, other=os.getpid(), confined=confined)
         (scene.parent / "mine.py").write_text(code)
         out = tmp_path / "out"
         options = ["run", str(scene), "--out", str(out), "--no-verify", "--no-report", *["--sandbox"] * confined]
-        ran = subprocess.run([sys.executable, "-m", "flexfmu", *options], capture_output=True, text=True, timeout=600)
+        environment = os.environ | ({"PATH": str(programs)} if kind == "landlock" else {})
+        ran = subprocess.run(
+            [sys.executable, "-m", "flexfmu", *options], capture_output=True, text=True, timeout=600, env=environment
+        )
     assert ran.returncode == 0, ran.stderr
     told = {line for line in ran.stderr.splitlines() if line.endswith((" done", " refused"))}
-    kinds = ("write", "remove", "network")
+    kinds = ("write", "remove", "network", "program", "signal", *["mount"] * confined)
     assert told == {f"{kind} {'refused' if confined else 'done'}" for kind in kinds} | {"memory refused"}
     assert {"results.csv", "summary.json"} <= {path.name for path in out.iterdir()}
     assert (tmp_path / "elsewhere" / "written").exists() is not confined
