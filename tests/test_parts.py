@@ -236,6 +236,12 @@ def test_a_sweep_notices_changed_files(tmp_path: Path) -> None:
         flexfmu.sweep(ROBOT, changes, **arguments, **loop)
 
 
+def test_old_name_of_the_reference_motion() -> None:
+    """`flexfmu.plan` goes on working, with a word about its new name."""
+    with pytest.warns(DeprecationWarning, match="flexfmu.reference_motion"):
+        assert flexfmu.plan is flexfmu.reference_motion  # type: ignore[attr-defined]
+
+
 class Step(PythonSlave):
     """y = 1."""
 

@@ -66,6 +66,11 @@ def __getattr__(name: str) -> object:
         value = import_module(f"flexfmu.{name}")
     elif name in _HOMES:
         value = getattr(import_module(f"flexfmu.{_HOMES[name]}"), name)
+    elif name == "plan":
+        import_module("warnings").warn(
+            "flexfmu.plan is called flexfmu.reference_motion now", DeprecationWarning, stacklevel=2
+        )
+        return __getattr__("reference_motion")
     else:
         raise AttributeError(f"module 'flexfmu' has no attribute {name!r}; it has {', '.join(__all__)}")
     globals()[name] = value

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 METHODS = ("gradient", "sample")
 """What follows the first points: a descent by gradients, or further points of the sequence."""
 
+FORMER = {"trust-region": "gradient"}
+"""Former method → what is used in its place."""
+
 FIRST, MOST_FIRST = 8, 64
 """First points for one key, twice as many for each further one, and the largest number of them."""
 
@@ -262,6 +265,7 @@ def tune_study(
 
     count, (first, usual) = len(study.over), usual_trials(study)
     total = usual if trials is None else trials
+    method = FORMER.get(method, method)
     if method not in METHODS:
         raise InputError(f"there is no method {method!r} of tuning; choose from {', '.join(METHODS)}")
     if total < 2:
