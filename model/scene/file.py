@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from hashlib import sha256
+from hashlib import file_digest
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,11 @@ def file_digests(scene: Scene) -> dict[str, str]:
                 yield from texts(each)
 
     named = sorted(set(texts(scene.model_dump(mode="json", exclude={"name"}))))
-    return {text: sha256(Path(text).read_bytes()).hexdigest() for text in named if _is_file(text)}
+    digests = {}
+    for text in filter(_is_file, named):
+        with open(text, "rb") as file:
+            digests[text] = file_digest(file, "sha256").hexdigest()
+    return digests
 
 
 def _is_file(text: str) -> bool:

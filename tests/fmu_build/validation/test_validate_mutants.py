@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import platform
+import resource
 import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -100,6 +102,34 @@ def test_spoilt_behaviour_is_found(found: Found, name: str) -> None:
     findings = found(mutant(name))
     assert any(each.severity is not Severity.NOTE for each in findings)
     assert not any("ended with signal" in each.message for each in findings)
+
+
+def test_a_large_fmu_is_checked_in_little_memory(found: Found, library: bytes) -> None:
+    """Tables and the like are unpacked and their checksums verified, but not kept."""
+    files = spring_files(library) | {"resources/table.bin": os.urandom(1 << 20) * 40}
+    archive = zipped(files)
+    tracemalloc.start()
+    try:
+        assert found(archive, run=False) == []
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.slow
+def test_a_machine_without_descriptors_is_no_fault_of_the_fmu(library: bytes, tmp_path: Path) -> None:
+    """The check that couldn't be made is a note."""
+    (tmp_path / "spring.fmu").write_bytes(sound_variants(library)["sound"])
+    ran = subprocess.run(
+        [sys.executable, "-m", "flexfmu", "validate", "spring.fmu"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (13, 13)),
+    )
+    assert ran.returncode == 0, ran.stdout
+    assert ran.stdout.startswith("note: ")
+    assert "this machine has too little left" in ran.stdout
 
 
 PARTS = 6
