@@ -1,1 +1,1 @@
-"""Elastic response along a planned motion, linearised about the rigid motion, and cost of sets of effects."""
+"""Elastic response along a planned motion, linearised about the rigid motion."""

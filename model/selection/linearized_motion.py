@@ -184,22 +184,3 @@ def _matrices(scene: Scene) -> Vectorised:
     results = [casadi.substitute(casadi.jacobian(force, x), state, rest) for x in (a, v, q)]
     dense = [casadi.densify(result) for result in casadi.cse(results)]
     return Vectorised(casadi.Function("matrices", [u], dense))
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Cost of one evaluation of the equations of motion and of the outputs.
-
-    Attributes:
-        states: number of elastic coordinates.
-        operations: number of elementary operations.
-    """
-
-    states: int
-    operations: int
-
-    @classmethod
-    def of(cls, scene: Scene) -> Cost:
-        """The cost of a scene's set of effects."""
-        model = numeric_model(scene)
-        return cls(model.n, model.elastic_forces.n_instructions() + model.motion.n_instructions())

@@ -3,11 +3,12 @@ and as tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
+import casadi
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -31,6 +32,7 @@ from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.choice_text import choice_sentence, percent, set_text
 from flexfmu.model.enrichment import Neighbour
+from flexfmu.model.numeric import NumericModel, numeric_model
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import (
     INTEGRATOR_SHARE,
@@ -40,10 +42,30 @@ from flexfmu.model.scene.choice import (
     integrator_tolerance,
 )
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.linearized_motion import Cost
 
 Place = Literal["in", "out", "given"]
 """In the chosen set, out of it, or given: a load of the robot, which can't be chosen."""
+
+EVALUATIONS = 1000
+"""Evaluations in one timed run."""
+
+POSE = (2.5, 0.5, 0.0, 0.0, 0.0, 0.0)
+"""Motor angles, rates and accelerations of the timed evaluations: a regular pose at rest."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost of one evaluation of the equations of motion and of the outputs.
+
+    Attributes:
+        states: number of elastic coordinates.
+        operations: number of elementary operations.
+        time: CPU time [s] in CasADi's interpreter; compiled C is faster by a factor common to all sets.
+    """
+
+    states: int
+    operations: int
+    time: float
 
 
 @dataclass(frozen=True)
@@ -128,8 +150,27 @@ def study_effects(
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
         *(("given", each.scene, estimate) for each, estimate in loads),
     ]
-    rows = tuple(EffectRow(place, each, Cost.of(other)) for place, other, each in found)
-    return EffectStudy(chosen, estimator, Cost.of(chosen), rows)
+    show("timing the equations", None)
+    own, *others = costs([chosen, *(other for _, other, _ in found)])
+    rows = tuple(EffectRow(place, each, cost) for (place, _, each), cost in zip(found, others, strict=True))
+    return EffectStudy(chosen, estimator, own, rows)
+
+
+def costs(scenes: Sequence[Scene]) -> list[Cost]:
+    """The costs of the scenes' sets of effects."""
+    models = [numeric_model(scene) for scene in scenes]
+
+    def evaluation(model: NumericModel) -> Callable[[], object]:
+        mapped = [function.map(EVALUATIONS) for function in (model.elastic_forces, model.motion)]
+        at_rest = casadi.DM.zeros(model.n, EVALUATIONS)
+        arguments = [at_rest, at_rest, at_rest, casadi.repmat(casadi.DM(POSE), 1, EVALUATIONS)]
+        return lambda: [function.call(arguments) for function in mapped]
+
+    times = fastest_in_turns([evaluation(model) for model in models])
+    return [
+        Cost(model.n, model.elastic_forces.n_instructions() + model.motion.n_instructions(), time / EVALUATIONS)
+        for model, time in zip(models, times, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -207,14 +248,16 @@ def contribution_table(study: EffectStudy) -> Table:
     table = titled_table(
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
         *(" ", "Effect", "Change"),
-        numbers=(*metrics, "states", "operations"),
+        numbers=(*metrics, "states", "operations", "time"),
     )
     # the chosen set, then the extra cost of each neighbouring set
     cost = study.cost
-    table.add_row("", "the set itself", "", *("" for _ in metrics), f"{cost.states}", f"{cost.operations}")
+    own = f"{cost.states}", f"{cost.operations}", f"{1e6 * cost.time:.3g} µs"
+    table.add_row("", "the set itself", "", *("" for _ in metrics), *own)
     for row in study.rows:
         states, operations = row.cost.states - cost.states, row.cost.operations - cost.operations
-        more, each = (f"{states:+d}" if states else "", f"{operations:+d}"), row.estimate
+        slower, each = 100.0 * (row.cost.time / cost.time - 1.0), row.estimate
+        more = f"{states:+d}" if states else "", f"{operations:+d}", f"{slower:+.0f} %"
         table.add_row(row.place, each.effect, each.change, *map(percent, each.contribution), *more)
     return table
 
