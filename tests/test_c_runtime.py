@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
-from object_files import compiled
+from object_files import COMPILER, object_files, program, run
 
 from flexfmu.fmu_build.sources import c_files, runtime_sources
 from flexfmu.fmu_build.toolchain import fmi_header_folder
@@ -28,62 +26,41 @@ SOURCES = [PATHS[name] for name in c_files(runtime_sources("plant"))]
 NAMES = [
     name for path in sorted(TESTS.glob("test_*.c")) for name in re.findall(r"^TEST\((\w+)\)", path.read_text(), re.M)
 ]
-COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-
-
-def run(*command: object) -> str:
-    """Standard output of a command that must succeed."""
-    outcome = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
-    assert outcome.returncode == 0, f"{command[0]}: {outcome.stdout}{outcome.stderr}"
-    return outcome.stdout
+pytestmark = pytest.mark.skipif(not COMPILER, reason="no C compiler")
 
 
-def compile_all(folder: Path, sources: list[Path], flags: tuple[str, ...]) -> list[Path]:
-    """Object files of the sources, compiled side by side."""
-
-    def compile_one(source: Path) -> Path:
-        target = folder / f"{source.stem}.o"
-        target.write_bytes(compiled((COMPILER, *FLAGS, *flags, *INCLUDES), source))
-        return target
-
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(compile_one, sources))
-
-
-def build(folder: Path, flags: tuple[str, ...]) -> Path:
+def build(folder: Path, *flags: str) -> Path:
     """The test program."""
-    objects = compile_all(folder, [*SOURCES, *sorted(TESTS.glob("*.c"))], flags)
-    program = folder / "tests"
-    run(COMPILER, *flags, *objects, "-lm", "-o", program)
-    return program
+    return program(
+        folder, object_files(folder, [*SOURCES, *sorted(TESTS.glob("*.c"))], *FLAGS, *INCLUDES, *flags), *flags
+    )
 
 
-def objects_beside(program: Path, sources: list[Path]) -> list[Path]:
+def objects_beside(plain: Path, sources: list[Path]) -> list[Path]:
     """Object files of sources that a test program has been linked from."""
-    return [program.with_name(f"{source.stem}.o") for source in sources]
+    return [plain.with_name(f"{source.stem}.o") for source in sources]
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("plain"), ("-O2",))
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("plain"), "-O2")
 
 
 @pytest.fixture(scope="module")
 def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("sanitized"), SANITIZERS)
+    return build(tmp_path_factory.mktemp("sanitized"), *SANITIZERS)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_c(program: Path, name: str) -> None:
+def test_c(plain: Path, name: str) -> None:
     """Each test in C states beside its source what it protects."""
-    run(program, name)
+    run(plain, name)
 
 
-def test_lists_all_tests(program: Path) -> None:
+def test_lists_all_tests(plain: Path) -> None:
     """A test that isn't found here would never run."""
-    assert sorted(run(program).split()) == sorted(NAMES)
+    assert sorted(run(plain).split()) == sorted(NAMES)
     assert len(NAMES) >= 40
 
 
@@ -94,10 +71,10 @@ def test_sanitizers_find_nothing(sanitized: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("size") is None, reason="no size")
-def test_has_no_writable_globals(program: Path, tmp_path: Path) -> None:
+def test_has_no_writable_globals(plain: Path, tmp_path: Path) -> None:
     """Several instances in one process, and threads, must not share anything that changes."""
     others = sorted(set(RUNTIME.glob("*/*.c")) - set(SOURCES))
-    objects = [*objects_beside(program, SOURCES), *compile_all(tmp_path, others, ("-O2",))]
+    objects = [*objects_beside(plain, SOURCES), *object_files(tmp_path, others, *FLAGS, *INCLUDES, "-O2")]
     sections = [
         line.split() for line in run("size", "-A", *objects).splitlines() if line.startswith((".data ", ".bss "))
     ]
@@ -106,10 +83,10 @@ def test_has_no_writable_globals(program: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
-def test_exports_the_fmi_functions_only(program: Path, tmp_path: Path) -> None:
+def test_exports_the_fmi_functions_only(plain: Path, tmp_path: Path) -> None:
     """Two FMUs in one process would otherwise call into each other."""
     library = tmp_path / "library.so"
-    run(COMPILER, "-shared", *objects_beside(program, [*SOURCES, TESTS / "models.c"]), "-lm", "-o", library)
+    run(COMPILER, "-shared", *objects_beside(plain, [*SOURCES, TESTS / "models.c"]), "-lm", "-o", library)
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
     functions = {name for name in exported if name.startswith("fmi2")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()

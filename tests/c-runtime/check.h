@@ -6,12 +6,14 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#define CHECK(condition)                                               \
-  do {                                                                 \
-    if (!(condition)) {                                                \
-      printf("%s:%d: not true: %s\n", __FILE__, __LINE__, #condition); \
-      exit(1);                                                         \
-    }                                                                  \
+static const char *doing = "testing"; /* what is being done, for the sentence */
+
+#define CHECK(condition)                                                          \
+  do {                                                                            \
+    if (!(condition)) {                                                           \
+      printf("%s:%d: %s: not true: %s\n", __FILE__, __LINE__, doing, #condition); \
+      exit(1);                                                                    \
+    }                                                                             \
   } while (0)
 
 #define CHECK_CLOSE(value, expected, tolerance)                                                                             \

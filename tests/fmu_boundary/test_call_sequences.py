@@ -10,9 +10,9 @@ import re
 from pathlib import Path
 
 import pytest
-from boundary_support.harness import COMPILER, run
 from boundary_support.raw import ERROR, OK, RawInstance, raw_instance
 from boundary_support.subjects import FILES, fail_a_step
+from object_files import COMPILER, run
 
 from flexfmu.fmu_build.toolchain import fmi_header_folder
 
@@ -104,7 +104,7 @@ def refused(instance: RawInstance, function: str) -> str:
     return instance.sentence
 
 
-@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+@pytest.mark.skipif(not COMPILER, reason="no C compiler")
 def test_the_runtime_has_the_standards_table(tmp_path: Path) -> None:
     """Each declared function is there for the kinds and in the states of the standard: what the compiler makes of the C table."""
     declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (fmi_header_folder() / "fmi2Functions.h").read_text()))

@@ -1,9 +1,62 @@
-#include "fuzzed_calls.h"
+/* Sequences of FMI calls, as the bytes of a fuzzer decide: each is judged call by call by what the standard and the FMU promise,
+ * may be repeated from a saved state, in this instance or another one, and ends with a run that must equal that of a new instance.
+ *
+ * The build defines what is fuzzed: GUID, N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES and N_INDICATORS if there is
+ * model exchange. FUZZ_TRACE=1 in the environment shows all calls. The bytes are drawn; clang's libFuzzer finds better ones:
+ * -DLIBFUZZER -fsanitize=fuzzer. */
+#define _POSIX_C_SOURCE 200112L
 
-#include <math.h>
-#include <string.h>
+#include <float.h>
+#include <stdint.h>
+#include <unistd.h>
 
-enum { MOST_VALUES = 4 };
+#include "importer.h"
+
+enum { N_SLOTS = 3, MOST_VALUES = 4, REFERENCE_STEPS = 4 };
+
+/* bytes that decide what is called with which arguments; behind their end there are zeros */
+typedef struct {
+  const uint8_t *bytes;
+  size_t size, at;
+} tape;
+
+static unsigned tape_byte(tape *tape) {
+  return tape->at < tape->size ? tape->bytes[tape->at++] : (tape->at++, 0);
+}
+
+// a number: mostly between -0.5 and 0.5, else one of those that programmers forget
+static double tape_real(tape *tape) {
+  static const double forgotten[] = {0.0,  -0.0,   NAN,   INFINITY, -INFINITY, DBL_MAX, -DBL_MAX, DBL_MIN,
+                                     5e-324, 1e-20, 1e300, 1e18,     -1.0,      1.0,     2.0,      1e4};
+  unsigned choice = tape_byte(tape);
+  return choice < 208 ? ((double)choice - 104.0) / 208.0 : forgotten[choice % 16];
+}
+
+// one of 0 .. count - 1 mostly, else beyond
+static unsigned tape_index(tape *tape, unsigned count) {
+  static const unsigned beyond[] = {0, 1, 1000000, 0x7fffffff, 0x80000000, 0xffffffff};
+  unsigned choice = tape_byte(tape);
+  if (choice < 240 && count > 0) return choice % count;
+  return choice % 6 < 2 ? count + beyond[choice % 6] : beyond[choice % 6];
+}
+
+/* where an instance must be after the calls so far */
+typedef struct {
+  flex_phase phase;
+  double time;
+} expectation;
+
+typedef struct {
+  fmi2Component component;
+  importer *ear;
+  fmi2Type type;
+  expectation now;
+  int shown[N_LOG_CATEGORIES];
+  int before[N_LOG_CATEGORIES]; /* messages heard before the present call */
+  uint64_t trace;               /* hash of all that the calls have returned */
+  fmi2FMUstate slots[N_SLOTS];
+  expectation saved[N_SLOTS];
+} fuzzed;
 
 static const struct {
   const char *name;
@@ -16,16 +69,18 @@ static const struct {
 
 #define N_CALLS (sizeof calls / sizeof *calls)
 
-void fuzzed_note(fuzzed *one, const void *bytes, size_t size) {
+// adds to the trace
+static void fuzzed_note(fuzzed *one, const void *bytes, size_t size) {
   const unsigned char *byte = bytes;
   for (size_t i = 0; i < size; i++) one->trace = (one->trace ^ byte[i]) * 1099511628211ULL;
 }
 
-void fuzzed_begin(fuzzed *one, importer *ear, fmi2Type type, fmi2Boolean logging) {
+// a new instance in the state "instantiated"
+static void fuzzed_begin(fuzzed *one, importer *ear, fmi2Type type, fmi2Boolean logging) {
   memset(one, 0, sizeof *one);
   one->ear = ear;
   one->type = type;
-  one->component = importer_instantiate(ear, type, GUID, logging);
+  one->component = instantiate(ear, type, "fuzzed", GUID, logging);
   CHECK(one->component != NULL);
   one->now.phase = INSTANTIATED;
   for (int i = 0; i < N_LOG_CATEGORIES; i++) one->shown[i] = logging || i != LOG_STATISTICS;
@@ -41,7 +96,8 @@ static int heard(const fuzzed *one, flex_log_category category) {
   return one->ear->n_heard[category] - one->before[category];
 }
 
-void fuzzed_judge(fuzzed *one, flex_call_id call, fmi2Status status) {
+// checks the status of a call against the state, what is logged and what the function may return
+static void fuzzed_judge(fuzzed *one, flex_call_id call, fmi2Status status) {
   if (getenv("FUZZ_TRACE")) fprintf(stderr, "%s -> %d  %s\n", calls[call].name, (int)status, one->ear->message);
   fuzzed_note(one, &status, sizeof status);
   int kind = one->type == fmi2CoSimulation ? STEPPING : EXCHANGE;
@@ -345,7 +401,7 @@ static int concerns_states(flex_call_id call) {
 
 static void serve(fuzzed *one, tape *tape, flex_call_id call) {
   memcpy(one->before, one->ear->n_heard, sizeof one->before);
-  importer_doing = calls[call].name;
+  doing = calls[call].name;
   switch (call) {
     case call_fmi2SetDebugLogging: serve_logging(one, tape); break;
     case call_fmi2SetupExperiment: serve_setup(one, tape); break;
@@ -389,9 +445,10 @@ static flex_call_id choose(const fuzzed *one, tape *tape) {
   return one->type == fmi2ModelExchange ? exchanged[choice % 8] : usual[choice % 8];
 }
 
-unsigned long fuzzed_count;
+static unsigned long fuzzed_count;
 
-void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {
+// one call that the tape chooses; where `is_numeric`, only calls that depend on nothing but the FMU state
+static void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {
   flex_call_id call = choose(one, tape);
   if (is_numeric && (concerns_states(call) || call == call_fmi2SetDebugLogging)) return;
 
@@ -406,8 +463,197 @@ void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {
   serve(one, tape, call);
 }
 
-void fuzzed_end(fuzzed *one) {
-  importer_doing = "freeing";
+// frees saved states and the instance, in whatever state it is
+static void fuzzed_end(fuzzed *one) {
+  doing = "freeing";
   for (int i = 0; i < N_SLOTS; i++) CHECK(fmi2FreeFMUstate(one->component, &one->slots[i]) == fmi2OK);
   fmi2FreeInstance(one->component);
 }
+
+// a state of one instance in another one, by way of bytes
+static void hand_over(fuzzed *from, fmi2FMUstate state, fuzzed *to) {
+  size_t size = 0;
+  fmi2FMUstate copy = NULL;
+  CHECK(fmi2SerializedFMUstateSize(from->component, state, &size) == fmi2OK);
+  fmi2Byte *bytes = malloc(size);
+  CHECK(bytes != NULL && fmi2SerializeFMUstate(from->component, state, bytes, size) == fmi2OK);
+  CHECK(fmi2DeSerializeFMUstate(to->component, bytes, size, &copy) == fmi2OK);
+  CHECK(fmi2SetFMUstate(to->component, copy) == fmi2OK && fmi2FreeFMUstate(to->component, &copy) == fmi2OK);
+  free(bytes);
+}
+
+// the same calls after a rollback return the same bits
+static void replay(fuzzed *one, tape *tape) {
+  doing = "rolling back";
+  unsigned choice = tape_byte(tape);
+  size_t begin = tape->at;
+  expectation now = one->now;
+  fmi2FMUstate state = NULL;
+  CHECK(fmi2GetFMUstate(one->component, &state) == fmi2OK);
+  one->trace = 0;
+  for (unsigned i = 0; i < 1 + choice % 8; i++) fuzzed_call(one, tape, 1);
+  uint64_t first = one->trace;
+
+  // again, here or elsewhere
+  importer ear;
+  fuzzed other, *again = one;
+  if (choice & 64) {
+    fuzzed_begin(&other, &ear, one->type, fmi2True);
+    memcpy(other.shown, one->shown, sizeof other.shown);
+    for (int i = 0; i < N_LOG_CATEGORIES; i++)
+      CHECK(fmi2SetDebugLogging(other.component, one->shown[i], 1, &flex_log_categories[i]) == fmi2OK);
+    hand_over(one, state, &other);
+    again = &other;
+  } else {
+    CHECK(fmi2SetFMUstate(one->component, state) == fmi2OK);
+  }
+  again->now = now;
+  again->trace = 0;
+  tape->at = begin;
+  for (unsigned i = 0; i < 1 + choice % 8; i++) fuzzed_call(again, tape, 1);
+  doing = "replaying";
+  CHECK(again->trace == first);
+  CHECK(fmi2FreeFMUstate(one->component, &state) == fmi2OK);
+  if (again == &other) fuzzed_end(&other);
+}
+
+// beyond the stop times of fuzzed_calls.c
+static void reference_steps(fuzzed *one) {
+  fmi2Component c = one->component;
+  const fmi2ValueReference input = 0;
+  const fmi2Integer order = 1;
+  const double rate = 0.25;
+  fmi2Status last = fmi2Fatal;
+  CHECK(fmi2GetStatus(c, fmi2DoStepStatus, &last) == fmi2OK && last == fmi2OK);
+  for (int k = 0; k < REFERENCE_STEPS; k++) {
+    if (N_INPUTS > 0 && k == 1) CHECK(fmi2SetRealInputDerivatives(c, &input, 1, &order, &rate) == fmi2OK);
+    CHECK(fmi2DoStep(c, 2e-3 * k, 2e-3, fmi2True) == fmi2OK);
+    for (fmi2ValueReference vr = N_SETTABLE; vr < N_REALS; vr++) {
+      double value = NAN;
+      CHECK(fmi2GetReal(c, &vr, 1, &value) == fmi2OK && isfinite(value));
+      fuzzed_note(one, &value, sizeof value);
+    }
+  }
+}
+
+#ifdef N_STATES
+// explicit Euler steps
+static void reference_integration(fuzzed *one) {
+  fmi2Component c = one->component;
+  fmi2EventInfo info;
+  double x[N_STATES], rates[N_STATES];
+  CHECK(fmi2NewDiscreteStates(c, &info) == fmi2OK && fmi2EnterContinuousTimeMode(c) == fmi2OK);
+  for (int k = 0; k < REFERENCE_STEPS; k++) {
+    CHECK(fmi2SetTime(c, 1e-5 * k) == fmi2OK);
+    CHECK(fmi2GetContinuousStates(c, x, N_STATES) == fmi2OK && fmi2GetDerivatives(c, rates, N_STATES) == fmi2OK);
+    for (int i = 0; i < N_STATES; i++) x[i] += 1e-5 * (rates[i] + 0.1);
+    CHECK(fmi2SetContinuousStates(c, x, N_STATES) == fmi2OK);
+    fuzzed_note(one, rates, sizeof rates);
+  }
+}
+#endif
+
+// hash of a plain run without fmi2SetupExperiment; the instance must be in the state "instantiated"
+static uint64_t reference_run(fuzzed *one) {
+  doing = "making the reference run";
+  one->trace = 0;
+  CHECK(fmi2EnterInitializationMode(one->component) == fmi2OK && fmi2ExitInitializationMode(one->component) == fmi2OK);
+#ifdef N_STATES
+  if (one->type == fmi2ModelExchange) {
+    reference_integration(one);
+    return one->trace;
+  }
+#endif
+  reference_steps(one);
+  return one->trace;
+}
+
+static uint64_t run_of_a_new_instance(fmi2Type type) {
+  importer ear;
+  fuzzed fresh;
+  fuzzed_begin(&fresh, &ear, type, fmi2False);
+  uint64_t trace = reference_run(&fresh);
+  fuzzed_end(&fresh);
+  return trace;
+}
+
+// no memory at all, wrong GUID: no instance, but a sentence
+static void begin_badly(unsigned choice) {
+  importer ear;
+  doing = "instantiating";
+  if (choice & 2) is_out_of_memory = 1;
+  CHECK(instantiate(&ear, fmi2CoSimulation, "fuzzed", choice & 2 ? GUID : "{somebody else}", fmi2False) == NULL);
+  CHECK(ear.n_heard[LOG_ERROR] == 1 && ear.status == fmi2Error);
+}
+
+static void to_the_first_step(fuzzed *one) {
+  fmi2Component c = one->component;
+  CHECK(fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0) == fmi2OK);
+  CHECK(fmi2EnterInitializationMode(c) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
+  one->now.phase = one->type == fmi2CoSimulation ? STEP_COMPLETE : EVENT_MODE;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+  tape tape = {data, size, 0};
+  importer ear;
+  fuzzed one;
+  unsigned choice = tape_byte(&tape);
+  if (choice % 64 == 1) begin_badly(choice / 64);
+#ifdef N_STATES
+  fmi2Type type = choice & 128 ? fmi2ModelExchange : fmi2CoSimulation;
+#else
+  fmi2Type type = fmi2CoSimulation;
+#endif
+  fuzzed_begin(&one, &ear, type, choice & 4);
+  if (choice & 8) to_the_first_step(&one);
+  while (tape.at < tape.size)
+    if (tape_byte(&tape) % 16 == 0)
+      replay(&one, &tape);
+    else
+      fuzzed_call(&one, &tape, 0);
+
+  // whatever it went through, a reset instance is a new one
+  if (choice & 48) {
+    static uint64_t references[2];
+    uint64_t *reference = references + (type == fmi2ModelExchange);
+    if (!*reference) *reference = run_of_a_new_instance(type);
+    CHECK(fmi2Reset(one.component) == fmi2OK);
+    CHECK(reference_run(&one) == *reference);
+  }
+  fuzzed_end(&one);
+  CHECK(n_live == 0);
+  return 0;
+}
+
+#ifndef LIBFUZZER
+enum { LONGEST = 400, PATIENCE = 60 };
+
+// SplitMix64 (Steele, Lea, Flood 2014)
+static uint64_t draw(uint64_t *state) {
+  uint64_t z = (*state += 0x9e3779b97f4a7c15ULL);
+  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ULL;
+  z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
+  return z ^ (z >> 31);
+}
+
+// arguments: how many, and the number of the first, which alone decides what it is
+int main(int argc, char **argv) {
+  unsigned long count = argc > 1 ? strtoul(argv[1], NULL, 10) : 1000, first = argc > 2 ? strtoul(argv[2], NULL, 10) : 0;
+  static unsigned long current;
+  for (current = first; current < first + count; current++) {
+    uint8_t bytes[LONGEST];
+    uint64_t state = current;
+    size_t size = 8 + draw(&state) % (LONGEST - 8);
+    for (size_t i = 0; i < size; i++) bytes[i] = (uint8_t)(draw(&state) >> 56);
+
+    // nothing hangs
+    alarm(PATIENCE);
+    if (getenv("FUZZ_TRACE")) fprintf(stderr, "sequence %lu\n", current);
+    LLVMFuzzerTestOneInput(bytes, size);
+  }
+  printf("%lu sequences, %lu calls\n", count, fuzzed_count);
+  return 0;
+}
+#endif
