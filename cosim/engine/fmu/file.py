@@ -340,7 +340,7 @@ def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[st
     Raises:
         FmuFileError: the annotation is invalid.
     """
-    found = parsed(folder).find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
+    found = attempt(path, lambda: parsed(folder)).find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
     if found is None:
         return None
     try:
