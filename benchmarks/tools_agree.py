@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "third_party"))
+sys.path.extend(str(Path(__file__).parents[1] / "tests" / each) for each in ("third_party", "cosim/exchange/ssp"))
 
 from third_party_support.agreement import STOP, TOOLS, SharedRun, Table, Tool, apart, exact, shared_run
 

@@ -37,6 +37,16 @@ class PythonSlave:
         self.time = time + step
 
 
+class Block(PythonSlave):
+    """Inputs u1 and u2 in metres, outputs y1 and y2; all with direct feedthrough unless the feedthrough says otherwise."""
+
+    def __init__(self, name: str, unit: str = "m", **feedthrough: tuple[str, ...]) -> None:
+        inputs = [SlaveVariable(f"u{i}", "input", "m", 0.0) for i in (1, 2)]
+        self.variables = (*inputs, *(SlaveVariable(output, "output", unit) for output in ("y1", "y2")))
+        self.feedthrough = feedthrough
+        super().__init__(name)
+
+
 class SampledSlave(PythonSlave):
     """A slave that must never be stepped."""
 

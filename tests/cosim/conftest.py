@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_fmu import maker
 
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
@@ -69,6 +70,12 @@ def record(motion_plan: MotionPlan, step: float, end: float) -> Recording:
     for name in ("link11.tip_deflection", "link21.tip_deflection", "link11.bending[1]"):
         columns[name] = Column("m", *(1e-3 * ringing[:3] / 2e-4 * after))
     return Recording(time, columns)
+
+
+@pytest.fixture(scope="session")
+def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes a plain FMU of another tool's kind, x' = rate (u - x), its description changed: make_decay(("m", "mm"))."""
+    return maker(tmp_path_factory.mktemp("foreign"), "decay", "modelDescription.xml")
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "cosim" / "exchange" / "fmu_export"))
+sys.path.extend(str(Path(__file__).parents[1] / "cosim" / "exchange" / each) for each in ("fmu_export", "ssp"))
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
 from third_party_support.drawn import descriptions

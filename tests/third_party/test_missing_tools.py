@@ -23,10 +23,8 @@ def test_of_another_system():
 def test_that_fails_as_expected():
     assert False
 
-def test_that_passes():
-    pass
+def test_that_passes(): ...
 """
-WHOLE_FILE = 'import pytest\n\npytest.importorskip("no_such_package")\n'
 
 
 @pytest.mark.slow
@@ -38,16 +36,11 @@ def test_a_missing_tool(required: str, summary: str, status: int, tmp_path: Path
     """Where tools are required a test or a file that misses one fails, and nothing else does; in any case it is named."""
     shutil.copy(Path(__file__).parents[1] / "conftest.py", tmp_path)
     (tmp_path / "test_tool.py").write_text(TESTS)
-    (tmp_path / "test_file.py").write_text(WHOLE_FILE)
-    outcome = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-rsfE", "-p", "no:cacheprovider", "--continue-on-collection-errors"],
-        cwd=tmp_path,
-        env={**os.environ, "FLEXFMU_REQUIRE_TOOLS": required},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    (tmp_path / "test_file.py").write_text('import pytest\npytest.importorskip("no_such_package")\n')
+    options = ["-q", "-rsfE", "-p", "no:cacheprovider", "--continue-on-collection-errors"]
+    environment = {**os.environ, "FLEXFMU_REQUIRE_TOOLS": required}
+    command = [sys.executable, "-m", "pytest", *options]
+    outcome = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600)
     assert outcome.returncode == status, outcome.stdout
     assert summary in outcome.stdout
     assert all(name in outcome.stdout for name in ("needs wine", "reads ELF", "no_such_package"))

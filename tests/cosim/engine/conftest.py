@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
+from foreign_fmu import maker
 
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.fmu_build.toolchain import fmi_header_folder
-
-sys.path.insert(0, str(Path(__file__).parents[2]))  # pytest imports tests without their folder
-
-FOREIGN = Path(__file__).parent / "foreign-fmu"
 
 
 @pytest.fixture(scope="session")
 def foreign_fmu(make_decay: Callable[..., Path]) -> Path:
     """A plain FMI 2.0 co-simulation FMU that knows nothing of ours."""
     return make_decay()
-
-
-@pytest.fixture(scope="session")
-def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Makes the plain FMU with its description changed: make_decay(("m", "mm"))."""
-    return _maker(tmp_path_factory.mktemp("foreign"), "decay", "modelDescription.xml", fmpy.platform)
 
 
 @pytest.fixture(scope="session")
@@ -45,59 +30,13 @@ def event_fmu(make_events: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="session")
 def make_events(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes the FMI 3.0 FMU with its description changed."""
-    return _maker(tmp_path_factory.mktemp("events"), "events", "events.xml", fmpy.platform_tuple)
+    return maker(tmp_path_factory.mktemp("events"), "events", "events.xml", fmpy.platform_tuple)
 
 
 @pytest.fixture(scope="session")
 def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes a PID controller of another tool's kind with one fixed step, its description changed: make_task(("m", "mm"))."""
-    return _maker(tmp_path_factory.mktemp("task"), "task", "task.xml", fmpy.platform)
-
-
-def _maker(folder: Path, name: str, description_file: str, own_platform: str) -> Callable[..., Path]:
-    """Packs FMUs of one library, or of one with other flags, with changes of one description, also as for another platform."""
-    plain = compiled(folder, c_compiler(), name)
-    description = (FOREIGN / description_file).read_text()
-
-    def make(*changes: tuple[str, str], flags: Sequence[str] = (), platform: str = own_platform) -> Path:
-        text = description
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        number = len(list(folder.iterdir()))
-        (folder / f"{number}").mkdir()
-        library = compiled(folder / f"{number}", c_compiler(), name, *flags) if flags else plain
-        return pack(folder / f"{name}{number}.fmu", text, library, platform)
-
-    return make
-
-
-def c_compiler() -> str:
-    """The C compiler."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("there is no C compiler")
-    return compiler
-
-
-def compiled(folder: Path, compiler: str, name: str = "decay", *flags: str) -> Path:
-    """The foreign FMU's library."""
-    library = folder / f"{name}{fmpy.sharedLibraryExtension}"
-    warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-    command = [compiler, "-shared", "-fPIC", "-O1", *warnings, f"-I{fmi_header_folder()}"]
-    subprocess.run(
-        [*command, *flags, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
-    )
-    return library
-
-
-def pack(path: Path, description: str, library: Path | None, platform: str = fmpy.platform) -> Path:
-    """Zip an FMU."""
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", description)
-        if library is not None:
-            archive.write(library, f"binaries/{platform}/{library.name}")
-    return path
+    return maker(tmp_path_factory.mktemp("task"), "task", "task.xml")
 
 
 class Mass:

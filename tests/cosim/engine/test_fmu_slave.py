@@ -62,30 +62,26 @@ def test_several_instances_at_once(foreign_fmu: Path) -> None:
     assert result.recording["second.x"].values[-1] == pytest.approx(x, rel=1e-14)
 
 
-def test_a_failing_fmu_speaks_for_itself(foreign_fmu: Path) -> None:
-    """The error carries the FMU's sentence, formatted with its arguments; the results up to the failure are kept."""
-    slave, result = run(foreign_fmu, trouble="fails", label="Bob")
-    assert result.outcome is Outcome.STEP_FAILED
-    assert result.message == "decay failed at 0.5 s: Bob is tired after 5 steps"
-    np.testing.assert_allclose(result.recording.time, np.arange(6) * 0.1)
-    assert slave.messages == ("Bob is tired after 5 steps",)
-    assert living_instances(slave) == 0
-
-
-def test_a_discarded_step_tells_how_far_it_came(foreign_fmu: Path) -> None:
-    """fmi2Discard without a word that the FMU has ended is a failure, with the FMU's last successful time."""
-    _, result = run(foreign_fmu, trouble="discards")
-    assert result.outcome is Outcome.STEP_FAILED
-    assert "failed at 0.5 s" in result.message
-    assert "fmi2Discard" in result.message
-    assert result.message.endswith("0 s of the step of 0.1 s are done (fmi2Discard), take a smaller communication step")
-
-
-def test_failing_initialisation(foreign_fmu: Path) -> None:
-    """An FMU that refuses its parameters is freed, and says why."""
-    slave, result = run(foreign_fmu, rate=-1.0)
-    assert result.outcome is Outcome.INITIALISATION_FAILED
-    assert "is tired after 0 steps" in result.message
+@pytest.mark.parametrize(
+    ("given", "outcome", "message"),
+    [
+        ({"trouble": "fails", "label": "Bob"}, Outcome.STEP_FAILED, "Bob is tired after 5 steps"),
+        ({"trouble": "discards"}, Outcome.STEP_FAILED, "(fmi2Discard), take a smaller communication step"),
+        ({"rate": -1.0}, Outcome.INITIALISATION_FAILED, "decay is tired after 0 steps"),
+    ],
+)
+def test_a_failing_fmu_speaks_for_itself(
+    foreign_fmu: Path, given: dict[str, Any], outcome: Outcome, message: str
+) -> None:
+    """The error carries the FMU's sentence, formatted with its arguments, or how far it came with a step that it discards; results
+    up to there are kept, and the FMU is freed."""
+    slave, result = run(foreign_fmu, **given)
+    assert result.outcome is outcome
+    time = "0.5" if outcome is Outcome.STEP_FAILED else "0"
+    assert result.message.startswith(f"decay failed at {time} s: ")
+    assert result.message.endswith(message)
+    np.testing.assert_allclose(result.recording.time, np.arange(6 if time == "0.5" else 0) * 0.1)
+    assert slave.messages == (() if "discards" in given.values() else (message,))
     assert living_instances(slave) == 0
 
 

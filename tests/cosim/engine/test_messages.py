@@ -11,7 +11,7 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from python_slave import PythonSlave, SampledSlave
+from python_slave import Block, SampledSlave
 
 from flexfmu.cosim.engine.errors import AlgebraicLoopError, FmuFileError, InputError, ResultsError, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
@@ -40,16 +40,6 @@ CLOCK = (
     '<Int32 name="ticks"',
     '<Clock name="beat" valueReference="50" causality="input" intervalVariability="triggered"/><Int32 name="ticks"',
 )
-
-
-class Block(PythonSlave):
-    """Inputs u1 and u2, outputs y1 and y2, all with direct feedthrough unless the feedthrough says otherwise."""
-
-    def __init__(self, name: str, unit: str = "m", **feedthrough: tuple[str, ...]) -> None:
-        inputs = [SlaveVariable(f"u{i}", "input", "m", 0.0) for i in (1, 2)]
-        self.variables = (*inputs, *(SlaveVariable(output, "output", unit) for output in ("y1", "y2")))
-        self.feedthrough = feedthrough
-        super().__init__(name)
 
 
 class Sampler(SampledSlave):

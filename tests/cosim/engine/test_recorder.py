@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,30 +12,19 @@ import pytest
 from flexfmu.cosim.engine.child_process import AVAILABLE, in_child
 from flexfmu.cosim.engine.master import recorder as module
 from flexfmu.cosim.engine.master.recorder import Recorder
-from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import SlaveVariable
 
 COUNT = 3000
 
 
-@dataclass
-class Source:
-    """A slave's outputs."""
-
-    name: str = "source"
-    variables: tuple[SlaveVariable, ...] = (SlaveVariable("y", "output", "m"), SlaveVariable("z", "output"))
-
-
-@dataclass
-class Port:
+def make_port() -> Any:
     """A port with values and a derivative."""
-
-    slave: Source = field(default_factory=Source)
-    recorded: int = 2
-    indices: RealArray = field(default_factory=lambda: np.arange(2))
-    signals: RealArray = field(default_factory=lambda: np.zeros((3, 2)))
+    variables = (SlaveVariable("y", "output", "m"), SlaveVariable("z", "output"))
+    slave = SimpleNamespace(name="source", variables=variables)
+    return SimpleNamespace(slave=slave, recorded=2, indices=np.arange(2), signals=np.zeros((3, 2)))
 
 
-def fill(port: Port, recorder: Recorder, count: int = COUNT, offset: float = 0.0) -> None:
+def fill(port: Any, recorder: Recorder, count: int = COUNT, offset: float = 0.0) -> None:
     """Record instants 0, 1, 2, .. with known signals."""
     for n in range(count):
         port.signals[:] = [[n + offset, -n], [2 * n, 3 * n], [np.nan, np.nan]]
@@ -56,20 +45,20 @@ def check(recorder: Recorder, count: int = COUNT, offset: float = 0.0) -> None:
 
 
 @pytest.fixture(params=["memory", "file", "shared", "shared file"])
-def recorder_of(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Callable[[Port, int], Recorder]:
+def recorder_of(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, int], Recorder]:
     """Makes recorders with each kind of memory."""
     if "file" in request.param:
         monkeypatch.setattr(module, "LARGE", 1)
         monkeypatch.setattr(module, "RELEASED", 700)
     if "shared" in request.param and not AVAILABLE:
         pytest.skip("needs Linux")
-    return lambda port, capacity: Recorder([port], capacity, shared="shared" in request.param)  # type: ignore[list-item]
+    return lambda port, capacity: Recorder([port], capacity, shared="shared" in request.param)
 
 
 @pytest.mark.parametrize("capacity", [1, 100, COUNT, 2 * COUNT])
-def test_what_is_appended_is_recorded(recorder_of: Callable[[Port, int], Recorder], capacity: int) -> None:
+def test_what_is_appended_is_recorded(recorder_of: Callable[[Any, int], Recorder], capacity: int) -> None:
     """Whatever the expected number of instants, also after some have been deleted."""
-    port = Port()
+    port = make_port()
     recorder = recorder_of(port, capacity)
     fill(port, recorder)
     recorder.rewind(COUNT // 5)
@@ -80,9 +69,9 @@ def test_what_is_appended_is_recorded(recorder_of: Callable[[Port, int], Recorde
     check(recorder)
 
 
-def test_a_recording_survives_the_next_run(recorder_of: Callable[[Port, int], Recorder]) -> None:
+def test_a_recording_survives_the_next_run(recorder_of: Callable[[Any, int], Recorder]) -> None:
     """The next run has memory of its own, be it that a part of an array is kept."""
-    port = Port()
+    port = make_port()
     recorder = recorder_of(port, COUNT)
     fill(port, recorder)
     kept = recorder.recording()["source.y"].values[2:]
@@ -95,8 +84,8 @@ def test_a_recording_survives_the_next_run(recorder_of: Callable[[Port, int], Re
 
 def test_results_are_the_recorders_memory() -> None:
     """Nothing is copied where the number of instants is known, and little is held beyond what is recorded."""
-    port = Port()
-    recorder = Recorder([port], COUNT)  # type: ignore[list-item]
+    port = make_port()
+    recorder = Recorder([port], COUNT)
     fill(port, recorder)
     recording = recorder.recording()
     (_, columns), *_ = recorder.blocks
@@ -107,8 +96,8 @@ def test_results_are_the_recorders_memory() -> None:
 
 def test_only_what_is_kept_takes_memory() -> None:
     """Of a port that is read as a whole, with the same numbers."""
-    port = Port()
-    recorder = Recorder([port], COUNT, keeps=lambda name: name == "source.z")  # type: ignore[list-item]
+    port = make_port()
+    recorder = Recorder([port], COUNT, keeps=lambda name: name == "source.z")
     fill(port, recorder)
     recording = recorder.recording()
     assert [*recording.columns] == ["source.z"]
@@ -123,10 +112,9 @@ def test_only_what_is_kept_takes_memory() -> None:
 @pytest.mark.parametrize("large", [False, True])
 def test_a_child_records_for_its_parent(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also beyond the memory that was there when the child began."""
-    if large:
-        monkeypatch.setattr(module, "LARGE", 1)
-    port = Port()
-    recorder = Recorder([port], 100, shared=True)  # type: ignore[list-item]
+    monkeypatch.setattr(module, "LARGE", 1 if large else module.LARGE)
+    port = make_port()
+    recorder = Recorder([port], 100, shared=True)
     in_child(lambda: fill(port, recorder), lambda: None, 60.0)
     assert recorder.catch_up() == COUNT
     check(recorder)

@@ -7,8 +7,6 @@ that do the same have the same numbers. Some record what the robot puts out befo
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,16 +16,18 @@ from typing import Any, Literal
 import fmpy
 import numpy as np
 from numpy.typing import NDArray
+from ssp_support.importers import signals_in
+from ssp_support.packages import package
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Jacobi
 from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.slave_export import export_slaves
+from flexfmu.cosim.exchange.ssp.structure import Component, Connector, SspConnection, Structure, ssd_xml
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.scene.schema import Scene
-from third_party_support import maestro, masters
-from third_party_support.tools import python_tool, run
+from third_party_support import maestro
 
 SIGNALS = ("end_effector.position.x", "end_effector.position.y", "joint1.torque")
 
@@ -52,7 +52,7 @@ class SharedRun:
 
     Attributes:
         scene: what moves.
-        system: FMUs of motion and robot, and their connections, as `masters` takes them.
+        system: FMUs of motion and robot, and their connections, and the outputs to record, by full names.
         folder: for the files of tools.
     """
 
@@ -80,13 +80,35 @@ def our_master(shared: SharedRun, step: float, algorithm: Algorithm, input_order
 
 
 def python_master(name: str, shared: SharedRun, step: float, stop: float = STOP) -> Table:
-    """A master with Python bindings, in a process of its own."""
-    python_tool(MODULES[name])
-    file = shared.folder / "system.json"
-    file.write_text(json.dumps(shared.system))
-    output = run([sys.executable, masters.__file__, name, str(file), str(step), str(stop)], shared.folder)
-    line = next(line for line in output.splitlines() if line.startswith("rows: "))
-    return np.array(json.loads(line.removeprefix("rows: ")))[:, 1:]
+    """A master with Python bindings, in a process of its own, which gets the system as an SSP file."""
+    path = shared.folder / "system.ssp"
+    structure = Structure(
+        "system",
+        tuple(
+            Component(slave, f"resources/{slave}.fmu", connectors(fmu)) for slave, fmu in shared.system["fmus"].items()
+        ),
+        tuple(SspConnection(*(ends(name) for name in pair)) for pair in shared.system["connections"]),
+        step=step,
+        tolerance=1e-6,
+    )
+    fmus = {f"resources/{slave}.fmu": Path(fmu) for slave, fmu in shared.system["fmus"].items()}
+    package(path, {"SystemStructure.ssd": ssd_xml(structure, "test"), **fmus})
+    instants = [n * step for n in range(1, round(stop / step) + 1)]
+    return signals_in(MODULES[name], path, step, instants, [ends(each) for each in shared.system["signals"]])
+
+
+def ends(name: str) -> tuple[str, str]:
+    """Slave and variable of a full name."""
+    slave, _, variable = name.partition(".")
+    return slave, variable
+
+
+def connectors(fmu: str) -> tuple[Connector, ...]:
+    """All inputs and outputs of an FMU."""
+    variables = fmpy.read_model_description(fmu).modelVariables
+    return tuple(
+        Connector(each.name, each.causality, each.type) for each in variables if each.causality in ("input", "output")
+    )
 
 
 def java_master(shared: SharedRun, step: float, stop: float = STOP) -> Table:

@@ -24,7 +24,7 @@ def simulate(system: Mapping[str, Any], step: float, stop: float, folder: Path) 
     """Time and the signals at every communication point from 0 on, shape (points, 1 + signals).
 
     Args:
-        system: as `masters` takes it.
+        system: as `SharedRun` has it.
         step, stop: communication step and end [s].
         folder: for the files of the tool.
     """

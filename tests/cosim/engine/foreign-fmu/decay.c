@@ -1,8 +1,8 @@
 /* A plain FMI 2.0 co-simulation FMU as another tool might make it: x' = rate (u - x), y = 2 x, no input derivatives,
- * outputs of all types, messages with format arguments. `trouble` makes it fail from 0.5 s on,
- * crash, hang or exit, give NaN for derivatives, forget what was set, take its time or, at any time, get through 0.03 s of a step
- * at most; it crashes when it is loaded where
- * DECAY_CRASHES says so, has one instance in a process where DECAY_ONCE does, and prints where DECAY_PRINTS does. */
+ * outputs of all types, messages with format arguments, and without the functions that nobody calls. `trouble` makes it fail from 0.5 s
+ * on, crash, hang or exit, give NaN for derivatives, forget what was set, take its time or, at any time, get through 0.03 s of a step
+ * at most; it crashes when it is loaded where DECAY_CRASHES says so, has one instance in a process where DECAY_ONCE does, and
+ * prints where DECAY_PRINTS does. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -76,10 +76,9 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { (void)c; return fmi2Error; }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
-  decay *d = c;
+  const decay *d = c;
   for (size_t i = 0; i < n; i++) value[i] = vr[i] == 0 ? d->x : vr[i] == 1 ? d->u : vr[i] == 3 ? 2.0 * d->x : d->rate;
   return fmi2OK;
 }
@@ -200,8 +199,3 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
   *value = ((decay *)c)->trouble == ENDS;
   return fmi2OK;
 }
-
-#ifndef LACKING
-#define DECAY
-#include "absent.h"
-#endif

@@ -1,6 +1,6 @@
 /* A discrete PID as another tool might export it: a task with one fixed sample time of 1 ms that reads its inputs, calculates
  * and puts out in fmi2DoStep. It refuses any other step, and any gap. `direct` makes it put out what follows from the present
- * inputs whenever it is asked; then fmi2DoStep only moves on to the next sample. */
+ * inputs whenever it is asked; then fmi2DoStep only moves on to the next sample. Functions that nobody calls are missing. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -39,7 +39,6 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real to
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { (void)c; return fmi2Error; }
 
 /* I_k = I_k-1 + K_i h (e_k + e_k-1) / 2 and K_d (e_k - e_k-1) / h, none of them at the first sample */
 static double integral(const task *t, int i, double e) {
@@ -96,8 +95,3 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolea
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer v[]) { (void)c, (void)vr, (void)n, (void)v; return fmi2Error; }
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer v[]) { (void)c, (void)vr, (void)n, (void)v; return fmi2Error; }
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String v[]) { (void)c, (void)vr, (void)n, (void)v; return fmi2Error; }
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) { (void)c, (void)k, (void)v; return fmi2Error; }
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) { (void)c, (void)k, (void)v; return fmi2Error; }
-
-#include "absent.h"

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[3]))  # pytest imports tests without their folder
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
 from export_support.instance import opened
 

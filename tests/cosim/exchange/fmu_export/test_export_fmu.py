@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import casadi
+import blocks
 import fmpy
 import numpy as np
 import pytest
@@ -26,7 +26,6 @@ from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
 from flexfmu.fmu_build.validation.validate import validate_fmu
-from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.profiles import bang_bang
 
 Export = Callable[..., Any]
@@ -144,21 +143,6 @@ def test_contradictions_are_refused(change: dict[str, Any], sentence: str) -> No
         build_fmu(replace(fir(), **change))
 
 
-def learning_table(states: int) -> SymbolicBlock:
-    """A table of one value per sample of a cycle: read at the present sample, written with the error, as iterative learning
-    does; its last state is the sample's number."""
-
-    def updated(x: Any, u: Any, p: Any) -> list[Any]:
-        index = casadi.fmod(x[states], states)
-        learned = casadi.if_else(casadi.DM(range(states)) == index, x[:states] + 0.5 * u, x[:states])
-        return [learned, x[states] + 1]
-
-    def read(x: Any, u: Any, p: Any) -> list[Any]:
-        return [x[:states][casadi.fmod(x[states], states)]]
-
-    return block("learning", (0.0,) * (states + 1), 1, read, updated, kind=casadi.MX)
-
-
 def iterations(code: str) -> int:
     """How often the bodies of a block's loops are run in a sample, none of which is within another."""
     assert not re.search(r"for \(.*for \(", code)
@@ -168,17 +152,17 @@ def iterations(code: str) -> int:
 
 @pytest.mark.slow
 def test_thousands_of_states(export: Export) -> None:
-    """A table of 5000 states works, in C of as many loops as one of 1000 needs, each run as often as there are states."""
-    table = learning_table(5000)
+    """A law that learns 5000 states works, in C of as many statements and iterations as one of 1000 needs."""
     large, small = (
-        generate_sources(each, DefaultExperiment()).generated["model_sample.c"]
-        for each in (table, learning_table(1000))
+        blocks.learning(gain=1.0, cycles=2, period=states / 2 * SAMPLE_TIME, sample_time=SAMPLE_TIME)
+        for states in (5000, 1000)
     )
-    assert large.count(";") == small.count(";")
-    assert iterations(large) == 5 * iterations(small) > 0
-    instance = export(table)()
-    inputs = np.random.default_rng(3).normal(size=(300, 1))
-    np.testing.assert_array_equal(run(instance, inputs, SAMPLE_TIME), expected(table, inputs))
+    codes = [generate_sources(each, DefaultExperiment()).generated["model_sample.c"] for each in (large, small)]
+    assert codes[0].count(";") == codes[1].count(";")
+    assert iterations(codes[0]) == iterations(codes[1]) > 0
+    instance = export(large)()
+    inputs = np.random.default_rng(3).normal(size=(300, len(large.inputs)))
+    np.testing.assert_array_equal(run(instance, inputs, SAMPLE_TIME), expected(large, inputs))
     instance.step(10.0, until=10.3)
     assert instance.samples() == 10_300
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from python_slave import PythonSlave
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
@@ -86,21 +87,16 @@ def test_one_slave_alone(scene: Scene, tmp_path: Path) -> None:
         export_slaves(scene, tmp_path, names=["pid"])
 
 
+class Constant(PythonSlave):
+    """A torque."""
+
+    name = "mine"
+    variables = (SlaveVariable("joint1.torque", "output", "N.m", 0.0),)
+
+
 def test_python_classes_stay(scene: Scene, tmp_path: Path) -> None:
     """A class of the user's own has no equations: it is named before anything is written."""
     own = scene.replace({"controller": [Constant()], "imperfection": []})
     with pytest.raises(InputError, match=r"slave 'mine' is a Constant in Python .* SymbolicBlock"):
         export_slaves(own, tmp_path / "none")
     assert not (tmp_path / "none").exists()
-
-
-class Constant:
-    """A torque."""
-
-    name = "mine"
-    variables = (SlaveVariable("joint1.torque", "output", "N.m", 0.0),)
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
-    def set(self, indices: Any, values: Any) -> None: ...
-    def get(self, indices: Any, values: Any) -> None: ...
-    def step(self, time: float, step: float) -> None: ...

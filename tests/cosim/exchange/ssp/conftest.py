@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
 from collections.abc import Callable
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -26,37 +23,11 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 
-@pytest.fixture(scope="session")
-def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., bytes]:
-    """Makes a plain FMU of another tool's kind, x' = rate (u - x), its description changed: make_decay(("m", "mm"))."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("there is no C compiler")
-    spec = spec_from_file_location("foreign", Path(__file__).parents[2] / "engine" / "conftest.py")
-    assert spec is not None
-    assert spec.loader is not None
-    foreign = module_from_spec(spec)
-    spec.loader.exec_module(foreign)
-    folder = tmp_path_factory.mktemp("foreign")
-    library = foreign.compiled(folder, compiler)
-    description = (foreign.FOREIGN / "modelDescription.xml").read_text()
-
-    def make(*changes: tuple[str, str]) -> bytes:
-        text = description
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        content: bytes = foreign.pack(folder / "decay.fmu", text, library).read_bytes()
-        return content
-
-    return make
-
-
 @pytest.fixture
-def make_ssp(make_decay: Callable[..., bytes], tmp_path: Path) -> Callable[..., Path]:
+def make_ssp(make_decay: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
     """Makes an SSP file of two foreign FMUs: make_ssp(ssd=SSD, **further files by name)."""
 
-    def make(ssd: str | bytes = SSD, files: dict[str, bytes | str] | None = None) -> Path:
+    def make(ssd: str = SSD, files: dict[str, str | Path] | None = None) -> Path:
         content = {"SystemStructure.ssd": ssd, "resources/decay.fmu": make_decay(), **(files or {})}
         return package(tmp_path / "decays.ssp", content)
 

@@ -86,7 +86,7 @@ def test_files_are_known_by_their_content(make_ssp: MakeSsp, tmp_path: Path) -> 
 
 
 def test_run_tells_what_it_ignored_and_texts(
-    make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path
+    make_ssp: MakeSsp, make_decay: Callable[..., Path], tmp_path: Path
 ) -> None:
     """A parameter that fits nothing is a warning, in words. The table shows a String's last text, not its code; results.csv has
     all of them."""

@@ -192,7 +192,7 @@ def test_entities_are_not_read(entities: str, reference: str, make_ssp: MakeSsp,
     assert "is no XML" in message or "has a document type declaration" in message
 
 
-def test_nothing_leaves_the_archive(make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path) -> None:
+def test_nothing_leaves_the_archive(make_ssp: MakeSsp, make_decay: Callable[..., Path], tmp_path: Path) -> None:
     """Entries with names that lead elsewhere are errors, as is a component's path that does."""
     for name in ("../evil.fmu", "/tmp/evil-flexfmu.fmu", "resources/../../evil2.fmu", "C:evil.fmu", "..\\evil.fmu"):
         assert "which leaves its folder" in refusal(make_ssp(files={name: make_decay()}))

@@ -183,7 +183,7 @@ MEANING: dict[str, tuple[str, dict[str, float]]] = {
 
 
 @pytest.mark.parametrize("name", MEANING)
-def test_closed_form(name: str, make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
+def test_closed_form(name: str, make_ssp: MakeSsp, make_decay: Callable[..., Path]) -> None:
     """Connections and parameters do what SSP 1.0 says; what fits no variable is left out, but told."""
     ssd, expected = MEANING[name]
     unit = ('<Unit name="m"><BaseUnit m="1"/></Unit>', '<Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit>')
@@ -266,7 +266,7 @@ def test_values_that_a_table_lacks(make_ssp: MakeSsp) -> None:
     assert simulation.recording.time[-1] == pytest.approx(0.25)
 
 
-def test_tables_of_items(make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
+def test_tables_of_items(make_ssp: MakeSsp, make_decay: Callable[..., Path]) -> None:
     """Names of items are those of the enumerations at the connection's ends."""
     variables = "".join(
         f'<ScalarVariable name="{name}" valueReference="1" causality="{causality}" variability="discrete"><Enumeration '
@@ -328,7 +328,7 @@ def test_variants(make_ssp: MakeSsp) -> None:
     ids=["OMSimulator 2", "OMSimulator 3", "FMUs"],
 )
 def test_times_where_the_file_says_none(
-    annotation: str, experiment: str, step: float, make_ssp: MakeSsp, make_decay: Callable[..., bytes]
+    annotation: str, experiment: str, step: float, make_ssp: MakeSsp, make_decay: Callable[..., Path]
 ) -> None:
     """The communication step is in annotations of OMSimulator, or the FMUs' default experiments stand in."""
     note = f'<ssd:Annotations><ssc:Annotation type="org.openmodelica"><o:A xmlns:o="o">{annotation}</o:A></ssc:Annotation></ssd:Annotations>'

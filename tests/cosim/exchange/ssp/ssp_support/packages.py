@@ -87,9 +87,9 @@ def connected(inner: str = "", attributes: str = "", ssd: str = SSD, **ends: str
     return ssd.replace(CONNECTION, f"<ssd:Connection {named} {attributes}>{inner}</ssd:Connection>")
 
 
-def package(path: Path, files: Mapping[str, bytes | str]) -> Path:
-    """Zip files."""
+def package(path: Path, files: Mapping[str, bytes | str | Path]) -> Path:
+    """Zip texts and files."""
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in files.items():
-            archive.writestr(name, content)
+            archive.writestr(name, content.read_bytes() if isinstance(content, Path) else content)
     return path
