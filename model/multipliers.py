@@ -18,12 +18,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi
-import numpy as np
 
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.robot import TipMap
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.jets import RealArray
 
 PASSIVE = 8
 """Number of passive coordinates and of constraints."""
@@ -52,15 +50,6 @@ class ConstrainedModel:
     assembled: casadi.Function
 
 
-@dataclass(frozen=True)
-class ConstrainedMotion:
-    """Accelerations q'' (10 + n,), reaction forces lambda (8,) [N, N m] and motor torques (2,) [N m]."""
-
-    accelerations: RealArray
-    reactions: RealArray
-    torque: RealArray
-
-
 @lru_cache(maxsize=8)
 def constrained_model(scene: Scene) -> ConstrainedModel:
     """The index-1 form of a scene's five-bar with numeric parameter values.
@@ -86,32 +75,6 @@ def constrained_model(scene: Scene) -> ConstrainedModel:
         curvature=casadi.Function("curvature", [q, v], [casadi.densify(casadi.jtimes(psi @ v, q, v))]),
         assembled=_assembled(five_bar, d),
     )
-
-
-def motion_driven_accelerations(
-    model: ConstrainedModel, q: RealArray, v: RealArray, motor_acceleration: RealArray, baumgarte: float = 0.0
-) -> ConstrainedMotion:
-    """Accelerations, reactions and motor torques for prescribed motor accelerations.
-
-    Args:
-        model: the index-1 model.
-        q, v: coordinates and rates (10 + n,).
-        motor_acceleration: q_a'' (2,) [rad/s²].
-        baumgarte: stabilisation rate [1/s]; 0 lets the constraints drift.
-    """
-    size, psi = 10 + model.n, model.jacobian(q).full()
-    # Baumgarte stabilisation drives the constraints back to zero
-    drift = (
-        model.curvature(q, v).full().ravel()
-        + 2 * baumgarte * (psi @ v)
-        + baumgarte**2 * model.constraints(q).full().ravel()
-    )
-    # the motors' accelerations are constraints too, whose multipliers are the torques
-    rows = np.vstack([psi, np.eye(2, size)])
-    kkt = np.block([[model.mass_matrix(q).full(), rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-    right = np.concatenate([-model.bias(q, v).full().ravel(), -drift, motor_acceleration])
-    solution = np.asarray(np.linalg.solve(kkt, right))
-    return ConstrainedMotion(solution[:size], solution[size : size + PASSIVE], -solution[size + PASSIVE :])
 
 
 def _split(q: casadi.SX, n: int) -> tuple[casadi.SX, casadi.SX, casadi.SX]:

@@ -8,8 +8,9 @@ import casadi
 import numpy as np
 import pytest
 
+from flexfmu.cosim.studies.workprec.solver_trials import NUMBERS, index_one
 from flexfmu.model.linear import linearize, operating_point
-from flexfmu.model.multipliers import constrained_model, motion_driven_accelerations
+from flexfmu.model.multipliers import ConstrainedModel, constrained_model
 from flexfmu.model.numeric import inverse_dynamics, numeric_model
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.assembly import motor_angles
@@ -90,24 +91,32 @@ def minimal_solution(scene: Scene, q_a, v_a, a_a, q_e, v_e):  # type: ignore[no-
     return a_e, [np.asarray(part.full()).ravel() for part in model.motion(q_e, v_e, a_e, u)]
 
 
+def with_multipliers(model: ConstrainedModel, q, v, a_a):  # type: ignore[no-untyped-def]
+    """Accelerations (10 + n,), joint reactions (8,) and motor torques (2,): the motors' accelerations are constraints too."""
+    psi, mass = model.jacobian(q).full(), model.mass_matrix(q).full()
+    rows = np.vstack([psi, np.eye(2, len(q))])
+    kkt = np.block([[mass, rows.T], [rows, np.zeros((10, 10))]])
+    right = np.concatenate([-model.bias(q, v).full(), -model.curvature(q, v).full(), a_a], axis=None)
+    solution = np.linalg.solve(kkt, right)
+    return solution[:-10], solution[-10:-2], -solution[-2:]
+
+
 def test_both_formulations_have_the_same_accelerations_and_torques(scene: Scene) -> None:
     """Index reduction by closed-form assembly neither loses nor adds a force: accelerations to 1e-10, torques to 1e-9."""
     constrained = constrained_model(scene)
     for q_a, v_a, a_a, q_e, v_e in random_states(scene):
         a_e, (position, velocity, acceleration, torque) = minimal_solution(scene, q_a, v_a, a_a, q_e, v_e)
         q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
-        full = motion_driven_accelerations(constrained, q, v, a_a)
+        accelerations, _, expected = with_multipliers(constrained, q, v, a_a)
         # the closed form solves the paper's eq. (18) and its time derivative to rounding
         assert np.abs(constrained.constraints(q).full()).max() <= 1e-15
         assert np.abs(constrained.jacobian(q).full() @ v).max() <= 1e-13
         scale = max(1.0, np.abs(a_e).max(initial=0.0))
-        assert np.abs(full.accelerations[2 : 2 + len(q_e)] - a_e).max(initial=0.0) <= 1e-10 * scale
-        np.testing.assert_allclose(full.accelerations[-2:], acceleration, atol=1e-10 * scale)
+        assert np.abs(accelerations[2 : 2 + len(q_e)] - a_e).max(initial=0.0) <= 1e-10 * scale
+        np.testing.assert_allclose(accelerations[-2:], acceleration, atol=1e-10 * scale)
         # the torques of elastic transmissions are differences of forces that belong to the largest accelerations
-        rounding = (
-            1e-13 * np.abs(full.accelerations).max() if scene.effects.transmission else 1e-9 * np.abs(torque).max()
-        )
-        np.testing.assert_allclose(full.torque, torque, rtol=1e-9, atol=rounding)
+        rounding = 1e-13 * np.abs(accelerations).max() if scene.effects.transmission else 1e-9 * np.abs(torque).max()
+        np.testing.assert_allclose(expected, torque, rtol=1e-9, atol=rounding)
         np.testing.assert_allclose(q[-2:], position, atol=1e-15)
         np.testing.assert_allclose(v[-2:], velocity, atol=1e-12)
 
@@ -115,15 +124,15 @@ def test_both_formulations_have_the_same_accelerations_and_torques(scene: Scene)
 def test_constraint_violations_decay_as_baumgarte_says(scene: Scene) -> None:
     """Off the constraint manifold the multipliers force f'' + 2 a f' + a² f = 0, which damps drift critically."""
     constrained, rate = constrained_model(scene), 100.0
-    q_a, v_a, a_a, q_e, v_e = random_states(scene, 1)[0]
+    q_a, v_a, _, q_e, v_e = random_states(scene, 1)[0]
     q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
     q[-2:] += 1e-5
-    motion = motion_driven_accelerations(constrained, q, v, a_a, baumgarte=rate)
+    piece = np.eye(1, NUMBERS, 1)[0]  # from 0 to 1 s, motors at rest
+    derivatives = index_one(constrained, rate)(0.0, np.concatenate([q, v]), piece).full().ravel()
+    acceleration = derivatives[len(q) :]
     psi, f = constrained.jacobian(q).full(), constrained.constraints(q).full().ravel()
-    second = psi @ motion.accelerations + constrained.curvature(q, v).full().ravel()
-    np.testing.assert_allclose(
-        second, -2 * rate * psi @ v - rate**2 * f, atol=1e-9 * np.abs(motion.accelerations).max()
-    )
+    second = psi @ acceleration + constrained.curvature(q, v).full().ravel()
+    np.testing.assert_allclose(second, -2 * rate * psi @ v - rate**2 * f, atol=1e-9 * np.abs(acceleration).max())
 
 
 POSE = (-0.1, 0.3)
@@ -203,7 +212,7 @@ def test_reactions_are_the_multipliers_of_the_constraints() -> None:
     v_a, a_a, q_e, v_e = drawn(n, rng)
     values = outputs(plant, q_e, v_e, np.concatenate([q_a, v_a, a_a]))
     q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
-    multipliers = motion_driven_accelerations(constrained, q, v, a_a).reactions
+    multipliers = with_multipliers(constrained, q, v, a_a)[1]
     names = ["leg1.reaction", "leg2.reaction", "elbow1.reaction", "elbow2.reaction"]
     reactions = [values[f"{name}.{axis}"] for name in names for axis in "xy"]
     np.testing.assert_allclose(reactions, -multipliers, atol=1e-9 * np.abs(multipliers).max())

@@ -173,7 +173,6 @@ def plan_page(result: PlanResult) -> str:
     tables += [robustness_table(result)] if result.robustness else []
     plots = [_front_plot(result), _path_plot(result.goals, runs), _references_plot(result, runs)]
     low, high = result.goals.band
-    plots[1:1] = [_band_plot(result)] if high > low else []
     # what was planned, and whether it keeps to all limits
     chosen = result.chosen.candidate
     lead = f"{chosen.label} ({chosen.method}), for payloads of {low:.4g} to {high:.4g} kg: {result.verdict}."
@@ -296,26 +295,6 @@ def _marked(result: PlanResult, values: Sequence[float], *, named: bool) -> Sequ
         for each, value in zip(result.table, values, strict=True)
         if id(each) in names
     ]
-
-
-def _band_plot(result: PlanResult) -> Plot:
-    """Residual vibration and torques of both motions over the payload, with the robot's own stiffness and damping."""
-    panels = list[Panel]()
-    own = [k for k, each in enumerate(result.chosen.peaks) if each.variation.stiffness == each.variation.damping == 1.0]
-    payloads = np.array([result.chosen.peaks[k].variation.payload for k in own])
-    for label in ("residual\n[µm]", "joint 1\n[N·m]", "joint 2\n[N·m]"):
-        curves = []
-        for name, colour, each in zip(NAMES, COLOURS, (result.given, result.chosen), strict=True):
-            peaks = [each.peaks[k] for k in own]
-            if "residual" in label:
-                values = [max(1e6 * peak.residual, LEAST) for peak in peaks]
-            else:
-                values = [peak.torque["2" in label] for peak in peaks]
-            curves.append(Curve(payloads, np.array(values), name, colour))
-        logarithmic = "y" if "residual" in label else ""
-        panels.append(Panel(label=label, curves=curves, logarithmic=logarithmic, level=_level(result.goals, label)))
-    caption = "Residual vibration, with its limit, and largest torques."
-    return Plot("band", "Over the payload band", caption, tuple(panels), "payload [kg]", 330.0)
 
 
 def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 
@@ -27,9 +28,7 @@ from flexfmu.model.scene.effects import NoDampingSection
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import damped_modes
-from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import Trajectory
 
 RICHER: Mapping[str, Mapping[str, Any]] = {
@@ -98,42 +97,18 @@ class RobustnessLine:
         return tuple(use.name for use in self.uses if not use.met)
 
 
-@dataclass(frozen=True, eq=False)
-class FrozenReferences:
-    """A planned motion of the joints, frozen: other models don't change shapers that belong to it.
-
-    Attributes:
-        planned: q11, q21 [rad].
-    """
-
-    planned: Trajectory
-    coordinates: str = "joints"
-
-    @property
-    def duration(self) -> float:
-        """Duration of the motion [s]."""
-        return self.planned.duration
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which a derivative may jump."""
-        return self.planned.breakpoints
-
-    def evaluate(self, time: Any, order: int = 2, side: Side = "right") -> RealArray:
-        """See `flexfmu.trajectories.trajectory.Trajectory`."""
-        return self.planned.evaluate(time, order, side)
-
-
 def frozen(candidate: Candidate) -> Candidate:
-    """The candidate as a motion of the joints.
+    """The candidate as a motion of the joints: other models don't change shapers that belong to it.
 
     Raises:
         TrajectoryError: the motion isn't feasible.
     """
     planned = candidate.prepared().run().plan
-    return Candidate(
-        candidate.label, candidate.method, planned.scene.replace({"shaper": []}), FrozenReferences(planned.joints)
+    joints, scene = planned.joints, planned.scene.replace({"shaper": []})
+    motion = SimpleNamespace(
+        coordinates="joints", duration=joints.duration, breakpoints=joints.breakpoints, evaluate=joints.evaluate
     )
+    return Candidate(candidate.label, candidate.method, scene, cast(Trajectory, motion))
 
 
 def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOWHERE) -> Iterator[RobustnessLine]:

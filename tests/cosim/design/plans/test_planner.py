@@ -122,7 +122,7 @@ def test_files_say_the_same_and_the_planned_scene_runs_to_the_stated_figures(
     assert data["chosen"]["time"] == result.chosen.time
     assert len(data["front"]) == len(Path("there/front.csv").read_text().splitlines()) - 1 == len(result.front)
     page = Path("there/plan.html").read_text()
-    for heading in ("Planned motion", "Limits", "Pareto front", "Over the payload band", "Path of the end effector"):
+    for heading in ("Planned motion", "Limits", "Pareto front", "Path of the end effector"):
         assert heading in page
     scene = flexfmu.load_scene("there/planned.toml")
     assert scene.trajectory.dwell == GOALS.scene.trajectory.dwell
