@@ -18,8 +18,7 @@ from flexfmu.cosim.engine.binding import bind, nothing
 from flexfmu.cosim.engine.errors import InputError, NotFiniteError, SlaveError
 from flexfmu.cosim.engine.hermite import hermite_derivatives
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, TableMap
-from flexfmu.cosim.engine.master.system import Connection, System
+from flexfmu.cosim.engine.master.system import IDENTITY, Connection, LinearMap, System, TableMap
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Slave, output_order
 

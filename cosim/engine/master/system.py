@@ -1,4 +1,4 @@
-"""Wiring: slaves connected by name, with checks and the order of calls by direct feedthrough.
+"""Wiring: slaves connected by name, with checks, the maps from outputs to inputs, and the order of calls by direct feedthrough.
 
 The order follows from the graph of direct dependencies at one instant. Its nodes are inputs and outputs; an output depends on the
 inputs with direct feedthrough to it, an input on the output that feeds it. Loops are strongly connected components; they are torn at
@@ -9,14 +9,15 @@ remaining graph is sorted topologically.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
 from itertools import chain
+from typing import overload
 
-from flexfmu.cosim.engine.errors import AlgebraicLoopError, WiringError
+from flexfmu.cosim.engine.errors import AlgebraicLoopError, InputError, WiringError
 from flexfmu.cosim.engine.master.iteration import LoopSolver
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
 from flexfmu.cosim.engine.slave import TAKES, Causality, Sampled, SamplesInTwoPhases, Slave, can_save, feedthrough
 
 VariableKey = tuple[int, str]
@@ -24,6 +25,72 @@ VariableKey = tuple[int, str]
 
 Graph = Mapping[VariableKey, Collection[VariableKey]]
 """Variable → the variables that it depends on at the same instant."""
+
+
+@dataclass(frozen=True)
+class LinearMap:
+    """y = factor x + offset; time derivatives are multiplied by the factor alone."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, value: float) -> float:
+        """The mapped value; the identity returns it bit for bit."""
+        return value if self == IDENTITY else self.factor * value + self.offset
+
+    @overload
+    def then(self, other: LinearMap) -> LinearMap: ...
+    @overload
+    def then(self, other: TableMap) -> TableMap: ...
+    def then(self, other: SignalMap) -> SignalMap:
+        """The composition: this map first, then the other."""
+        if isinstance(other, TableMap):
+            return TableMap(other.pairs, self.then(other.before))
+        if self == IDENTITY or other == IDENTITY:
+            return other if self == IDENTITY else self
+        return LinearMap(other.factor * self.factor, other.factor * self.offset + other.offset)
+
+
+IDENTITY = LinearMap()
+"""The identity."""
+
+
+@dataclass(frozen=True)
+class TableMap:
+    """Maps integers, Booleans (0 and 1) or enumeration items to numbers, without interpolation.
+
+    Attributes:
+        pairs: integers and the numbers that they are mapped to.
+        before: linear map that is applied first; its result is rounded and looked up.
+    """
+
+    pairs: tuple[tuple[int, float], ...]
+    before: LinearMap = IDENTITY
+
+    def __call__(self, value: float) -> float:
+        """The table's number for the value.
+
+        Raises:
+            InputError: the table has no entry for it.
+        """
+        key = self.before(value)
+        for source, target in self.pairs:
+            # rounded as a Real that feeds an Integer
+            if abs(source - key) <= 0.5:
+                return target
+        known = ", ".join(str(source) for source, _ in self.pairs)
+        raise InputError(f"the table of a connection has nothing for {key:g}, only for {known}; complete it")
+
+    def then(self, other: SignalMap) -> TableMap:
+        """The composition: this map first, then the other; values that the other has no entry for are left out."""
+        pairs = []
+        for source, target in self.pairs:
+            with suppress(InputError):
+                pairs.append((source, other(target)))
+        return TableMap(tuple(pairs), self.before)
+
+
+SignalMap = LinearMap | TableMap
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -19,10 +19,9 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.couplings import Algorithm
 from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, TableMap
 from flexfmu.cosim.engine.master.simulator import Progress, Simulation, isolation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
-from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.master.system import IDENTITY, System, TableMap, connect
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import REFERENCES as KINDS
@@ -299,13 +298,13 @@ def _known(what: str, archive: SspArchive, *values: float | None) -> float:
     Raises:
         SspError: all values are None.
     """
-    known: Sequence[float] = [value for value in values if value is not None]
-    if not known:
-        raise SspError(
-            f"{archive.path} names no {what} time, nor does any FMU in it; say it: flexfmu run {_OPTIONS[what]} SECONDS, "
-            f"load_ssp(path, {what}=...)"
-        )
-    return known[0]
+    for value in values:
+        if value is not None:
+            return value
+    raise SspError(
+        f"{archive.path} names no {what} time, nor does any FMU in it; say it: flexfmu run {_OPTIONS[what]} SECONDS, "
+        f"load_ssp(path, {what}=...)"
+    )
 
 
 class FoundByBothNames(dict[str, Column]):

@@ -14,7 +14,7 @@ from typing import Any, Literal, cast, get_args
 from lxml import etree
 
 from flexfmu.cosim.engine.fmu.variables import Value
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.engine.master.system import IDENTITY, LinearMap
 from flexfmu.cosim.engine.slave import Type
 from flexfmu.cosim.exchange.ssp.archive import NAMESPACES, SspArchive, XmlElement
 

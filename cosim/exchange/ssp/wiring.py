@@ -16,8 +16,7 @@ from typing import Any
 from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu
 from flexfmu.cosim.engine.fmu.variables import Value, items
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, SignalMap, TableMap
-from flexfmu.cosim.engine.master.system import Wire
+from flexfmu.cosim.engine.master.system import IDENTITY, LinearMap, SignalMap, TableMap, Wire
 from flexfmu.cosim.engine.slave import TAKES, Type
 from flexfmu.cosim.exchange.ssp.archive import SspError
 from flexfmu.cosim.exchange.ssp.structure import (
@@ -196,11 +195,9 @@ class Network:
         self.connectors: dict[ConnectorName, Connector] = {}
         self.feeds: dict[ConnectorName, tuple[ConnectorName, SspConnection]] = {}
         for prefix, level in levels(structure):
-            for each in level.connectors:
-                self.connectors[prefix[:-1], each.name] = each
+            self.connectors |= {(prefix[:-1], each.name): each for each in level.connectors}
             for component in level.components:
-                for each in component.connectors:
-                    self.connectors[prefix + component.name, each.name] = each
+                self.connectors |= {(prefix + component.name, each.name): each for each in component.connectors}
         for prefix, level in levels(structure):
             for connection in level.connections:
                 self._add(connection, prefix, level)

@@ -23,6 +23,7 @@ from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Recording, Selection
+from flexfmu.cosim.engine.slave import TEXTS as CODES
 from flexfmu.cosim.engine.slave import SlaveVariable
 
 Make = Callable[..., Path]
@@ -98,11 +99,8 @@ def test_coupling_goes_without_absent_derivatives(make_decay: Make) -> None:
     def second(path: Path, **parameters: str) -> np.ndarray[Any, Any]:
         slaves = [FmuSlave(path, "first", parameters), FmuSlave(able, "second", output_order=0)]
         assert slaves[0].max_output_order == (path is able)
-        return (
-            remarks(lambda: simulate(connect(slaves, [("first.y", "second.u")]), 1.0, 0.1))[0]
-            .recording["second.x"]
-            .values
-        )
+        result, _ = remarks(lambda: simulate(connect(slaves, [("first.y", "second.u")]), 1.0, 0.1))
+        return result.recording["second.x"].values  # type: ignore[no-any-return]
 
     np.testing.assert_array_equal(second(able, trouble="refuses"), second(plain))
 
@@ -157,9 +155,8 @@ def test_a_slave_may_end_the_simulation(foreign_fmu: Path, compiled: bool | None
     np.testing.assert_allclose(result.recording.time, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.55], atol=1e-15)
     np.testing.assert_allclose(result.recording["decay.x"].values, np.exp(-result.recording.time), rtol=1e-14)
     # with others, which are elsewhere, the results end with the last step that all have completed
-    pair = simulate(
-        connect([slave, FmuSlave(foreign_fmu, "other")], []), 1.0, 0.1, compiled=compiled, isolation=isolation
-    )
+    both = connect([slave, FmuSlave(foreign_fmu, "other")], [])
+    pair = simulate(both, 1.0, 0.1, compiled=compiled, isolation=isolation)
     assert pair.outcome is Outcome.ENDED_BY_SLAVE
     assert pair.recording.time[-1] == 0.5
 
@@ -241,8 +238,6 @@ class Parrot(PythonSlave):
         self.steps = 0
 
     def get(self, indices: Any, values: Any) -> None:
-        from flexfmu.cosim.engine.slave import TEXTS as CODES
-
         values[:] = CODES.code(f"step {self.steps}")
 
     def step(self, time: float, step: float) -> None:

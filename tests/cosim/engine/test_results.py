@@ -8,6 +8,7 @@ import os
 import pickle
 import sys
 from pathlib import Path
+from typing import Any
 
 import fmpy.util
 import numpy as np
@@ -124,12 +125,8 @@ def test_unreadable_files(name: str, text: str | None, message: str, tmp_path: P
 def test_a_recording_is_a_mapping_from_names(recording: Recording) -> None:
     """It iterates over names, as a dict does, and an unknown name isn't in it."""
     assert list(recording) == [*recording.columns] == ["joint1.torque", "der(link11.bending[1],2)"]
-    assert len(recording) == 2
-    assert "joint1.torque" in recording
-    assert "joint2.torque" not in recording
-    assert 0 not in recording
+    assert [each in recording for each in ("joint1.torque", "joint2.torque", 0)] == [True, False, False]
     assert dict(recording.items()) == recording.columns
-    assert recording.get("joint2.torque") is None
     assert Recording(recording.time, {})
 
 
@@ -246,19 +243,13 @@ def test_mcap(foreign: Recording, tmp_path: Path) -> None:
         reader = make_reader(file)
         messages = list(reader.iter_messages())
         metadata = {each.name: each.metadata for each in reader.iter_metadata()}
-    assert [message.log_time for _, channel, message in messages if channel.topic == "/joint1"] == [
-        0,
-        100_000_000,
-        100_000_000,
-        266_666_667,
-    ]
-    values = [json.loads(message.data) for _, channel, message in messages if channel.topic == "/joint1"]
-    np.testing.assert_array_equal([each["torque"] for each in values], NUMBERS)
+    torques = [message for _, channel, message in messages if channel.topic == "/joint1"]
+    assert [each.log_time for each in torques] == [0, 100_000_000, 100_000_000, 266_666_667]
+    np.testing.assert_array_equal([json.loads(each.data)["torque"] for each in torques], NUMBERS)
     schema, channel, message = next(each for each in messages if each[1].topic == "/link11")
     assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
     (field, described) = next(iter(json.loads(schema.data)["properties"].items()))
-    assert described["title"] == "der(link11.bending[1],2)"
-    assert described["description"] == "m/s2"
+    assert (described["title"], described["description"]) == ("der(link11.bending[1],2)", "m/s2")
     assert json.loads(message.data) == {field: 0.0}
     assert [json.loads(each.data)[field] for _, where, each in messages if where.topic == "/link11"][1:3] == [None] * 2
     assert metadata["units"]["joint1.torque"] == "N.m"
@@ -298,21 +289,23 @@ def test_names_do_not_become_formulas(tmp_path: Path) -> None:
     assert csv_text([{"name": "=1+1", "-x": -1.5}, {"name": "-2", "-x": "+a"}]) == "name,'-x\n'=1+1,-1.5\n-2,'+a\n"
 
 
-@pytest.mark.parametrize("time", [[0.0, 2.0, 1.0], [0.0, np.nan], ["a", "b"]])
-def test_times_of_parquet_files_are_checked(tmp_path: Path, time: list[float | str]) -> None:
-    """As those of other files are."""
-    pyarrow = pytest.importorskip("pyarrow")
-    pyarrow.parquet.write_table(pyarrow.table({"time": time, "a": [1.0] * len(time)}), tmp_path / "x.parquet")
-    with pytest.raises(ResultsError, match=r"must be finite and not decrease|`time` has texts"):
-        Recording.read(tmp_path / "x.parquet")
-
-
-@pytest.mark.parametrize("time", [{"a": 1.0}, ["a", {"b": 1.0}], "text", [2.0, 1.0]])
-def test_mat_files_with_another_time(tmp_path: Path, time: object) -> None:
-    """Structs, cells and texts are no time."""
-    savemat(tmp_path / "x.mat", {"time": time, "a": [1.0, 2.0]})
-    with pytest.raises(ResultsError):
-        Recording.read(tmp_path / "x.mat")
+@pytest.mark.parametrize(
+    ("kind", "time"),
+    [
+        *(("parquet", time) for time in ([0.0, 2.0, 1.0], [0.0, np.nan], ["a", "b"])),
+        *(("mat", time) for time in ({"a": 1.0}, ["a", {"b": 1.0}], "text", [2.0, 1.0])),
+    ],
+)
+def test_times_of_other_files_are_checked(kind: str, time: Any, tmp_path: Path) -> None:
+    """As those of CSV files are: finite numbers that don't decrease; structs, cells and texts are no time."""
+    path = tmp_path / f"x.{kind}"
+    if kind == "parquet":
+        parquet, pyarrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+        parquet.write_table(pyarrow.table({"time": time, "a": [1.0] * len(time)}), path)
+    else:
+        savemat(path, {"time": time, "a": [1.0, 2.0]})
+    with pytest.raises(ResultsError, match=r"must be finite and not decrease|`time` has texts|mat"):
+        Recording.read(path)
 
 
 def test_mat_files_by_others_are_read_as_scipy_reads_them(tmp_path: Path) -> None:

@@ -8,8 +8,7 @@ import pytest
 from python_slave import Block
 
 from flexfmu.cosim.engine.errors import WiringError
-from flexfmu.cosim.engine.master.linear_map import LinearMap
-from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.master.system import LinearMap, System, connect
 from flexfmu.cosim.engine.slave import TAKES, SlaveVariable, Type
 
 

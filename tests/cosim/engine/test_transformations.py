@@ -9,9 +9,8 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.couplings import Algorithm, GaussSeidel, Implicit, Jacobi
-from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, TableMap
 from flexfmu.cosim.engine.master.simulator import Outcome, simulate
-from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.master.system import IDENTITY, LinearMap, TableMap, connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 FACTOR, OFFSET = 1024.0, 3.0

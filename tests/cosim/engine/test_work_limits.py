@@ -89,7 +89,6 @@ def test_a_recording_beyond_memory_is_refused(split_oscillator: Factory) -> None
     """With its size and the remedy, before anything runs."""
     system = split_oscillator(0).system()
     port: Any = SimpleNamespace(slave=system.slaves[0], recorded=1, indices=np.arange(2), signals=np.zeros((1, 2)))
-    with pytest.raises(
-        InputError, match=r"2e\+16 values at 1e\+16 instants are 1.6e\+08 GB, more than there is; take a"
-    ):
+    said = r"2e\+16 values at 1e\+16 instants are 1.6e\+08 GB, more than there is; take a"
+    with pytest.raises(InputError, match=said):
         Recorder([port], 10**16)

@@ -103,28 +103,20 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
   return fmi2OK;
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
-  for (size_t i = 0; i < n; i++) value[i] = vr[i] == 0 ? ((decay *)c)->steps : ((decay *)c)->trouble;
-  return fmi2OK;
-}
+#define WHOLE(Kind, place)                                                                                               \
+  fmi2Status fmi2Get##Kind(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##Kind value[]) {               \
+    decay *d = c;                                                                                                        \
+    for (size_t i = 0; i < n; i++) value[i] = *(vr[i] == 0 ? &d->place : &d->trouble);                                   \
+    return fmi2OK;                                                                                                       \
+  }                                                                                                                      \
+  fmi2Status fmi2Set##Kind(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2##Kind value[]) {         \
+    decay *d = c;                                                                                                        \
+    for (size_t i = 0; i < n; i++) *(vr[i] == 0 ? &d->place : &d->trouble) = value[i];                                   \
+    return fmi2OK;                                                                                                       \
+  }
 
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[]) {
-  (void)vr;
-  for (size_t i = 0; i < n; i++) ((decay *)c)->trouble = value[i];
-  return fmi2OK;
-}
-
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[]) {
-  (void)vr;
-  for (size_t i = 0; i < n; i++) value[i] = ((decay *)c)->inverted;
-  return fmi2OK;
-}
-
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[]) {
-  (void)vr;
-  for (size_t i = 0; i < n; i++) ((decay *)c)->inverted = value[i];
-  return fmi2OK;
-}
+WHOLE(Integer, steps)
+WHOLE(Boolean, inverted)
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String value[]) {
   (void)vr;

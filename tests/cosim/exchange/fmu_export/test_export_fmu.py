@@ -116,12 +116,13 @@ def test_equal_exports_are_equal_files(tmp_path: Path) -> None:
     again = build_fmu(fir())
     assert again.cached
     assert again.guid == first.guid
-    changed = [
-        replace(fir(), sample_time=2e-3),
-        replace(fir(), offset=1e-4),
-        replace(fir(), states=(0.0, 0.0, 0.0, 1.0)),
-    ]
-    assert len({generate_sources(each, DefaultExperiment()).guid for each in [fir(), *changed]}) == 4
+    changes: tuple[dict[str, Any], ...] = (
+        {},
+        {"sample_time": 2e-3},
+        {"offset": 1e-4},
+        {"states": (0.0, 0.0, 0.0, 1.0)},
+    )
+    assert len({generate_sources(replace(fir(), **each), DefaultExperiment()).guid for each in changes}) == 4
     one, two = (build_fmu(Motion(lame(bang_bang())), tmp_path / f"{name}.fmu", cache=name == "c") for name in "cd")
     assert one.path.read_bytes() == two.path.read_bytes()
 

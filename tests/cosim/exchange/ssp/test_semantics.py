@@ -19,8 +19,8 @@ from ssp_support.packages import (
     parameter_set,
 )
 
-from flexfmu.cosim.engine.master.linear_map import LinearMap
 from flexfmu.cosim.engine.master.simulator import Outcome
+from flexfmu.cosim.engine.master.system import LinearMap
 from flexfmu.cosim.exchange.ssp.archive import SspError
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
 from flexfmu.cosim.exchange.ssp.structure import SspUnit, ValueMap
