@@ -44,6 +44,7 @@ PROFILES = (
     modified_trapezoid(),
     polynomial((0.0, 0.0, 3.0, -2.0)),
 )
+NEAR_ENDS = np.concatenate([np.geomspace(1e-12, 0.5, 100), 1.0 - np.geomspace(2.0**-40, 0.5, 100)])
 seeded = settings(max_examples=40)
 
 
@@ -60,10 +61,11 @@ def test_every_profile_is_a_symmetric_motion_from_rest_to_rest(profile: Profile)
         np.testing.assert_allclose(motion[order], sign * mirrored[order], rtol=0, atol=1e-12)
 
 
-def test_seventh_degree_polynomial_is_exact_to_its_last_derivative() -> None:
+@pytest.mark.parametrize("profile", [seventh_degree_polynomial(), polynomial((0, 0, 0, 0, 35, -84, 70, -20))])
+def test_seventh_degree_polynomial_is_exact_to_its_last_derivative(profile: Profile) -> None:
     """Protects all derivatives, relative to their own size, also next to the ends: velocity is 140 η³ (1 - η)³."""
-    eta = np.concatenate([np.geomspace(1e-12, 0.5, 100), 1.0 - np.geomspace(2.0**-40, 0.5, 100)])
-    motion = evaluate_profile(seventh_degree_polynomial(), eta, 8).derivatives()
+    eta = NEAR_ENDS
+    motion = evaluate_profile(profile, eta, 8).derivatives()
     rest = 1.0 - eta
     np.testing.assert_allclose(motion[0], 35 * eta**4 - 84 * eta**5 + 70 * eta**6 - 20 * eta**7, rtol=2e-14)
     np.testing.assert_allclose(motion[1], 140 * eta**3 * rest**3, rtol=1e-14)
@@ -81,8 +83,6 @@ def test_seventh_degree_polynomial_is_exact_to_its_last_derivative() -> None:
         (trapezoidal(0.25), 4.0 / 3.0, 16.0 / 3.0),
         (trapezoidal(0.125), 8.0 / 7.0, 64.0 / 7.0),
         (fifth_degree_polynomial(), 15.0 / 8.0, 10.0 / math.sqrt(3.0)),
-        (double_s(0.3, 0.1), 1.0 / 0.7, 1.0 / 0.7 / 0.2),
-        (double_s(0.5, 0.25), 2.0, 8.0),
         (harmonic(), math.pi / 2.0, math.pi**2 / 2.0),
         (cycloidal(), 2.0, 2.0 * math.pi),
         (modified_sine(), 4.0 * math.pi / (4.0 + math.pi), 4.0 * math.pi**2 / (4.0 + math.pi)),
@@ -115,10 +115,6 @@ def test_table_names_the_parameters_of_each_profile() -> None:
             assert ranges.setdefault(name, parameter) == parameter
 
 
-POLY7 = (0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0)
-NEAR_ENDS = np.concatenate([np.geomspace(1e-12, 0.5, 100), 1.0 - np.geomspace(2.0**-40, 0.5, 100)])
-
-
 @seeded
 @given(st.floats(0.02, 0.5), st.floats(0.05, 1.0))
 def test_double_s_of_any_phases_has_its_limits(ramp: float, share: float) -> None:
@@ -136,15 +132,6 @@ def test_double_s_of_any_phases_has_its_limits(ramp: float, share: float) -> Non
         evaluate_profile(profile, np.array(profile.jumps), 1, side).coefficients for side in ("left", "right")
     )  # type: ignore[arg-type]
     np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * velocity)
-
-
-def test_coefficients_of_known_polynomials_are_these_profiles() -> None:
-    """A given polynomial of degree 7 is poly7, to the last bit."""
-    eta = np.linspace(0.0, 1.0, 101)
-    found, wanted = (
-        evaluate_profile(each, eta, 8).coefficients for each in (polynomial(POLY7), seventh_degree_polynomial())
-    )
-    np.testing.assert_array_equal(found, wanted)
 
 
 def test_polynomials_need_no_symmetry() -> None:

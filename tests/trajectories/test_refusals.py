@@ -1,4 +1,4 @@
-"""What paths, profiles, motions and shapers refuse: one line with value, limit, unit and remedy."""
+"""What series, paths, profiles, motions and shapers refuse: one line with value, limit, unit and remedy."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from flexfmu.trajectories.curves import tabulate
 from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet, power, sqrt
 from flexfmu.trajectories.path import ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
 from flexfmu.trajectories.piecewise import spline
 from flexfmu.trajectories.profiles import double_s, evaluate_profile, polynomial, seventh_degree_polynomial, trapezoidal
@@ -40,6 +41,14 @@ def motion(duration: float = 0.43) -> TaskTrajectory:
 
 
 REFUSED: list[tuple[Callable[[], Any], str]] = [
+    # series
+    (lambda: sqrt(Jet.variable([1.0, 0.0], 1)), "square root .* above zero, got 0.0 at index 1"),
+    (lambda: sqrt(Jet.constant(math.nan, 0)), "square root .* got nan"),
+    (lambda: power(Jet.variable(0.0, 1), 0.5), "real power .* above zero"),
+    (lambda: 1.0 / Jet.variable([[1.0, 2.0], [0.0, 1.0]], 1), "division .* other than zero, got 0.0 at index 1, 0"),
+    (lambda: Jet.constant(0.0, 1.5), "whole number of at least 0, got 1.5"),  # type: ignore[arg-type]
+    (lambda: Jet.constant(0.0, 0).differentiate(), "order 0 has no derivative"),
+    (lambda: Jet(np.zeros((0, 2))), "at least one coefficient"),
     # blends and paths
     *((lambda k=kind, x=bad: k(x, 0.025), f"blend height d must be above zero and finite, got {bad:g} m") for kind in (LameBlend, ClothoidPair, PolarPolynomial) for bad in NONE),
     *((lambda k=kind, x=bad: k(0.025, x), f"blend width e must be above zero and finite, got {bad:g} m") for kind in (LameBlend, ClothoidPair, PolarPolynomial) for bad in NONE),

@@ -146,15 +146,12 @@ def test_convolution_multiplies_residuals(first: str, second: str, f: float, fac
     assert both.duration == pytest.approx(low.duration + high.duration, rel=1e-12)
 
 
-def test_convolution_of_two_modes() -> None:
-    """ZV for 40 and 100 Hz: four impulses, no residual at either; ZV with itself is ZVD, coinciding impulses being one."""
-    both = design("zv", [Oscillator(40.0, 0.05), Oscillator(100.0, 0.05)])
-    assert len(both.times) == 4
-    np.testing.assert_allclose(both.residual([40.0, 100.0], 0.05), 0.0, atol=1e-14)
+def test_coinciding_impulses_are_one() -> None:
+    """ZV with itself is ZVD; what isn't shaped stays as it is."""
     twice, zvd = design("zv", [Oscillator(40.0, 0.05)] * 2), design("zvd", [Oscillator(40.0, 0.05)])
     np.testing.assert_allclose(twice.times, zvd.times, atol=1e-15)
     np.testing.assert_allclose(twice.amplitudes, zvd.amplitudes, atol=1e-15)
-    assert both.convolve(UNSHAPED) == both
+    assert zvd.convolve(UNSHAPED) == zvd
 
 
 @pytest.mark.parametrize(("name", "split"), [("zv", 0.0078), ("zvd", 0.0048)])

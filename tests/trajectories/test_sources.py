@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import cos, pi, sin
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.sources import as_trajectory, from_ruckig, from_scipy, from_toppra
-from flexfmu.trajectories.table import read_table, write_table
 
 DURATION = 0.4
 
@@ -220,15 +218,3 @@ def test_scipy() -> None:
         instants = np.linspace(start, end, 101)[1:-1]
         for order, found in enumerate(motion.evaluate(instants - start, 3)):
             np.testing.assert_allclose(found, spline(instants, order), rtol=1e-9, atol=1e-8)
-
-
-def test_a_table_holds_them(tmp_path: Path) -> None:
-    """Written and read they are the same motion, with the same breakpoints, in a scene's file too."""
-    motion = from_ruckig(calculated(limits_of()))
-    write_table(tmp_path / "motion.csv", motion)
-    found = read_table(tmp_path / "motion.csv").trajectory()
-    instants = np.linspace(0.0, motion.duration, 300)
-    for order, scale in enumerate((1e-14, 1e-12, 1e-9)):
-        np.testing.assert_allclose(found.evaluate(instants, 2)[order], motion.evaluate(instants, 2)[order], atol=scale)
-    assert found.breakpoints == pytest.approx(motion.breakpoints)
-    assert found.coordinates == "joints"
