@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -47,28 +47,10 @@ POSES = 5
 """Number of poses, equally spaced in time over the motion."""
 
 
-class ComputedMotion(Protocol):
-    """A computed motion at N instants; all arrays have the shape (N, 2)."""
-
-    @property
-    def position(self) -> RealArray:
-        """Position of the end effector [m]."""
-        ...
-
-    @property
-    def acceleration(self) -> RealArray:
-        """Acceleration of the end effector [m/s²]."""
-        ...
-
-    @property
-    def torque(self) -> RealArray:
-        """Torques of the motors [N m]."""
-        ...
-
-
 @dataclass(frozen=True)
-class RecordedMotion:
-    """A motion at N instants, (N, 2) each, as in `ComputedMotion`."""
+class ComputedMotion:
+    """A computed motion at N instants: position and acceleration of the end effector [m, m/s²], torques of the motors [N m], (N, 2) each;
+    results of other formulations have these fields too."""
 
     position: RealArray
     acceleration: RealArray
@@ -119,7 +101,7 @@ def sample_instants(motion: MotionPlan) -> RealArray:
     return SAMPLING * np.arange(1.0, round(motion.stop_time / SAMPLING) + 1.0)
 
 
-def shapes_motion(scene: Scene, instants: RealArray, fmu_path: Path | None = None) -> RecordedMotion:
+def shapes_motion(scene: Scene, instants: RealArray, fmu_path: Path | None = None) -> ComputedMotion:
     """The motion of the scene's own model, by its FMU, at instants (N,) that are multiples of `SAMPLING`.
 
     Args:
@@ -134,7 +116,7 @@ def shapes_motion(scene: Scene, instants: RealArray, fmu_path: Path | None = Non
     recording = completed(run).recording
     # where an instant appears twice, the value before the jump
     rows = np.searchsorted(recording.time, instants - 0.01 * SAMPLING)
-    return RecordedMotion(
+    return ComputedMotion(
         _vector(recording, "end_effector.position.x", "end_effector.position.y")[rows],
         _vector(recording, "end_effector.acceleration.x", "end_effector.acceleration.y")[rows],
         _vector(recording, "joint1.torque", "joint2.torque")[rows],

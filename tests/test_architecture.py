@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -35,19 +35,13 @@ ROOMS = (
 )
 """From the bottom up; a room in cosim may know all before it, but for what `UNKNOWN` says."""
 
+BESIDE = ("model.scene", "model.selection", "model.reference_design", "model.finite_elements")
 UNKNOWN: Mapping[str, tuple[str, ...]] = {
     "trajectories": (),
     "model.finite_elements": ("model.selection", "model.reference_design"),
-    "fmu_build": ("model.scene", "model.selection", "model.reference_design", "model.finite_elements"),
-    "fmu_build.validation": (
-        "trajectories",
-        "model.scene",
-        "model",
-        "model.selection",
-        "model.reference_design",
-        "model.finite_elements",
-    ),
-    "cosim.engine": ("model.scene", "model", "model.selection", "model.reference_design", "model.finite_elements"),
+    "fmu_build": BESIDE,
+    "fmu_build.validation": ("trajectories", "model", *BESIDE),
+    "cosim.engine": ("model", *BESIDE),
 }
 """Room → rooms below it that it must not know."""
 
@@ -79,11 +73,7 @@ motions and tables doesn't load: functions that need it may
 import it."""
 
 
-PLUG_INS = (
-    "cosim.cli",
-    "cosim.control.controllers",
-    "fmu_build.validation",
-)
+PLUG_INS = ("cosim.cli", "cosim.control.controllers", "fmu_build.validation")
 """Folders of which a module is one command, kind of controller, file format, or check: one place lists them all."""
 
 ALONE = {
@@ -251,12 +241,8 @@ def test_imports_stand_at_the_top(modules: Mapping[str, Module]) -> None:
 @pytest.fixture(scope="module")
 def shared_names() -> tuple[list[str], dict[str, list[str]]]:
     """Modules with one importer, and class names with several homes, as `make lint` counts them."""
-    spec = spec_from_file_location("size", ROOT / "generators" / "size.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    names: tuple[list[str], dict[str, list[str]]] = module.shared_names(module.parse()[2])
+    module = run_path(str(ROOT / "generators" / "size.py"))
+    names: tuple[list[str], dict[str, list[str]]] = module["shared_names"](module["parse"]()[2])
     return names
 
 

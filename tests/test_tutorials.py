@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,8 @@ NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[-+]\d+)?")
 
 def notebook(path: Path) -> Any:
     """The notebook of a page, as the site has it."""
-    spec = spec_from_file_location("notebooks", ROOT / "generators" / "notebooks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return pytest.importorskip("nbformat").from_dict(module.notebook(path.read_text(encoding="utf-8")))
+    module = run_path(str(ROOT / "generators" / "notebooks.py"))
+    return pytest.importorskip("nbformat").from_dict(module["notebook"](path.read_text(encoding="utf-8")))
 
 
 def printed(book: Any) -> list[str]:

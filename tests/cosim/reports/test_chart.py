@@ -15,17 +15,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.reports.chart import (
-    MOST_POINTS,
-    Axis,
-    Curve,
-    Marker,
-    Panel,
-    draw_chart,
-    line_path,
-    spread,
-    thinned,
-)
+from flexfmu.cosim.reports import chart
 from flexfmu.cosim.reports.figure_style import save
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.spectrum import peak, spectrum, spectrum_panel
@@ -52,7 +42,7 @@ def test_ticks_are_matplotlib_s(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low = rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-2.0, 4.0)
     high, length, room = low + 10.0 ** rng.uniform(-1.0, 4.0), rng.uniform(60.0, 330.0), rng.choice([18.0, 27.0])
-    axis = Axis(low, high, 0.0, length, room)
+    axis = chart.Axis(low, high, 0.0, length, room)
     intervals = int(np.clip(length // room, 1, 9))
     expected = MaxNLocator(intervals, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     expected = expected[(expected >= low) & (expected <= high)]
@@ -65,7 +55,7 @@ def test_ticks_are_matplotlib_s(seed: int) -> None:
 
 def test_small_values_are_powers_of_ten() -> None:
     """A rigid robot's errors are rounding: the labels say so, instead of a row of zeros."""
-    labels = Axis(0.0, 4e-12, 100.0, 0.0, 18.0).labels
+    labels = chart.Axis(0.0, 4e-12, 100.0, 0.0, 18.0).labels
     assert labels[0] == "0"
     assert labels[1] == "1e−12"
 
@@ -74,9 +64,9 @@ def test_a_path_has_every_turn_and_breaks_where_a_value_is_missing() -> None:
     """Points on a straight line between their neighbours are left out, peaks and isolated stretches are not."""
     x = np.arange(9.0)
     y = np.array([0.0, 1.0, 2.0, 1.0, 0.0, np.nan, 5.0, np.inf, 7.0])
-    assert line_path(x, y) == "M0.0 0.0 2.0 2.0 4.0 0.0M6.0 5.0M8.0 7.0"
-    assert line_path(np.zeros(0), np.zeros(0)) == ""
-    back = line_path(np.array([0.0, 2.0, 1.0]), np.zeros(3))
+    assert chart.line_path(x, y) == "M0.0 0.0 2.0 2.0 4.0 0.0M6.0 5.0M8.0 7.0"
+    assert chart.line_path(np.zeros(0), np.zeros(0)) == ""
+    back = chart.line_path(np.array([0.0, 2.0, 1.0]), np.zeros(3))
     assert back == "M0.0 0.0 2.0 0.0 1.0 0.0"
 
 
@@ -84,7 +74,7 @@ def test_a_path_follows_its_points() -> None:
     """Dense or not, no point is further from the path than the rounding of its coordinates."""
     x = np.linspace(0.0, 330.0, 4001)
     y = 60.0 + 50.0 * np.sin(x / 3.0) * np.exp(-x / 200.0)
-    points = np.array([float(each) for each in re.findall(r"[\d.]+", line_path(x, y))]).reshape(-1, 2)
+    points = np.array([float(each) for each in re.findall(r"[\d.]+", chart.line_path(x, y))]).reshape(-1, 2)
     assert len(points) < len(x)
     error = np.abs(np.interp(x, points[:, 0], points[:, 1]) - y)
     assert np.all(error < 0.06 * (1.0 + np.abs(np.gradient(y, x))))
@@ -95,8 +85,8 @@ def test_a_path_follows_its_points() -> None:
 def test_a_constant_has_an_axis(value: float) -> None:
     """A curve without extent, and none at all, leave finite coordinates."""
     time = np.linspace(0.0, 1.0, 5)
-    for curves in ([Curve(time, np.full(5, value))], [], [Curve(time, np.full(5, np.nan))]):
-        text = draw_chart("k", "t", (300.0, 200.0), "time [s]", [Panel(label="x", curves=curves)])
+    for curves in ([chart.Curve(time, np.full(5, value))], [], [chart.Curve(time, np.full(5, np.nan))]):
+        text = chart.draw_chart("k", "t", (300.0, 200.0), "time [s]", [chart.Panel(label="x", curves=curves)])
         ElementTree.fromstring(text)
         assert "nan" not in text
         assert "inf" not in text
@@ -105,10 +95,10 @@ def test_a_constant_has_an_axis(value: float) -> None:
 @pytest.mark.parametrize("extent", [(4.0, 1.0), (1.0, 4.0)])
 def test_one_scale_for_both_axes(extent: tuple[float, float]) -> None:
     """A square stays one, whether the width or the height of the chart limits it."""
-    curve = Curve(np.array([0.0, extent[0]]), np.array([0.0, extent[1]]))
-    markers = [Marker(x, y, size=2.0) for x, y in ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5))]
-    text = draw_chart(
-        "k", "t", (300.0, 200.0), "x", [Panel(label="y", curves=[curve], markers=markers, is_to_scale=True)]
+    curve = chart.Curve(np.array([0.0, extent[0]]), np.array([0.0, extent[1]]))
+    markers = [chart.Marker(x, y, size=2.0) for x, y in ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5))]
+    text = chart.draw_chart(
+        "k", "t", (300.0, 200.0), "x", [chart.Panel(label="y", curves=[curve], markers=markers, is_to_scale=True)]
     )
     (x0, y0), (x1, _), (_, y2) = (
         map(float, found) for found in re.findall(r'class="at" .*?translate\((\S+) (\S+)\)', text)
@@ -117,18 +107,18 @@ def test_one_scale_for_both_axes(extent: tuple[float, float]) -> None:
     assert x1 - x0 > 10.0
 
 
-@pytest.mark.parametrize("count", [1, 5, MOST_POINTS, MOST_POINTS + 1, 3 * MOST_POINTS + 7, 100_001])
+@pytest.mark.parametrize("count", [1, 5, chart.MOST_POINTS, chart.MOST_POINTS + 1, 3 * chart.MOST_POINTS + 7, 100_001])
 def test_a_thinned_curve_keeps_ends_and_extremes(count: int) -> None:
     """And isn't longer than stated; values that aren't finite stay, and don't hide others."""
     y = np.random.default_rng(count).normal(size=count)
-    chosen = thinned(y)
-    assert len(chosen) <= MOST_POINTS
+    chosen = chart.thinned(y)
+    assert len(chosen) <= chart.MOST_POINTS
     assert np.all(np.diff(chosen) > 0)
     assert {0, count - 1, int(y.argmin()), int(y.argmax())} <= set(chosen.tolist())
-    assert (spread(count)[0], spread(count)[-1]) == (0, count - 1)
+    assert (chart.spread(count)[0], chart.spread(count)[-1]) == (0, count - 1)
     y[count // 3 : count // 2] = np.nan
-    assert np.nanmax(y[thinned(y)]) == np.nanmax(y)
-    assert np.isnan(y[thinned(y)]).any() == (count > 1)
+    assert np.nanmax(y[chart.thinned(y)]) == np.nanmax(y)
+    assert np.isnan(y[chart.thinned(y)]).any() == (count > 1)
 
 
 @pytest.mark.parametrize("frequency", [41.3, 58.0, 77.77])
@@ -167,7 +157,7 @@ def test_the_panel_names_its_highest_peak() -> None:
     time = np.arange(0.0, 2.0, 1e-3)
     found = spectrum(time, np.sin(2.0 * np.pi * 60.0 * time) + 1e-5 * np.sin(2.0 * np.pi * 300.0 * time), 0.0)
     assert found is not None
-    panel = spectrum_panel("y", [Curve(*found)], [(59.0, "mode 1"), (400.0, "mode 2")])
+    panel = spectrum_panel("y", [chart.Curve(*found)], [(59.0, "mode 1"), (400.0, "mode 2")])
     assert panel.markers[0].text == "60 Hz"
     assert panel.limits is not None
     assert 60.0 < panel.limits[1] < 200.0

@@ -118,26 +118,22 @@ def test_initialisation_begins_anew() -> None:
         slave.terminate()
 
 
-@pytest.mark.parametrize(("indices", "expected"), [([2, 3], [3.0, 4.0]), ([3, 0], [4.0, 1.0]), ([1], [2.0])])
-def test_bound_reading(indices: list[int], expected: list[float]) -> None:
-    """A bound transfer reads what `get` reads, whether its variables are neighbours or not."""
+def test_bound_transfers() -> None:
+    """They read what `get` reads, whether variables are neighbours or not, and set the inputs they were bound to, and no parameters."""
     slave = BlockSlave(running_sum())
     slave.initialize(0.0, 1.0, None)
-    values = np.empty(len(indices))
-    slave.bind_get(np.array(indices), values)()
-    assert list(values) == expected
-
-
-def test_bound_writing() -> None:
-    """A bound transfer sets the inputs it was bound to, neighbours or not, and no parameters."""
+    for indices, expected in (([2, 3], [3.0, 4.0]), ([3, 0], [4.0, 1.0]), ([1], [2.0])):
+        values = np.empty(len(indices))
+        slave.bind_get(np.array(indices), values)()
+        assert list(values) == expected
     slave = BlockSlave(pd(1.0, 1.0, sample_time=1e-3))
     count = len(slave.block.inputs)
     read, got = np.arange(count), np.empty(count)
-    for indices in (np.arange(2, 5), np.array([7, 1, 4])):
+    for places in (np.arange(2, 5), np.array([7, 1, 4])):
         values = np.random.default_rng(3).normal(size=3)
-        slave.bind_set(indices, values)()
+        slave.bind_set(places, values)()
         slave.get(read, got)
-        np.testing.assert_array_equal(got[indices], values)
+        np.testing.assert_array_equal(got[places], values)
     with pytest.raises(InputError, match="only inputs can be connected"):
         slave.bind_set(np.array([count]), np.empty(1))
     with pytest.raises(InputError, match=r"pd\.joint1\.torque is an output"):

@@ -29,7 +29,6 @@ from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -55,14 +54,6 @@ def write(tmp_path_factory: pytest.TempPathFactory) -> Write:
         return path
 
     return written
-
-
-@pytest.fixture(scope="module")
-def robot() -> Scene:
-    """The paper's robot, driven by torques."""
-    return load_scene("barnard2012-6kg").replace(
-        {"name": "c", "cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
-    )
 
 
 def section(path: Path, **changes: Any) -> dict[str, Any]:

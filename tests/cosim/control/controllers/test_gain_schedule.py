@@ -18,7 +18,6 @@ from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.model.scene.errors import SceneError
-from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -82,13 +81,6 @@ def test_states_and_clock_stay(make: Callable[[Any], SymbolicBlock]) -> None:
     expected = responses(controller, signals | gains)
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, rtol=1e-12, atol=1e-12)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Scene:
-    """The paper's robot, driven by torques."""
-    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
-    return load_scene("barnard2012-6kg").replace(changes)
 
 
 SCHEDULE: dict[str, Any] = {"over": "end_effector.position.x", "at": [-0.2, 0.0, 0.2], "proportional": [0.6, 1.0, 1.4]}

@@ -13,12 +13,7 @@ from scipy.signal import butter, freqz
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers import iterative_learning
-from flexfmu.cosim.control.controllers.iterative_learning import (
-    LearningLaw,
-    norm_optimal_law,
-    proportional_law,
-    zero_phase,
-)
+from flexfmu.cosim.control.controllers import iterative_learning as iterative_learnings
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.model.symbolic import SymbolicBlock
@@ -93,7 +88,7 @@ def test_long_tables_are_cheap() -> None:
     assert long.n_instructions() == short.n_instructions() < 100
 
 
-def by_weights(law: LearningLaw, errors: Array, gain: Array, places: Array) -> Array:
+def by_weights(law: iterative_learnings.LearningLaw, errors: Array, gain: Array, places: Array) -> Array:
     """Learned torques (samples, n) for given errors (samples, n): the sums over weights, sample by sample."""
     cycle, (count, n) = len(places), errors.shape
     w, m = np.zeros((count + cycle, n)), law.behind
@@ -122,7 +117,7 @@ def test_q_filter_in_the_block(shift: int, q_filter: float) -> None:
     errors = np.random.default_rng(shift).normal(size=(4 * cycle, 2))
     options = {"lead": shift, "forgetting": 0.1, "q_filter": q_filter}
     found = answer(learning(gain=gain, cycles=2, period=cycle * H, sample_time=H, **options), errors)
-    law = proportional_law(shift, 0.1, zero_phase(q_filter, H, cycle), 2)
+    law = iterative_learnings.proportional_law(shift, 0.1, iterative_learnings.zero_phase(q_filter, H, cycle), 2)
     np.testing.assert_allclose(
         found, by_weights(law, errors, gain, np.zeros(cycle)), rtol=0, atol=1e-12 * abs(found).max()
     )
@@ -146,7 +141,7 @@ def test_norm_optimal_block(monkeypatch: pytest.MonkeyPatch) -> None:
         q_filter=150.0,
     )
     found = answer(model, errors)
-    law = norm_optimal_law(response, 1e-3, 0.05, zero_phase(150.0, H, 39), 39)
+    law = iterative_learnings.norm_optimal_law(response, 1e-3, 0.05, iterative_learnings.zero_phase(150.0, H, 39), 39)
     assert law.error.shape[0] == 3
     np.testing.assert_allclose(
         found, by_weights(law, errors, np.ones(2), places), rtol=0, atol=1e-12 * abs(found).max()
@@ -156,7 +151,7 @@ def test_norm_optimal_block(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("cut_off", [15.0, 60.0, 240.0, 480.0])
 def test_q_filter_is_a_butterworth_filter_without_phase(cut_off: float) -> None:
     """Symmetric weights; the gain is that of SciPy's filter, forward and backward: 1/2 at the cut-off."""
-    taps = zero_phase(cut_off, H, 500)
+    taps = iterative_learnings.zero_phase(cut_off, H, 500)
     np.testing.assert_allclose(taps, taps[::-1], rtol=0, atol=1e-15)
     frequency = np.array([1e-3, 0.3 * cut_off, cut_off, 0.5 * (cut_off + 0.5 / H)])
     i = np.arange(len(taps)) - len(taps) // 2
@@ -173,8 +168,8 @@ def test_contraction_bounds_what_errors_do() -> None:
     for _ in range(40):
         pole, strength = rng.uniform(-0.3, 0.8), rng.uniform(0.2, 1.0)
         gain, shift, forgetting = rng.uniform(0.1, 1.2), int(rng.integers(1, 4)), rng.choice([0.0, 0.1])
-        q = zero_phase(rng.choice([None, 100.0, 250.0]), H, 100)
-        law = proportional_law(shift, forgetting, q, 1)
+        q = iterative_learnings.zero_phase(rng.choice([None, 100.0, 250.0]), H, 100)
+        law = iterative_learnings.proportional_law(shift, forgetting, q, 1)
         impulse = np.concatenate([[0.0], strength * pole ** np.arange(200.0)])
         kept, learned, _ = law.effects(impulse[:, np.newaxis, np.newaxis], 0.0, np.array([gain]), H)
         contraction = abs(kept - learned[:, 0, 0]).max()

@@ -134,6 +134,7 @@ DISCRETE = control.tf([1.0], [1.0, -0.5], H)
     (control.tf([1.0, 2.0, 3.0], [1.0, 2.0], H), {}, r"element \[0, 0\] isn't proper: its numerator has degree 2"),
     (DISCRETE, {"inputs": ["a", "b"]}, r"inputs must be a sequence of 1 names, one for each of \['u\[0\]'\]"),
     (DISCRETE, {"inputs": "u"}, "inputs must be a sequence of 1 names"),
+    (DISCRETE, {"start": [1.0, 2.0]}, "start must have 1 values, one for each state, got 2"),
     (DISCRETE, {"outputs": ["u[0]"]}, r"two variables are named 'u\[0\]'"),
     (DISCRETE, {"units": {"u[1]": "m"}}, r"names 'u\[1\]', which is no variable; did you mean 'u\[0\]'?"),
     (control.frd([1.0, 2.0], [1.0, 2.0]), {}, "need a control.StateSpace or control.TransferFunction, got Frequency"),
@@ -155,20 +156,7 @@ def test_refused_systems(system: Any, options: dict[str, Any], message: str) -> 
 ])  # fmt: skip
 def test_refused_matrices(change: dict[str, Any], message: str) -> None:
     """Shapes and numbers are checked where they come in."""
-    values = {
-        "A": [[0.5]],
-        "B": [[1.0]],
-        "C": [[1.0]],
-        "D": [[0.0]],
-        "sample_time": H,
-        "inputs": named_signals(["u"], "input", {}),
-        "outputs": named_signals(["y"], "output", {}),
-    } | change
+    signals = {f"{kind}s": named_signals([kind], kind, {}) for kind in ("input", "output")}
+    values = {"A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "sample_time": H, **signals, **change}
     with pytest.raises(InputError, match=message):
         LinearSystem(**values)
-
-
-def test_refused_start() -> None:
-    """One start value for each state."""
-    with pytest.raises(InputError, match="start must have 1 values, one for each state, got 2"):
-        state_space(linear_system([[0.5]], [[1.0]], [[1.0]], [[0.0]], H), start=[1.0, 2.0])

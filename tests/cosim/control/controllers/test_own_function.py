@@ -27,14 +27,6 @@ H = 1e-3
 SINGLE: dict[str, Any] = {"inputs": ["a.reference.x", "b.reference.y", "c", "d"], "outputs": ["y"]}
 
 
-@pytest.fixture(scope="module")
-def robot() -> Scene:
-    """The paper's robot, driven by torques."""
-    return flexfmu.load_scene("barnard2012-6kg").replace(
-        {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
-    )
-
-
 @flexfmu.controller(sample_time=H)
 def springs(reference: Any, measurement: Any, *, stiffness: float = 5e3, damping: float = 50.0) -> Any:
     """Springs and dampers."""

@@ -11,13 +11,8 @@ from blocks import linear_system, lqg, sampled
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers import state_feedback as state_feedbacks
 from flexfmu.cosim.control.controllers.from_control import LinearSystem, from_control
-from flexfmu.cosim.control.controllers.state_feedback import (
-    Equilibrium,
-    ReferenceFeedforward,
-    state_feedback,
-    static_feedforward,
-)
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -77,7 +72,7 @@ def test_observer_error_decays_with_its_poles(limits: float | None) -> None:
     plant = two_masses()
     K, L = gains(plant)
     start = np.array([0.1, -1.0, 0.2, 3.0])
-    states, estimates, actions = close(plant, state_feedback(plant, K, L, limits=limits), start, {}, 40)
+    states, estimates, actions = close(plant, state_feedbacks.state_feedback(plant, K, L, limits=limits), start, {}, 40)
     assert limits is None or (actions.min(), actions.max()) == (-1.0, 1.0)
     closed = plant.A - L @ plant.C
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(closed).real), OBSERVER_POLES, rtol=1e-6)
@@ -90,7 +85,7 @@ def test_separation() -> None:
     plant = two_masses()
     K, L = gains(plant)
     start = np.array([0.1, -1.0, 0.2, 3.0])
-    states, _, _ = close(plant, state_feedback(plant, K, L, estimate=list(start)), start, {}, 200)
+    states, _, _ = close(plant, state_feedbacks.state_feedback(plant, K, L, estimate=list(start)), start, {}, 200)
     wanted = np.array([np.linalg.matrix_power(plant.A - plant.B @ K, k) @ start for k in range(200)])
     np.testing.assert_allclose(states, wanted, rtol=0, atol=1e-10 * abs(wanted).max())
 
@@ -99,9 +94,9 @@ def test_tracks_without_static_error() -> None:
     """The feedforward brings the angle to its reference and the torque to what holds it, about the equilibrium."""
     plant = two_masses()
     K, L = gains(plant)
-    equilibrium = Equilibrium(inputs=[5.0], outputs=[1.2])
-    reference = static_feedforward(plant, ["angle"], equilibrium)
-    block = state_feedback(plant, K, L, reference=reference, equilibrium=equilibrium)
+    equilibrium = state_feedbacks.Equilibrium(inputs=[5.0], outputs=[1.2])
+    reference = state_feedbacks.static_feedforward(plant, ["angle"], equilibrium)
+    block = state_feedbacks.state_feedback(plant, K, L, reference=reference, equilibrium=equilibrium)
     assert [variable.name for variable in block.inputs] == ["angle", "reference.angle"]
     assert block.feedthrough == {"torque": ("reference.angle",)}
     states, _, actions = close(plant, block, np.zeros(4), {"reference.angle": 1.5}, 400, base=(5.0, 1.2))
@@ -119,7 +114,7 @@ def test_multivariable_with_feedthrough() -> None:
     plant = linear_system(A, B, C, D, H)
     K, _, _ = control.dlqr(A, B, np.eye(3), np.eye(2))
     L, _, _ = control.dlqe(A, np.eye(3), C, np.eye(3), np.eye(3))
-    slave = BlockSlave(state_feedback(plant, K, L))
+    slave = BlockSlave(state_feedbacks.state_feedback(plant, K, L))
     x, u = rng.normal(size=3), np.empty(2)
     error = x.copy()
     slave.initialize(0.0, 1.0, None)
@@ -142,17 +137,17 @@ def test_multivariable_with_feedthrough() -> None:
     ({"K": [[1.0, np.nan, 0.0, 0.0]]}, r"K\[0, 1\] must be finite, got nan"),
     ({"K": 3.0}, "K must be 1 x 4, got a number"),
     ({"estimate": [1.0]}, "state_feedback: estimate must be 4 x 1, got 1 x 1"),
-    ({"equilibrium": Equilibrium([1.0, 2.0], [0.0])}, "equilibrium.inputs must be 1 x 1, got 2 x 1"),
+    ({"equilibrium": state_feedbacks.Equilibrium([1.0, 2.0], [0.0])}, "equilibrium.inputs must be 1 x 1, got 2 x 1"),
     ({"limits": -1.0}, "limits must be positive and finite, got -1.0"),
     ({"offset": -1.0}, "the offset must be zero or positive"),
-    ({"reference": ReferenceFeedforward((), np.zeros((3, 0)), np.zeros((1, 0)))}, "Nx must be 4 x 0, got 3 x 0"),
+    ({"reference": state_feedbacks.ReferenceFeedforward((), np.zeros((3, 0)), np.zeros((1, 0)))}, "Nx must be 4 x 0, got 3 x 0"),
 ])  # fmt: skip
 def test_refused(change: dict[str, Any], message: str) -> None:
     """Gains of the wrong shape are the commonest mistake; the message says which shape is right."""
     plant = two_masses()
     K, L = gains(plant)
     with pytest.raises(InputError, match=message):
-        state_feedback(plant, **({"K": K, "L": L} | change))
+        state_feedbacks.state_feedback(plant, **({"K": K, "L": L} | change))
 
 
 @pytest.mark.parametrize(("plant", "tracked", "message"), [
@@ -164,7 +159,7 @@ def test_refused(change: dict[str, Any], message: str) -> None:
 def test_refused_tracking(plant: LinearSystem, tracked: list[str], message: str) -> None:
     """As many outputs as inputs, by name, which rest independently."""
     with pytest.raises(InputError, match=message):
-        static_feedforward(plant, tracked)
+        state_feedbacks.static_feedforward(plant, tracked)
 
 
 def test_only_ratios_of_lqg_weights_count() -> None:

@@ -1,10 +1,12 @@
-"""Laws of imperfections of sampled signals against NumPy: limits, quantisation, encoders, noise, jitter, and payload errors."""
+"""Laws of imperfections of sampled signals against NumPy: limits, quantisation, encoders, noise, jitter, and payload errors; random
+streams against whole-number arithmetic and the published generator."""
 
 from __future__ import annotations
 
 from math import pi, sqrt
 from typing import Any
 
+import casadi
 import numpy as np
 import pytest
 from blocks import encoder, jitter, noise, quantisation, rate_limit, sampled, saturation
@@ -13,7 +15,15 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.imperfections.signal_blocks import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.cosim.control.imperfections.signal_blocks import (
+    JUMP,
+    LARGEST_SEED,
+    MODULI,
+    MULTIPLIERS,
+    draw,
+    seeded,
+    start_states,
+)
 from flexfmu.cosim.control.sections import with_payload_error
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.file import load_scene
@@ -66,16 +76,12 @@ def test_encoder_law(counts: float, window: int, seed: int) -> None:
 def test_encoder_variables_fit_a_controller() -> None:
     """Angle and rate have the names and units that joint controllers measure."""
     block = encoder(40_000, sample_time=H)
+    kinds = (("position", "rad"), ("velocity", "rad/s"))
     assert [(each.name, each.unit) for each in block.outputs] == [
-        ("joint1.position", "rad"),
-        ("joint2.position", "rad"),
-        ("joint1.velocity", "rad/s"),
-        ("joint2.velocity", "rad/s"),
+        (f"joint{i}.{n}", u) for n, u in kinds for i in (1, 2)
     ]
-    assert [(each.name, each.start, each.tunable) for each in block.parameters] == [
-        ("joint1.position.counts_per_turn", 40_000.0, True),
-        ("joint2.position.counts_per_turn", 40_000.0, True),
-    ]
+    counts = [(f"joint{i}.position.counts_per_turn", 40_000.0, True) for i in (1, 2)]
+    assert [(each.name, each.start, each.tunable) for each in block.parameters] == counts
 
 
 def delays(count: int, **options: Any) -> np.ndarray:
@@ -111,14 +117,50 @@ def test_channels_of_a_block_share_the_clock_and_blocks_do_not() -> None:
     assert abs(np.corrcoef(delays(300), delays(300, seed=2))[0, 1]) < SIX_SIGMA / sqrt(300)
 
 
-def uniform_numbers(name: str, seed: int, count: int) -> np.ndarray:
-    """The stream in whole-number NumPy."""
-    s = [pow(a, JUMP * seed, m) * s % m for a, m, s in zip(MULTIPLIERS, MODULI, start_states(name), strict=True)]
+SEEDS = st.integers(0, LARGEST_SEED)
+
+
+def published(s1: int, s2: int, count: int) -> list[float]:
+    """L'Ecuyer's generator of 1988 for 32-bit machines, its products by Schrage's decomposition."""
     numbers = []
     for _ in range(count):
-        s = [a * each % m for a, each, m in zip(MULTIPLIERS, s, MODULI, strict=True)]
-        numbers.append((s[0] - s[1] - 1) % (MODULI[0] - 1) + 1)
-    return np.array(numbers) / MODULI[0]
+        k = s1 // 53668
+        s1 = 40014 * (s1 - k * 53668) - k * 12211
+        s1 += 2147483563 if s1 < 0 else 0
+        k = s2 // 52774
+        s2 = 40692 * (s2 - k * 52774) - k * 3791
+        s2 += 2147483399 if s2 < 0 else 0
+        z = s1 - s2
+        numbers.append((z + 2147483562 if z < 1 else z) / 2147483563)
+    return numbers
+
+
+def jumped(name: str, seed: int) -> tuple[int, ...]:
+    """The stream of a name after seed 2^40 numbers, by whole numbers of any length."""
+    return tuple(
+        pow(a, JUMP * seed, m) * s % m for a, m, s in zip(MULTIPLIERS, MODULI, start_states(name), strict=True)
+    )
+
+
+def states(name: str, seed: int) -> tuple[int, int]:
+    """The stream of a name and a seed, as CasADi calculates it."""
+    symbol = casadi.SX.sym("seed")
+    values = np.array(casadi.Function("seeded", [symbol], [seeded([name], symbol)])(seed)).ravel()
+    return int(values[0]), int(values[1])
+
+
+def numbers(names: list[str], seed: int, count: int) -> np.ndarray:
+    """Random numbers (count, names)."""
+    x, n = casadi.SX.sym("x", 2 * len(names)), len(names)
+    values, following = draw(x)
+    step = casadi.Function("draw", [x, casadi.SX.sym("none", 0)], [following, values])
+    start = casadi.Function("seeded", [], [seeded(names, casadi.SX(seed))])()["o0"]
+    return np.array(step.mapaccum(count)(start, casadi.DM(0, count))[1]).T.reshape(count, n)
+
+
+def uniform_numbers(name: str, seed: int, count: int) -> np.ndarray:
+    """The stream by the published program, from where a seed jumps to."""
+    return np.array(published(*jumped(name, seed), count))
 
 
 def test_gaussian_law() -> None:
@@ -157,25 +199,61 @@ def test_seeds_out_of_range_are_refused_at_run_time() -> None:
         slave.set(np.array([4]), np.array([2e6]))
 
 
-@pytest.mark.parametrize("relative", [-1.0, -0.3, 0.0, 0.3])
-def test_only_the_mass_changes(relative: float) -> None:
-    """The scene is the same but for the payload, so that nothing else explains a difference."""
+def test_a_payload_error_changes_the_mass_alone() -> None:
+    """So that nothing else explains a difference; a mass is zero or positive and finite, and a part of nothing is nothing: saying
+    nothing would hide that."""
     scene = load_scene("barnard2012-6kg")
-    wrong = with_payload_error(scene, relative)
-    assert wrong.payload.mass == 6.0 * (1.0 + relative)
-    assert wrong.replace({"payload.mass": 6.0}) == scene
-
-
-@pytest.mark.parametrize("relative", [-1.1, float("nan"), float("inf")])
-def test_impossible_errors(relative: float) -> None:
-    """A mass is zero or positive and finite."""
-    with pytest.raises(InputError, match=r"at least -1 \(no payload\), got"):
-        with_payload_error(load_scene("barnard2012-6kg"), relative)
-
-
-def test_no_payload_to_be_wrong_about() -> None:
-    """A part of nothing is nothing; saying nothing would hide that."""
-    empty = load_scene("barnard2012-6kg").replace({"payload.mass": 0.0})
+    for relative in (-1.0, -0.3, 0.0, 0.3):
+        wrong = with_payload_error(scene, relative)
+        assert wrong.payload.mass == 6.0 * (1.0 + relative)
+        assert wrong.replace({"payload.mass": 6.0}) == scene
+    for relative in (-1.1, float("nan"), float("inf")):
+        with pytest.raises(InputError, match=r"at least -1 \(no payload\), got"):
+            with_payload_error(scene, relative)
+    empty = scene.replace({"payload.mass": 0.0})
     assert with_payload_error(empty, 0.0) == empty
     with pytest.raises(InputError, match=r"has no payload, so -30% of it changes nothing"):
         with_payload_error(empty, -0.3)
+
+
+@settings(max_examples=60)
+@given(seed=SEEDS, name=st.text(max_size=20))
+def test_seeding_is_exact(seed: int, name: str) -> None:
+    """A seed jumps ahead by seed 2^40 numbers: compared with whole numbers of any length, for every seed."""
+    assert states(name, seed) == jumped(name, seed)
+
+
+@pytest.mark.parametrize("seed", [0, 1, LARGEST_SEED])
+def test_numbers_are_those_of_the_published_generator(seed: int) -> None:
+    """Twenty thousand numbers equal those of the published program, bit by bit."""
+    got = numbers(["a"], seed, 20_000)[:, 0]
+    np.testing.assert_array_equal(got, published(*states("a", seed), 20_000))
+
+
+def test_extreme_states() -> None:
+    """The largest and smallest states keep products exact and numbers inside (0, 1)."""
+    x = casadi.SX.sym("x", 2)
+    value, following = draw(x)
+    step = casadi.Function("draw", [x], [value, following])
+    for s1 in (1, 2, MODULI[0] - 1):
+        for s2 in (1, 2, MODULI[1] - 1):
+            u, after = step([s1, s2])
+            assert 0.0 < float(u) < 1.0
+            expected = [a * s % m for a, s, m in zip(MULTIPLIERS, (s1, s2), MODULI, strict=True)]
+            assert [int(each) for each in np.array(after).ravel()] == expected
+            assert float(u) == published(s1, s2, 1)[0]
+
+
+def test_equal_states_give_the_largest_number() -> None:
+    """Where both generators meet, their difference is zero: it becomes the largest number, not zero, whose logarithm is infinite."""
+    before = [pow(a, -1, m) * 1234567 % m for a, m in zip(MULTIPLIERS, MODULI, strict=True)]
+    x = casadi.SX.sym("x", 2)
+    u = casadi.Function("draw", [x], [draw(x)[0]])(before)
+    assert float(u) == (MODULI[0] - 1) / MODULI[0]
+
+
+def test_numbers_never_change() -> None:
+    """Whoever repeats an experiment years later gets the same numbers: name and seed mean the same in all versions."""
+    assert JUMP == 2**40
+    assert start_states("noise/joint1.position") == (510063222, 1608203664)
+    assert states("noise/joint1.position", 1) == (100566748, 2131566761)

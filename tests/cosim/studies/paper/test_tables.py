@@ -16,30 +16,9 @@ from rich.console import Console
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.studies.paper import report
+from flexfmu.cosim.studies.paper import report, tables
 from flexfmu.cosim.studies.paper.figures import WINDOW, acceleration_spectrum
 from flexfmu.cosim.studies.paper.report import PaperReport, footnotes, print_report
-from flexfmu.cosim.studies.paper.tables import (
-    POINTS,
-    POLYNOMIAL,
-    TABLES,
-    Cell,
-    PaperCase,
-    PaperError,
-    PaperTable,
-    SimulatedCase,
-    agreement,
-    compare,
-    count_agreement,
-    curves,
-    evaluators,
-    maximum,
-    printed_table,
-    profiles,
-    simulated_cases,
-    smooth_pieces,
-    trajectory_scene,
-)
 from flexfmu.trajectories.trajectory import Trajectory
 
 SHAPES = {
@@ -55,13 +34,15 @@ SHAPES = {
 }
 """Table → number of quantities and of figures, counted in the paper."""
 
-CASES: tuple[PaperCase, ...] = tuple(("barnard2012-6kg", "Bang-bang", curve) for curve in ("Lamé", "Clothoid", "Polar"))
+CASES: tuple[tables.PaperCase, ...] = tuple(
+    ("barnard2012-6kg", "Bang-bang", curve) for curve in ("Lamé", "Clothoid", "Polar")
+)
 
 
-@pytest.mark.parametrize("key", TABLES)
+@pytest.mark.parametrize("key", tables.TABLES)
 def test_tables_are_complete(key: str) -> None:
     """A cell lost while typing, a remark on a misspelt row, or a metric that nothing computes would go unnoticed."""
-    table, known = printed_table(key), evaluators()
+    table, known = tables.printed_table(key), tables.evaluators()
     figures = [figure for quantity in table.quantities for row in quantity.values for figure in row]
     assert (len(table.quantities), len(figures)) == SHAPES[key]
     assert all(float(figure) > 0.0 for figure in figures)
@@ -88,15 +69,19 @@ def test_corrupt_tables_are_marked_as_such() -> None:
 
 def test_simulations_are_the_twelve_combinations_twice_and_the_extended_curves() -> None:
     """Every simulation that the tables need is run, and none twice."""
-    cases = simulated_cases(map(printed_table, TABLES))
+    cases = tables.simulated_cases(map(tables.printed_table, tables.TABLES))
     assert len(cases) == len(set(cases)) == 12 * 2 + 4 * 2
-    assert {profile for _, profile, _ in cases} == set(profiles())
-    assert {curve for _, _, curve in cases} == {"Lamé", "Clothoid", "Polar", "Lamé Ext", "Clot. Ext"} <= set(curves())
+    assert {profile for _, profile, _ in cases} == set(tables.profiles())
+    assert (
+        {curve for _, _, curve in cases}
+        == {"Lamé", "Clothoid", "Polar", "Lamé Ext", "Clot. Ext"}
+        <= set(tables.curves())
+    )
 
 
-def compare_with_itself(key: str, factor: float = 1.0) -> PaperTable:
+def compare_with_itself(key: str, factor: float = 1.0) -> tables.PaperTable:
     """A table compared with its own figures times ``factor``."""
-    table = printed_table(key)
+    table = tables.printed_table(key)
 
     def evaluate(metric: str, row: str, column: str) -> float:
         quantity = table.quantity(metric)
@@ -105,11 +90,11 @@ def compare_with_itself(key: str, factor: float = 1.0) -> PaperTable:
         )
 
     metrics = [quantity.metric for quantity in table.quantities]
-    return compare(table, {metric: lambda row, column, m=metric: evaluate(m, row, column) for metric in metrics})
+    return tables.compare(table, {metric: lambda row, column, m=metric: evaluate(m, row, column) for metric in metrics})
 
 
-def cell(printed: str, computed: float) -> Cell:
-    return Cell("row", "column", printed, computed)
+def cell(printed: str, computed: float) -> tables.Cell:
+    return tables.Cell("row", "column", printed, computed)
 
 
 @pytest.mark.parametrize(
@@ -137,17 +122,23 @@ def test_relative_errors_are_signed() -> None:
 def test_a_figure_that_is_not_finite_is_an_error() -> None:
     """NaN would pass every comparison of bounds unnoticed."""
     with pytest.raises(ResultsError, match=r"Table 2, Blend length, Lamé, Length: .* nan"):
-        compare(printed_table("table-02"), {"blend_length": lambda row, column: math.nan})
+        tables.compare(tables.printed_table("table-02"), {"blend_length": lambda row, column: math.nan})
 
 
 def test_agreement_counts_within_each_bound_and_not_a_misprint() -> None:
     """A cell 3 % off is within 3.5 % and 10 % only; the misprint of Table 7, in millimetres as printed, is marked in its cell and
     explained below the table, and neither agreement nor disagreement with it says anything."""
-    assert [*count_agreement([cell("1.0000", 1.03), cell("1.0000", 0.9999)])["within"].values()] == [1, 1, 1, 2, 2]
+    assert [*tables.count_agreement([cell("1.0000", 1.03), cell("1.0000", 0.9999)])["within"].values()] == [
+        1,
+        1,
+        1,
+        2,
+        2,
+    ]
     table = compare_with_itself("table-07")
-    found = count_agreement(table.cells)
+    found = tables.count_agreement(table.cells)
     assert (found["compared"], found["misprinted"], found["to_the_digits"]) == (35, 1, 35)
-    assert "1 cell is misprinted and not counted" in agreement(table.cells)
+    assert "1 cell is misprinted and not counted" in tables.agreement(table.cells)
     deflections = table.quantity("peak_modal_deflection_1")
     misprint = deflections.cell("1/8 Trapezoidal", "Polar")
     assert misprint.grade == "misprint"
@@ -179,7 +170,8 @@ def test_terminal_shows_every_figure_and_remark() -> None:
 def test_lengths_and_accelerations_agree() -> None:
     """Tables 2, 5 and 6: lengths to five digits, accelerations on the Lamé path within 0.1 and 0.5 %, others as far as known."""
     lengths, task, joint = (
-        compare(printed_table(key), evaluators()).quantities[0] for key in ("table-02", "table-05", "table-06")
+        tables.compare(tables.printed_table(key), tables.evaluators()).quantities[0]
+        for key in ("table-02", "table-05", "table-06")
     )
     for curve in ("Lamé", "Polar"):
         assert abs(lengths.cell(curve, "Length").relative_error) < 1e-5
@@ -193,14 +185,14 @@ def test_lengths_and_accelerations_agree() -> None:
 
 
 def joints_on(curve: str, duration: float = 1.0) -> Trajectory:
-    return plan(trajectory_scene(POLYNOMIAL, curve, duration=duration)).joints
+    return plan(tables.trajectory_scene(tables.POLYNOMIAL, curve, duration=duration)).joints
 
 
 def test_a_maximum_is_not_missed_between_samples() -> None:
     """Twice as many samples change no peak by more than 1e-6: the tables' digits don't depend on the sampling."""
     joints = joints_on("Clothoid")
-    fine = max(d[2, :, 0].max() for _, d in smooth_pieces(joints, 2 * POINTS))
-    assert maximum(joints, lambda d: d[2, :, 0]) == pytest.approx(fine, rel=1e-6)
+    fine = max(d[2, :, 0].max() for _, d in tables.smooth_pieces(joints, 2 * tables.POINTS))
+    assert tables.maximum(joints, lambda d: d[2, :, 0]) == pytest.approx(fine, rel=1e-6)
 
 
 def test_spectrum_has_the_energy_of_the_motion() -> None:
@@ -208,16 +200,16 @@ def test_spectrum_has_the_energy_of_the_motion() -> None:
     image."""
     joints = joints_on("Lamé")
     (frequency, density), (_, second) = (acceleration_spectrum(joints, joint) for joint in (0, 1))
-    energy = sum(np.trapezoid(d[2, :, 0] ** 2, time) for time, d in smooth_pieces(joints, 2001))
+    energy = sum(np.trapezoid(d[2, :, 0] ** 2, time) for time, d in tables.smooth_pieces(joints, 2001))
     assert np.sum(density) * (frequency[1] - frequency[0]) == pytest.approx(energy / WINDOW, rel=1e-6)
     assert second == pytest.approx(density, rel=1e-6, abs=1e-10 * density.max())
 
 
-def simulated(cases: Iterable[PaperCase]) -> Iterator[tuple[PaperCase, SimulatedCase]]:
+def simulated(cases: Iterable[tables.PaperCase]) -> Iterator[tuple[tables.PaperCase, tables.SimulatedCase]]:
     """Simulations whose metrics are 1, 2, 3, ... in the order of `METRICS`."""
     metrics = {name: float(index) for index, name in enumerate(METRICS, 1)}
     for case in cases:
-        yield case, SimulatedCase(metrics, 0.43, np.array([0.0, 0.68]), np.zeros(2), Path("plant.fmu"), 0.2)
+        yield case, tables.SimulatedCase(metrics, 0.43, np.array([0.0, 0.68]), np.zeros(2), Path("plant.fmu"), 0.2)
 
 
 def test_shorter_cycles_put_more_energy_at_the_resonance() -> None:
@@ -232,13 +224,13 @@ def test_shorter_cycles_put_more_energy_at_the_resonance() -> None:
 def test_simulations_before_a_failure_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An interruption after two of three simulations leaves two lines of metrics; progress never goes back."""
 
-    def fails_after_two(cases: Iterable[PaperCase]) -> Iterator[tuple[PaperCase, SimulatedCase]]:
+    def fails_after_two(cases: Iterable[tables.PaperCase]) -> Iterator[tuple[tables.PaperCase, tables.SimulatedCase]]:
         yield from [*simulated(cases)][:2]
-        raise PaperError("the FMU gave up at 0.1 s")
+        raise tables.PaperError("the FMU gave up at 0.1 s")
 
     seen: list[float] = []
     monkeypatch.setattr(report, "simulate", fails_after_two)
-    with pytest.raises(PaperError, match="gave up"):
+    with pytest.raises(tables.PaperError, match="gave up"):
         report.simulate_cases(CASES, tmp_path, lambda what, fraction: seen.append(fraction or 0.0))
     lines = list(csv.DictReader((tmp_path / "simulations.csv").read_text(encoding="utf-8").splitlines()))
     assert [(line["scene"], line["profile"], line["curve"]) for line in lines] == list(CASES[:2])
@@ -257,8 +249,10 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> N
 def test_cells_find_their_simulations() -> None:
     """Tables 7 and 11 name the same curve differently; a run that was cut short must not become an empty cell."""
     done = dict(simulated(CASES))
-    torque = evaluators(done, CASES[0][0])["peak_torque_1"]
+    torque = tables.evaluators(done, CASES[0][0])["peak_torque_1"]
     assert torque("Bang-bang", "Clot.") == torque("Bang-bang", "Clothoid") == 1.0
-    done[CASES[0]] = SimulatedCase(dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), Path("plant.fmu"), 0.0)
-    with pytest.raises(PaperError, match="Bang-bang, Lamé: the simulation has no peak_torque_1"):
+    done[CASES[0]] = tables.SimulatedCase(
+        dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), Path("plant.fmu"), 0.0
+    )
+    with pytest.raises(tables.PaperError, match="Bang-bang, Lamé: the simulation has no peak_torque_1"):
         torque("Bang-bang", "Lamé")

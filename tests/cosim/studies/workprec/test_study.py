@@ -18,18 +18,9 @@ from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec import solver_trials
+from flexfmu.cosim.studies.workprec import study as studys
 from flexfmu.cosim.studies.workprec.figures import draw_family, html, lines_of, save_figures
 from flexfmu.cosim.studies.workprec.solver_trials import BoundFunction, formulation_trials
-from flexfmu.cosim.studies.workprec.study import (
-    WorkPrecisionStudy,
-    advantages,
-    cheapest,
-    data,
-    is_differential_equation,
-    markdown,
-    notes,
-    sentence,
-)
 from flexfmu.cosim.studies.workprec.trial import (
     LADDER,
     RunError,
@@ -97,9 +88,11 @@ def test_shaped_scenes_are_compared_with_themselves() -> None:
     mode = {"kind": "zv", "modes": [{"frequency": 58.0, "ratio": 0.1}]}
     shaped = SCENE.replace({"shaper": [mode | {"apply": "path"}]})
     assert subject_of(shaped).stop > subject_of(SCENE).stop + 5e-3
-    assert is_differential_equation(shaped)
-    assert not is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
-    assert not is_differential_equation(SCENE.replace({"shaper": [mode | {"apply": "sampled", "sample_time": 1e-3}]}))
+    assert studys.is_differential_equation(shaped)
+    assert not studys.is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
+    assert not studys.is_differential_equation(
+        SCENE.replace({"shaper": [mode | {"apply": "sampled", "sample_time": 1e-3}]})
+    )
 
 
 @pytest.mark.slow
@@ -164,25 +157,25 @@ TRIALS = (
 
 
 @pytest.fixture
-def study() -> WorkPrecisionStudy:
+def study() -> studys.WorkPrecisionStudy:
     """A study of made-up figures."""
-    return WorkPrecisionStudy(SCENE, 0.27, 2e-4, 1e-10, "two", TRIALS)
+    return studys.WorkPrecisionStudy(SCENE, 0.27, 2e-4, 1e-10, "two", TRIALS)
 
 
-def test_sentence_and_advantages(study: WorkPrecisionStudy) -> None:
+def test_sentence_and_advantages(study: studys.WorkPrecisionStudy) -> None:
     """The cheapest settings that are accurate enough, failures left out; others compared at an error that both have, by
     interpolation on both curves, and nearest to it where they have not reached it."""
-    assert sentence(study) == (
+    assert studys.sentence(study) == (
         "1e-05 costs 4.0 ms (68 x real time) with gauss4, 1e-5; the cheapest setting for 1e-03 is inputs of degree 9, "
         "5 ms: 1.0 ms."
     )
-    assert cheapest(TRIALS, 1e-9) is None
-    assert sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
-    assert advantages(study).keys() == {"SciPy Radau", "Exudyn"}
-    radau, exudyn = advantages(study).values()
+    assert studys.cheapest(TRIALS, 1e-9) is None
+    assert studys.sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
+    assert studys.advantages(study).keys() == {"SciPy Radau", "Exudyn"}
+    radau, exudyn = studys.advantages(study).values()
     assert radau == (1e-5, pytest.approx(0.4 / 8e-6**0.5))
     assert exudyn == (5e-3, pytest.approx(250.0))
-    text = " ".join(notes(study))
+    text = " ".join(studys.notes(study))
     assert "For an error of 1.0e-05 other tools take longer than flexfmu: SciPy Radau 141 times." in text
     assert "For an error of 5.0e-03 other tools take longer than flexfmu: Exudyn 250 times." in text
 
@@ -207,21 +200,21 @@ def test_curves_and_sweeps() -> None:
 
 
 @pytest.mark.slow
-def test_results_hold_everything(study: WorkPrecisionStudy, tmp_path: Path) -> None:
+def test_results_hold_everything(study: studys.WorkPrecisionStudy, tmp_path: Path) -> None:
     """Table, data, pictures and page name every line, failures included; the page fetches nothing."""
     names = save_figures(study, tmp_path)
     assert names == ["integrators", "communication", "tools"]
     assert all((tmp_path / f"workprec-{name}.png").stat().st_size > 10_000 for name in names)
-    page, text = html(study), markdown(study)
+    page, text = html(study), studys.markdown(study)
     assert all(trial.line in text and trial.line in page for trial in TRIALS)
     assert "blew up" in text
     assert "rk4, failed" in page
     assert 'src="http' not in page
     assert [each.label for each in lines_of(study, "tools")["flexfmu"]] == ["gauss4 1e-5", "gauss2 1e-3"]
-    assert json.loads(json.dumps(data(study)))["trials"][2]["error"] is None
+    assert json.loads(json.dumps(studys.data(study)))["trials"][2]["error"] is None
 
 
-def test_axes_have_plain_numbers(study: WorkPrecisionStudy) -> None:
+def test_axes_have_plain_numbers(study: studys.WorkPrecisionStudy) -> None:
     """Times and real-time factors below one are written like those above; ticks beyond the axis aren't drawn."""
     trials = (WorkPrecisionTrial("tools", "slow", *each) for each in (("a", 1e-3, 9.0), ("b", 1e-5, 0.009)))
     figure = draw(6.6, 4.8)
