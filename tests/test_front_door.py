@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import venv
-from dataclasses import dataclass
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -99,17 +98,10 @@ def test_calls_are_those_of_the_rooms(tmp_path: Path, monkeypatch: pytest.Monkey
     assert system.nstates == 2 * (2 + len(flexfmu.modes(LIGHT, 3)[0].frequencies))
 
 
-@dataclass(frozen=True)
-class Installation:
-    """An environment with flexfmu in it.
+Installation = tuple[str, Path]
+"""The interpreter of an environment with flexfmu in it, and the folder that holds the package, in whole or in its parts."""
 
-    Attributes:
-        python: its interpreter.
-        package: folder that holds the package, in whole or in its parts.
-    """
-
-    python: str
-    package: Path
+PIP = ("--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
 
 
 @pytest.fixture(scope="module")
@@ -140,13 +132,12 @@ def installation(
     shared = (path for path in sys.path if path.endswith(("site-packages", "dist-packages")))
     (Path(packages) / "shared.pth").write_text("\n".join(shared), encoding="utf-8")
     install(str(executable), *(("--editable",) if request.param == "editable" else ()), str(clones[0]))
-    return Installation(str(executable), clones[0] if request.param == "editable" else Path(packages) / "flexfmu")
+    return str(executable), clones[0] if request.param == "editable" else Path(packages) / "flexfmu"
 
 
 def install(executable: str, *arguments: str) -> None:
     """Let pip install into another environment without any download."""
-    options = ("--quiet", "--no-deps", "--no-build-isolation", "--ignore-installed", "--disable-pip-version-check")
-    command = [sys.executable, "-m", "pip", "--python", executable, "install", *options, *arguments]
+    command = [sys.executable, "-m", "pip", "--python", executable, "install", *PIP, "--ignore-installed", *arguments]
     outcome = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert outcome.returncode == 0, outcome.stderr
 
@@ -171,26 +162,18 @@ def test_every_working_directory(
         "print(flexfmu.__file__, flexfmu.model.scene.schema.__file__, flexfmu.cosim.cli.main.__file__, flexfmu.trajectories.__file__,"
         " flexfmu.fmu_build.__file__, sep='\\n')"
     )
-    name, *files = python("-c", script, executable=installation.python, cwd=cwd).splitlines()
+    executable, package = installation
+    name, *files = python("-c", script, executable=executable, cwd=cwd).splitlines()
     assert name == "barnard2012-6kg"
-    assert all(Path(file).resolve().is_relative_to(installation.package.resolve()) for file in files), files
-    assert python("-m", "flexfmu", "--version", executable=installation.python, cwd=cwd) == (
-        f"flexfmu {flexfmu.__version__}\n"
-    )
+    assert all(Path(file).resolve().is_relative_to(package.resolve()) for file in files), files
+    shown = python("-m", "flexfmu", "--version", executable=executable, cwd=cwd)
+    assert shown == f"flexfmu {flexfmu.__version__}\n"
 
 
 @pytest.mark.slow
 def test_wheel_holds_every_file(clones: tuple[Path, Path], tmp_path: Path) -> None:
     """A wheel has all modules, templates, C sources, scenes and data of the source tree, and nothing else."""
-    options = (
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--disable-pip-version-check",
-        "--wheel-dir",
-        str(tmp_path),
-    )
-    python("-m", "pip", "wheel", *options, str(clones[0]))
+    python("-m", "pip", "wheel", *PIP, "--wheel-dir", str(tmp_path), str(clones[0]))
     (wheel,) = tmp_path.glob("*.whl")
     packed = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     places = {folder: clones[1] / folder for folder in FOLDERS} | {"": clones[1] / "src" / "flexfmu"}

@@ -116,7 +116,7 @@ def test_every_command_is_named() -> None:
 
 
 def test_files_and_targets_exist() -> None:
-    """Links lead to files, scripts that are to be run exist, and so do the targets of make."""
+    """Links lead to files, scripts that are to be run exist, and so do the targets of make; the README is short, and every example is listed."""
     for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", README):
         assert (ROOT / link).exists(), link
     for text in (README, *(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))):
@@ -126,15 +126,7 @@ def test_files_and_targets_exist() -> None:
     for target in re.findall(r"^    make (\w+)", README, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
     assert (ROOT / "docs" / "overview.png").stat().st_size < 300_000
-
-
-def test_readme_is_short() -> None:
-    """What few users need is in docs/."""
-    assert len(README.splitlines()) < 250
-
-
-def test_every_example_is_listed() -> None:
-    """Nobody has to find an example by chance."""
+    assert len(README.splitlines()) < 250, "what few users need is in docs/"
     for script in (ROOT / "examples").glob("*.py"):
         assert f"](../examples/{script.name})" in page("how-to"), script.name
 

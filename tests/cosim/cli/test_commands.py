@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
+from command_line import flexfmu
 
-from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import METRICS
@@ -23,11 +22,6 @@ from flexfmu.model.scene.file import load_scene, read_scene_text
 
 MakeRun = Callable[..., Run]
 SCENE = "barnard2012-6kg"
-
-
-def flexfmu(*arguments: str) -> Result:
-    """Run a command."""
-    return CliRunner().invoke(app, list(arguments))
 
 
 @pytest.fixture

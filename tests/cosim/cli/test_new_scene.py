@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import typer
-from typer.testing import CliRunner, Result
+from command_line import flexfmu
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.model.scene.errors import SceneError
@@ -25,11 +25,6 @@ ROOT = Path(__file__).parents[3]
 
 DEFAULT = re.compile(r"^# (\w+ = .*)$", re.M)
 """A key behind a #."""
-
-
-def flexfmu(*arguments: str) -> Result:
-    """Run a command."""
-    return CliRunner().invoke(app, list(arguments))
 
 
 def written(folder: Path, text: str) -> Scene:

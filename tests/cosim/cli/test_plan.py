@@ -8,12 +8,11 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
+from command_line import flexfmu as command
 from rich.console import Console
-from typer.testing import CliRunner, Result
 
 import flexfmu
 from flexfmu.cosim.cli.design import _shown_plan
-from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
 from flexfmu.cosim.design.plans.goals import Goals
@@ -23,11 +22,6 @@ from flexfmu.model.scene.file import load_scene
 SCENE = "barnard2012-6kg"
 FEW = ("--set", "effects.proximal_bending=1", "--set", "effects.distal_axial=1")
 QUICK = (*FEW, "--payload-band", "0", "--method", "search", "--no-robust")
-
-
-def plan(*arguments: str) -> Result:
-    """Run the command."""
-    return CliRunner().invoke(app, ["plan", SCENE, *arguments])
 
 
 def search(
@@ -50,7 +44,9 @@ def _quick_search(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_planned_scene_the_front_and_the_page_are_written(tmp_path: Path) -> None:
     """What is printed, the scene in both places, and all figures in plan.json."""
     elsewhere, out = tmp_path / "my robot" / "mine.toml", tmp_path / "out"
-    result = plan(*QUICK, "--limit", "off_path=0.05", "--margin", "0.002", "--out", str(out), "-o", str(elsewhere))
+    result = command(
+        "plan", SCENE, *QUICK, "--limit", "off_path=0.05", "--margin", "0.002", "--out", str(out), "-o", str(elsewhere)
+    )
     assert result.exit_code == 0, result.output
     assert {path.name for path in out.iterdir()} == {"planned.toml", "front.csv", "plan.json", "plan.html"}
     assert all(text in result.stdout for text in ("shaped 0.6", "kept, chosen", "All limits are kept"))
@@ -65,7 +61,7 @@ def test_the_planned_scene_the_front_and_the_page_are_written(tmp_path: Path) ->
 @pytest.mark.slow
 def test_ctrl_c_writes_the_best_so_far(tmp_path: Path) -> None:
     """The motion found until then is printed and written."""
-    result = plan(*QUICK, "--seed", "1", "--out", str(tmp_path))
+    result = command("plan", SCENE, *QUICK, "--seed", "1", "--out", str(tmp_path))
     assert "interrupted: this is the best motion so far" in result.stderr
     assert "shaped 0.6" in result.stdout
     assert flexfmu.reference_motion(load_scene(tmp_path / "planned.toml")).duration == 0.6
@@ -74,7 +70,7 @@ def test_ctrl_c_writes_the_best_so_far(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_no_motion_reaches_is_a_sentence_and_status_1(tmp_path: Path) -> None:
     """It names the limit that the nearest motion misses."""
-    result = plan(*QUICK, "--residual", "1e-15", "--out", str(tmp_path))
+    result = command("plan", SCENE, *QUICK, "--residual", "1e-15", "--out", str(tmp_path))
     assert result.exit_code == 1
     assert "No motion found keeps all limits; the nearest misses residual" in " ".join(result.stdout.split())
 
@@ -97,7 +93,7 @@ def test_what_no_motion_reaches_is_a_sentence_and_status_1(tmp_path: Path) -> No
 )
 def test_a_wrong_wish_is_one_line(options: tuple[str, ...], message: str, tmp_path: Path) -> None:
     """Each says what would be right; there is no traceback."""
-    result = plan(*FEW, *options, "--out", str(tmp_path / "out"))
+    result = command("plan", SCENE, *FEW, *options, "--out", str(tmp_path / "out"))
     text = result.stderr + (str(result.exception) if result.exception else "")
     assert result.exit_code != 0
     assert message in text

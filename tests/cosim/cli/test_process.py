@@ -12,8 +12,10 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,14 +34,13 @@ FULL = Path("/dev/full")
 
 def flexfmu(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command and wait for it."""
-    return subprocess.run(
-        [*FLEXFMU, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-        env={**os.environ, **environment},
-    )
+    return ran([*FLEXFMU, *arguments], env=os.environ | environment)
+
+
+def ran(command: Sequence[str], **options: Any) -> subprocess.CompletedProcess[str]:
+    """A finished process with what it has printed."""
+    usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "timeout": 600, "check": False}
+    return subprocess.run([*command], **usual | options)  # type: ignore[call-overload,no-any-return]
 
 
 HEAVY = {"casadi", "matplotlib", "rich", "scipy"}
@@ -60,9 +61,7 @@ def test_no_heavy_package_is_loaded(code: str, heavy: set[str], tmp_path: Path) 
     run = run_scene(load_scene(SCENE))
     summarise(run, measure_run(run, companions=0))  # caches what the command needs of CasADi
     code += f"\nimport sys\nprint(sorted({{name.split('.')[0] for name in sys.modules}} & {heavy}))"
-    outcome = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600, cwd=tmp_path
-    )
+    outcome = ran([sys.executable, "-c", code], check=True, cwd=tmp_path)
     assert outcome.stdout.splitlines()[-1] == "[]"
 
 
@@ -81,7 +80,7 @@ def test_missing_compiler(tmp_path: Path) -> None:
 def test_little_memory_is_one_line(tmp_path: Path) -> None:
     """SciPy's library for linear algebra would ask for memory for ever, deaf to signals."""
     command = f"ulimit -v 293000; exec {shlex.join(FLEXFMU)} effects {SCENE} --out {tmp_path}"
-    found = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    found = ran(["sh", "-c", command], timeout=60)
     assert (found.returncode, found.stdout) == (1, "")
     assert re.fullmatch("flexfmu: out of memory: .*\n", found.stderr)
 
@@ -120,16 +119,8 @@ def test_scene_to_results(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX does")
 def test_interrupt_is_one_line(tmp_path: Path) -> None:
     """Ctrl-C at any moment: one line and status 1."""
-    long = (
-        "run",
-        SCENE,
-        "--set",
-        "cosimulation.step=1e-6",
-        "--set",
-        "cosimulation.record_step=0.01",
-        "--out",
-        str(tmp_path / "out"),
-    )
+    settings = ("--set", "cosimulation.step=1e-6", "--set", "cosimulation.record_step=0.01")
+    long = ("run", SCENE, *settings, "--out", str(tmp_path / "out"))
     process = subprocess.Popen([*FLEXFMU, *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not (tmp_path / "out").is_dir():
         time.sleep(0.02)
@@ -143,7 +134,7 @@ def test_interrupt_is_one_line(tmp_path: Path) -> None:
 def test_closed_reader_before_the_output_comes() -> None:
     """The pipe's other end is gone before anything is written."""
     command = f"{shlex.join(FLEXFMU)} modes {SCENE} --poses 3 | true"
-    outcome = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=600, check=False)
+    outcome = ran(["sh", "-c", command])
     assert outcome.stderr == ""
 
 
@@ -154,9 +145,7 @@ def test_closed_reader_before_the_output_comes() -> None:
 def test_full_device_as_standard_output(arguments: str) -> None:
     """A full disk behind standard output is an error in one line, for tables, JSON and help alike."""
     with FULL.open("w") as full:
-        outcome = subprocess.run(
-            [*FLEXFMU, *arguments.split()], stdout=full, stderr=subprocess.PIPE, text=True, timeout=600, check=False
-        )
+        outcome = ran([*FLEXFMU, *arguments.split()], stdout=full)
     assert (outcome.returncode, outcome.stderr.count("\n")) == (1, 1)
     assert "can't write to standard output: No space left on device" in outcome.stderr
 
@@ -167,7 +156,7 @@ def test_closed_streams() -> None:
     """Started without standard output, the command says so in one line; without standard error it is silent there."""
     modes = f"{shlex.join(FLEXFMU)} modes"
     command = f"{modes} {SCENE} --poses 3 >&-; echo $?; {modes} nowhere 2>&-; echo $?"
-    outcome = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=600, check=False)
+    outcome = ran(["sh", "-c", command])
     assert (outcome.stdout, outcome.stderr) == ("1\n2\n", "flexfmu: can't write to standard output: it is closed\n")
 
 
@@ -204,7 +193,7 @@ def in_terminal(columns: int, *arguments: str) -> str:
 @pytest.fixture(scope="module")
 def frequencies() -> list[str]:
     """The numbers of the table, from JSON."""
-    outcome = subprocess.run([*FLEXFMU, *MODES, "--json"], capture_output=True, text=True, check=True, timeout=600)
+    outcome = flexfmu(*MODES, "--json")
     return [f"{f:.2f}" for pose in json.loads(outcome.stdout)["poses"] for f in pose["frequencies"][:6]]
 
 
@@ -224,9 +213,7 @@ def test_numbers_are_whole_in_a_terminal(columns: int, frequencies: list[str]) -
 def test_a_pipe_has_neither_styles_nor_the_width_of_a_terminal(frequencies: list[str]) -> None:
     """Whatever the terminal that the command is started from: one table of 120 columns, sentences on one line."""
     environment = without_width() | {"COLUMNS": "60"}
-    text = subprocess.run(
-        [*FLEXFMU, *MODES], capture_output=True, text=True, check=True, timeout=600, env=environment
-    ).stdout
+    text = ran([*FLEXFMU, *MODES], env=environment).stdout
     assert "\x1b" not in text
     assert text.count("─\n") + text.count("─ \n") == 1
     assert set(frequencies) <= set(text.split())

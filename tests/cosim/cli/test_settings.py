@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import typer
-from typer.testing import CliRunner, Result
+from command_line import flexfmu
 
 from flexfmu.cosim.cli.console import usual_folder
 from flexfmu.cosim.cli.main import app
@@ -20,11 +20,6 @@ from flexfmu.model.scene.keys import parse_setting
 
 SCENE = "barnard2012-6kg"
 EXAMPLE = Path(__file__).parents[3] / "examples" / "controller_scene.toml"
-
-
-def flexfmu(*arguments: str) -> Result:
-    """Run a command."""
-    return CliRunner().invoke(app, list(arguments))
 
 
 @pytest.mark.parametrize(

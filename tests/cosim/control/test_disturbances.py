@@ -73,10 +73,8 @@ def test_a_short_pulse_is_sampled_where_it_changes(other: Any) -> None:
             "start": start,
             "duration": duration,
         }
-        scene = load_scene("barnard2012-6kg").replace(
-            {**RIGID, "cosimulation.step": 2e-3, "disturbance": [pulse, *others]}
-        )
-        run = run_scene(scene)
+        changes = {**RIGID, "cosimulation.step": 2e-3, "disturbance": [pulse, *others]}
+        run = run_scene(load_scene("barnard2012-6kg").replace(changes))
         assert run.completed, run.message
         assert run.recording.time.size < 420
         assert run.recording["force.x"].values[-1] == pytest.approx(0.0, abs=1e-12)

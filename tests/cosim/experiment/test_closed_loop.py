@@ -137,25 +137,13 @@ def test_the_summary_lists_slaves_and_delays(run: Run) -> None:
 
 QUITTER = """
 import os
-from flexfmu.cosim.engine.slave import SlaveVariable
+import flexfmu
 
-class Quitter:
-    name = "quitter"
-    variables = (SlaveVariable("joint1.torque", "output", "N.m"), SlaveVariable("joint2.torque", "output", "N.m"))
-    feedthrough = {"joint1.torque": (), "joint2.torque": ()}
-
-    def initialize(self, start_time, stop_time, tolerance):
-        self.time = start_time
-
-    def set(self, indices, values):
-        pass
-
-    def get(self, indices, values):
-        values[:] = 0.0
-
-    def step(self, time, step):
-        if time + step > 0.01 + 1e-9:
-            os._exit(0)
+@flexfmu.controller(sample_time=1e-3, symbolic=False)
+def quitter(t, reference):
+    if t > 0.01 - 1e-9:
+        os._exit(0)
+    return [0.0, 0.0]
 """
 
 
@@ -165,7 +153,7 @@ def test_a_slave_that_ends_the_process_leaves_results(
 ) -> None:
     """The command ends with status 1, the slave's name and the time, and writes all that was recorded."""
     (tmp_path / "quitter.py").write_text(QUITTER)
-    section = {"kind": "python", "source": "quitter:Quitter", "folder": str(tmp_path)}
+    section = {"kind": "python", "source": "quitter:quitter", "folder": str(tmp_path)}
     monkeypatch.setattr(command, "load_changed", lambda source, changes: robot.replace({"controller": [section]}))
     assert command.run("quitter.toml", tmp_path, json=True) == 1
     assert "quitter failed at 0.01 s: it ended its process with exit status 0" in capsys.readouterr().err

@@ -38,6 +38,17 @@ def undamped() -> Scene:
     )
 
 
+def pushed(scene: Scene, torques: tuple[float, float]) -> flexfmu.Run:
+    """A run with constant torques."""
+
+    @controller(sample_time=1e-3, outputs=["joint1.torque", "joint2.torque"])
+    def push(reference, measurement):  # type: ignore[no-untyped-def]
+        return list(torques)
+
+    driven = scene.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    return flexfmu.run(driven, controllers=[push])
+
+
 @pytest.mark.parametrize("method", IMAGINARY_AXIS)
 def test_an_unstable_explicit_step_is_blamed_for_what_it_blows_up(undamped: Scene, method: str) -> None:
     """Explicit methods are unstable from a known product of step and largest frequency: there the step is too large, not a
@@ -58,13 +69,8 @@ def test_an_unstable_explicit_step_is_blamed_for_what_it_blows_up(undamped: Scen
 def test_a_singularity_is_still_one(undamped: Scene, torques: tuple[float, float]) -> None:
     """Torques push the robot into it: a stable explicit step says so, as error control does."""
 
-    @controller(sample_time=1e-3, outputs=["joint1.torque", "joint2.torque"])
-    def push(reference, measurement):  # type: ignore[no-untyped-def]
-        return list(torques)
-
-    scene = undamped.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
     for settings in ({}, {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 5e-5}):
-        run = flexfmu.run(scene.replace(settings), controllers=[push])
+        run = pushed(undamped.replace(settings), torques)
         assert not run.completed
         assert "(type-2 singularity) is 0.0" in run.message
 
@@ -75,13 +81,7 @@ def test_a_singularity_is_still_one(undamped: Scene, torques: tuple[float, float
 def test_an_absurd_input_is_named(undamped: Scene, torque: float) -> None:
     """Numbers that overflow come from it, not from a mechanism that can't be assembled."""
 
-    @controller(sample_time=1e-3, outputs=["joint1.torque", "joint2.torque"])
-    def absurd(reference, measurement):  # type: ignore[no-untyped-def]
-        return [0.0, torque]
-
-    run = flexfmu.run(
-        undamped.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}), controllers=[absurd]
-    )
+    run = pushed(undamped, (0.0, torque))
     assert f"check the inputs, of which joint2.torque = {torque:.6g} N.m is the largest" in run.message
     assert "assembled" not in run.message
 

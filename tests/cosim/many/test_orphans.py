@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 from time import monotonic, sleep
+from typing import Any
 
 import pytest
 
@@ -42,6 +43,17 @@ with orderly_termination():
 """
 
 
+def started(*arguments: str, **options: Any) -> subprocess.Popen[str]:
+    """A Python process whose output is read."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([sys.executable, *arguments], text=True, **pipes, **options)
+
+
+def said(process: subprocess.Popen[str], stream: str = "stdout") -> str:
+    """The next line that it prints."""
+    return str(getattr(process, stream).readline())
+
+
 def is_running(process: int) -> bool:
     """Whether there is such a process that hasn't ended."""
     try:
@@ -61,13 +73,12 @@ def ended(process: int) -> bool:
 def test_busy_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     """SIGKILL leaves the parent no time to end them."""
     (tmp_path / "working.py").write_text(WORKING)
-    parent = subprocess.Popen([sys.executable, str(tmp_path / "working.py")], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    workers = [int(parent.stdout.readline()) for _ in range(2)]
+    parent = started(str(tmp_path / "working.py"))
+    workers = [int(said(parent)) for _ in range(2)]
     parent.kill()
     parent.wait()
     assert all(map(ended, workers))
-    parent.stdout.close()
+    parent.communicate()
 
 
 STARTING = """
@@ -98,18 +109,14 @@ time.sleep(600)
 )
 def test_what_foreign_code_starts_ends_with_its_run(ending: str, told: str) -> None:
     """However that ends, or the program itself; also what is orphaned or has begun a session of its own."""
-    parent = subprocess.Popen(
-        [sys.executable, "-c", STARTING, ending], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert parent.stderr is not None
-    assert parent.stdout is not None
-    started = [int(parent.stderr.readline()) for _ in range(2)]
+    parent = started("-c", STARTING, ending)
+    others = [int(said(parent, "stderr")) for _ in range(2)]
     if told:
-        assert told in parent.stdout.readline()
+        assert told in said(parent)
     elif "sleep" in ending:
-        assert all(map(is_running, started))
+        assert all(map(is_running, others))
         parent.kill()
-    assert all(map(ended, started))
+    assert all(map(ended, others))
     parent.kill()
     parent.communicate()
 
@@ -118,15 +125,9 @@ def test_what_foreign_code_starts_ends_with_its_run(ending: str, told: str) -> N
 def test_signals_end_a_command_in_good_order(number: signal.Signals) -> None:
     """With one line, and the status that shells expect; under nohup a lost terminal changes nothing."""
     for ignored in (False, True) if number is signal.SIGHUP else (False,):
-        process = subprocess.Popen(
-            [sys.executable, "-c", ENDING],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            preexec_fn=(lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) if ignored else None,
-        )
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
+        hold = (lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) if ignored else None
+        process = started("-c", ENDING, preexec_fn=hold)
+        assert said(process) == "ready\n"
         os.kill(process.pid, number)
         if ignored:
             sleep(0.2)
@@ -150,14 +151,11 @@ with folder.claimed():
 
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
     """The second one is told; when the first one is gone, however it ended, the folder is free and nothing is left in it."""
-    first = subprocess.Popen([sys.executable, "-c", CLAIMING, str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
-    assert first.stdout is not None
-    assert first.stdout.readline() == "ready\n"
+    first = started("-c", CLAIMING, str(tmp_path / "out"))
+    assert said(first) == "ready\n"
     folder = OutputFolder(tmp_path / "out")
-    with (
-        pytest.raises(ResultsError, match=r"another command works in .*out: wait for its end, or choose"),
-        folder.claimed(),
-    ):
+    refused = pytest.raises(ResultsError, match=r"another command works in .*out: wait for its end, or choose")
+    with refused, folder.claimed():
         pass
     first.kill()
     first.communicate()

@@ -128,12 +128,8 @@ def test_sections_of_a_scene() -> None:
     tables = [{"kind": kind, "sample_time": H, **keys} for kind, keys in kinds.items()]
     friction, gravity, observer, _, total = loop_of(scene_with(controller=[*tables, {"kind": "pd", **PD}])).controllers
     starts = {each.name: each.start for each in friction.variables if each.causality == "parameter"}
-    assert starts == {
-        "joint1.viscous_friction": 0.5,
-        "joint2.viscous_friction": 0.5,
-        "joint1.coulomb_friction": 1.0,
-        "joint2.coulomb_friction": 2.0,
-    }
+    coulomb = {"joint1.coulomb_friction": 1.0, "joint2.coulomb_friction": 2.0}
+    assert starts == coulomb | dict.fromkeys(("joint1.viscous_friction", "joint2.viscous_friction"), 0.5)
     assert [each.name for each in gravity.variables][:2] == ["joint1.position", "joint2.position"]
     assert {"joint1.inertia", "joint1.time_constant", "joint1.torque.maximum"} < {
         each.name for each in observer.variables

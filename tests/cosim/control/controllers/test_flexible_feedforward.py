@@ -70,17 +70,10 @@ def test_motors_follow_their_references_better_than_with_the_rigid_torques(sampl
 
 
 def test_references_for_the_flexible_robot_leave_no_vibration_in_a_loop() -> None:
-    scene = load_scene("barnard2012-6kg").replace(
-        {
-            "cosimulation.drive": "torque",
-            "effects.motor_inertia": 0.1,
-            "trajectory.references": "flexible",
-            "controller": [
-                {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3},
-                {"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3},
-            ],
-        }
-    )
+    pd = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+    ahead = {"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3}
+    scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    scene = scene.replace({"trajectory.references": "flexible", "controller": [pd, ahead]})
     run = flexfmu.run(scene)
     assert float(run.metrics["residual_vibration_amplitude"]) < 1e-6
     # 0.1 ms of lag at 80 mm/s leave 9 µm

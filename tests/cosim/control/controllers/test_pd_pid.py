@@ -48,16 +48,13 @@ def test_pid_is_its_transfer_function(filter_time: float) -> None:
     np.testing.assert_allclose(found, k_p * error + parts[0] + parts[1], rtol=1e-12, atol=1e-12 * abs(found).max())
 
 
-@pytest.mark.parametrize("weight", [1.0, 0.0])
-def test_first_sample_has_no_kick(weight: float) -> None:
-    """A start away from the reference gives the proportional torque and the initial one, no derivative impulse."""
-    model = pid(10.0, 5.0, 3.0, sample_time=H, initial_torque=2.0, setpoint_weight=weight)
-    torque = responses(model, {"joint1.reference.position": [1.0, 1.0]})["joint1.torque"]
-    np.testing.assert_allclose(torque, [12.0, 12.0 + 5.0 * H], rtol=1e-14)
-
-
-def test_weights() -> None:
-    """With setpoint and derivative weight zero a jump of the reference moves the integral alone."""
+def test_first_samples_and_weights() -> None:
+    """A start away from the reference gives the proportional torque and the initial one, no derivative impulse; with setpoint and
+    derivative weight zero a jump of the reference moves the integral alone."""
+    for weight in (1.0, 0.0):
+        model = pid(10.0, 5.0, 3.0, sample_time=H, initial_torque=2.0, setpoint_weight=weight)
+        torque = responses(model, {"joint1.reference.position": [1.0, 1.0]})["joint1.torque"]
+        np.testing.assert_allclose(torque, [12.0, 12.0 + 5.0 * H], rtol=1e-14)
     model = pid(10.0, 5.0, 3.0, sample_time=H, setpoint_weight=0.0, derivative_weight=0.0)
     torque = responses(model, {"joint1.reference.position": [0.0, 1.0, 1.0]})["joint1.torque"]
     np.testing.assert_allclose(torque, [0.0, 2.5 * H, 7.5 * H], rtol=1e-14, atol=1e-17)

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
-from typer.testing import CliRunner, Result
+from command_line import flexfmu as command
 
 import flexfmu
-from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import file_digest
 from flexfmu.cosim.engine.master.outcome import Outcome
@@ -52,19 +51,6 @@ def log(run: Run, tmp_path: Path) -> Path:
     rows = "".join(f"{t!r},{1e3 * y!r}\n" for t, y in zip(sampled.tolist(), values.tolist(), strict=True))
     path.write_text(f"time,tau\n{rows}", encoding="utf-8")
     return path
-
-
-def command(*arguments: object) -> Result:
-    """Run `flexfmu compare`."""
-    return CliRunner().invoke(app, ["compare", *map(str, arguments)])
-
-
-def test_signals_and_summary_are_of_one_run(folder: Path) -> None:
-    """A summary of another run beside the signals is no verdict about them."""
-    with (folder / "results.csv").open("a") as file:
-        file.write("\n")
-    with pytest.raises(ResultsError, match=r"results\.csv isn't of the run that summary\.json beside it describes"):
-        flexfmu.compare(folder)
 
 
 def test_every_kind_of_source_is_the_same_run(run: Run, folder: Path, tmp_path: Path) -> None:
@@ -120,13 +106,13 @@ def test_a_measurement_is_aligned_and_compared(run: Run, log: Path) -> None:
 def test_the_command_prints_tables_json_and_a_page(folder: Path, log: Path, tmp_path: Path) -> None:
     """The same figures in the table, the JSON and the page; no line is wider than it must be."""
     options = "--measured", log, "--map", "tau=joint1.torque*1e-3"
-    shown = command(folder, folder, *options, "--out", tmp_path / "page")
+    shown = command("compare", folder, folder, *options, "--out", tmp_path / "page")
     assert shown.exit_code == 0, shown.output
     assert "Peak torque, joint 1" in shown.stdout
     assert "(+0 %)" in shown.stdout
     assert f"log is {DELAY:.5f}"[:-1] in shown.stdout
     assert max(map(len, shown.stdout.splitlines()[:20])) <= 80
-    data = json.loads(command(folder, folder, *options, "--json").stdout)
+    data = json.loads(command("compare", folder, folder, *options, "--json").stdout)
     assert data == json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8"))
     signal = data["measured"]["signals"]["stored"]["joint1.torque"]
     assert f"{signal['rms']:.4g}" in shown.stdout
@@ -157,12 +143,16 @@ def test_wrong_input_is_one_line(
 ) -> None:
     """Exit status 2, and nothing is simulated."""
     monkeypatch.chdir(tmp_path)
-    result = command(*([folder, *arguments] if arguments[0].startswith("--m") else arguments))
+    result = command("compare", *([folder, *arguments] if arguments[0].startswith("--m") else arguments))
     assert (result.exit_code, message in result.stderr, result.stderr.count("\n")) == (2, True, 1), result.stderr
 
 
-def test_what_cannot_be_compared(make_run: MakeRun) -> None:
-    """No run, and one that failed."""
+def test_what_cannot_be_compared(make_run: MakeRun, folder: Path) -> None:
+    """No run, one that failed, and a summary of another run beside the signals, which is no verdict about them."""
+    with (folder / "results.csv").open("a") as file:
+        file.write("\n")
+    with pytest.raises(ResultsError, match=r"results\.csv isn't of the run that summary\.json beside it describes"):
+        flexfmu.compare(folder)
     with pytest.raises(InputError, match="nothing to compare"):
         flexfmu.compare()
     with pytest.raises(ResultsError, match="can't be compared, since its run failed: step failed"):

@@ -6,10 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from command_line import flexfmu as command
 
 import flexfmu
-from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.metrics.metrics import metrics_of
@@ -90,18 +89,13 @@ def test_an_unstable_loop_that_reaches_its_end_has_metrics_and_a_message(found: 
     assert run.failure.startswith("the loop is unstable about the pose at")
 
 
-def command(*arguments: object) -> Result:
-    """Run `flexfmu compare`."""
-    return CliRunner().invoke(app, ["compare", *map(str, arguments)])
-
-
 @pytest.mark.slow
 def test_the_command_names_and_varies_scenes(tmp_path: Path) -> None:
     """NAME=SCENE, --variant and --set; a variant that is unstable gives status 1 and a line."""
     settings = [f"--set={key}={value}" for key, value in CHANGES.items()]
     text = "controller=[{kind='pd',proportional=5e3,derivative=100.0,sample_time=1e-3}]"
     arguments = ["soft=barnard2012-6kg", *settings, "--set", text, "--variant", "wild:pd.kd=2e3,pd.kp=[5e3,5e3]"]
-    result = command(*arguments, "--json")
+    result = command("compare", *arguments, "--json")
     assert result.exit_code == 1, result.output
     assert result.stderr.startswith("flexfmu: wild failed: joint")
     data = json.loads(result.stdout)["runs"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -250,12 +249,13 @@ def test_timing_takes_the_fastest(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_command(tmp_path: Path) -> None:
-    """One family of a scene file from the command line, as JSON, with all files."""
-    scene, out = tmp_path / "scene.toml", tmp_path / "out"
-    shipped = Path(__file__).parents[4] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
-    text = shipped.read_text(encoding="utf-8").replace("duration = 0.43", "duration = 0.25")
-    scene.write_text(re.sub("(proximal_bending|distal_axial) = 3", r"\1 = 1", text), encoding="utf-8")
-    arguments = ["workprec", str(scene), "--out", str(out), "--only", "communication", "--json"]
+    """One family of a changed scene from the command line, as JSON, with all files."""
+    out, changes = (
+        tmp_path / "out",
+        ("trajectory.duration=0.25", "effects.proximal_bending=1", "effects.distal_axial=1"),
+    )
+    settings = [word for change in changes for word in ("--set", change)]
+    arguments = ["workprec", "barnard2012-6kg", *settings, "--out", str(out), "--only", "communication", "--json"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
