@@ -242,31 +242,27 @@ class PaperFigure(NamedTuple):
         return f"{self.key}{suffix}" if self.key == "overview" else f"figures/{self.key}{suffix}"
 
 
+def _printed(number: int, caption: str) -> PaperFigure:
+    return PaperFigure(f"figure-{number:02}", f"Figure {number}", caption)
+
+
 TRAJECTORY_FIGURES: Mapping[PaperFigure, Callable[[], Figure]] = {
-    PaperFigure("figure-06", "Figure 6", "The three blends overlaid, d = e = 25 mm."): blends,
-    PaperFigure("figure-07", "Figure 7", "The motion profiles for a cycle time of 1 s."): motion_profiles,
-    PaperFigure(
-        "figure-08",
-        "Figure 8",
+    _printed(6, "The three blends overlaid, d = e = 25 mm."): blends,
+    _printed(7, "The motion profiles for a cycle time of 1 s."): motion_profiles,
+    _printed(
+        8,
         "Joint motion on the Lamé path with the seventh-degree polynomial in 1 s, and the power spectral density "
         "of the joint accelerations for all motion profiles (4 s window: motion, then standstill).",
     ): joint_motion,
-    PaperFigure(
-        "figure-09", "Figure 9", "The path, the mechanism at its start, middle and end, and the workspace."
-    ): placement,
-    PaperFigure(
-        "figure-10", "Figure 10", "Spectral content of the polynomial on the Lamé path for three cycle times."
-    ): cycle_times,
-    PaperFigure(
-        "figure-11", "Figure 11", "Spectral content of the same motion in 1 s for three lengths of the blends."
-    ): blend_lengths,
+    _printed(9, "The path, the mechanism at its start, middle and end, and the workspace."): placement,
+    _printed(10, "Spectral content of the polynomial on the Lamé path for three cycle times."): cycle_times,
+    _printed(11, "Spectral content of the same motion in 1 s for three lengths of the blends."): blend_lengths,
 }
 """Figures that need no simulation → what draws them."""
 
 SIMULATED_FIGURES: Mapping[PaperFigure, Callable[[Mapping[PaperCase, SimulatedCase], Sequence[PaperTable]], Figure]] = {
-    PaperFigure(
-        "figure-12",
-        "Figure 12",
+    _printed(
+        12,
         "Path-tracking error of the end effector with the payload of 6 kg, over the motion of 0.43 s and the dwell.",
     ): path_errors,
     PaperFigure(

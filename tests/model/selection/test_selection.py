@@ -17,6 +17,7 @@ from flexfmu.cosim.design.effects.search import (
     estimated_errors,
     poorer,
 )
+from flexfmu.cosim.design.effects.study import costs
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.choice import MeasureName
@@ -173,6 +174,14 @@ def test_loads_of_a_robot_that_torques_drive_are_those_along_its_motion() -> Non
     assert shares[1]["motor_inertia"][0] > 0.1
     assert shares[1]["gravity"][0] > 0.1
     assert absent_effects(driven) == tuple(key for key in LOADS if key not in shares[1])
+
+
+def test_a_set_costs_more_states_operations_and_time_than_none() -> None:
+    """Of one evaluation each: twelve coordinates beside rigid links."""
+    rigid, elastic = costs([with_set(HEAVY, {}), HEAVY])
+    assert (rigid.states, elastic.states) == (0, 12)
+    assert 0 < 2 * rigid.operations < elastic.operations
+    assert 1e-8 < rigid.time < elastic.time < 1e-3
 
 
 def test_families_that_deflect_statically_follow_the_model_of_their_own(heavy: Estimator) -> None:
