@@ -81,7 +81,11 @@ def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
         return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit}, got {value!r}{unit}"
     in_unit = f" in {unit}" if unit else ""
     if kind in _FORMS:
-        form = _FORMS[kind].format(**context, example=array_example(model, keys[-1]) if keys else "")
+        # the elements of the array, or of an array within it
+        elements = _annotation(model, keys)
+        for _ in range(keys[-1].count("[") + 1 if keys else 0):
+            elements = _element(elements)
+        form = _FORMS[kind].format(**context, example=_example(elements))
         return f"`{key}` must be {form}{in_unit}, got {list(value) if isinstance(value, tuple) else value!r}"
     found = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
     return f"`{key}` {found}{in_unit}, got {value!r}"
@@ -178,21 +182,6 @@ def tags_of(section: type[BaseModel]) -> tuple[Any, ...]:
     """What the `kind` of a section may be; none if it has no kind."""
     kind = section.model_fields.get("kind")
     return () if kind is None else get_args(kind.annotation)
-
-
-def array_example(section: type[BaseModel] | None, key: str) -> str:
-    """An example of the array that a key expects: numbers, texts, or arrays of them.
-
-    Args:
-        section: section of the key; None if unknown.
-        key: name of the key, followed by indices of arrays within it, like ``gain[0]``.
-    """
-    name, *indices = key.split("[")
-    field = section.model_fields.get(name) if section is not None else None
-    annotation: Any = field.annotation if field is not None else None
-    for _ in indices:
-        annotation = _element(annotation)
-    return _example(_element(annotation))
 
 
 def _example(element: Any) -> str:
