@@ -80,8 +80,7 @@ def run(tmp_path: Path, robot: SymbolicModel, robot_sources: Sources, library_fo
         command = [*find_compiler(PLATFORMS[name]).command, *flags, Path(__file__).with_name("harness.c")]
         subprocess.run([*command, "-o", program, *linked], check=True, capture_output=True)
         first = len(robot.inputs) + len(robot.parameters)
-        starts = [repr(variable.start) for variable in robot.inputs[:2]]
-        numbers = (len(robot.outputs), first, STEPS, STEP, *starts)
+        numbers = (len(robot.outputs), first, STEPS, STEP)
         outcome = subprocess.run(
             [*emulator, program, library.name, robot_sources.guid, *map(str, numbers)],
             cwd=tmp_path,
