@@ -12,13 +12,28 @@
   .motion_rate1 = FUNCTION(rate1), .motion_rate2 = FUNCTION(rate2), .start_forward = FUNCTION(start),                \
   .singularity = FUNCTION(margin), .error_scale = FUNCTION(scale), .default_tolerance = 1e-6
 
-/* rates along the motion from directional derivatives, with v, a and du/dt as seeds */
-#define RATE1(name, forward)                                                                                       \
-  EQUATION(name) {                                                  \
-    static const double none[16];                                                                                  \
-    const double *seeds[] = {arg[0], arg[1], arg[2], arg[3], arg[5], arg[1], arg[2], arg[4], none};                \
-    return forward(seeds, res, iw, w, mem);                                                                        \
+/* rates along the motion from directional derivatives, with v, a and du/dt as seeds; arg: y, v, a, u, u1, d */
+#define RATE1(name, forward)                                                                        \
+  EQUATION(name) {                                                                                  \
+    static const double none[16];                                                                   \
+    const double *seeds[] = {arg[0], arg[1], arg[2], arg[3], arg[5], arg[1], arg[2], arg[4], none}; \
+    return forward(seeds, res, iw, w, mem);                                                         \
   }
+
+/* also the `size` second rates of a linear model, with a, j and d2u/dt2 as seeds; arg: y, v, a, j, u, u1, u2, d */
+#define LINEAR_RATES(model, size)                                                                   \
+  RATE1(model##_rate1, model##_forward)                                                             \
+  EQUATION(model##_rate2) {                                                                         \
+    static const double none[16];                                                                   \
+    double changes[16], *result[] = {changes};                                                      \
+    const double *seeds[] = {arg[0], arg[1], arg[2], arg[4], arg[7], arg[2], arg[3], arg[6], none}; \
+    int refused = model##_forward(seeds, result, iw, w, mem);                                       \
+    memcpy(res[0], changes, size * sizeof *changes);                                                \
+    return refused;                                                                                 \
+  }
+
+/* a variable without limits that starts at zero */
+#define FREE(name, unit) {name, unit, 0.0, LIMITLESS, 0}
 
 /* functions that several models share */
 
@@ -30,6 +45,9 @@ static int origin(double *y, int n) {
 EQUATION(nothing) {
   return 0;
 }
+
+FORMULA(margin_below_one, 1.0 - arg[1][0])
+FORMULA(margin_below_two, 2.0 - arg[1][0])
 
 CONSTANT(origin_1, 0.0)
 CONSTANT(origin_2, 0.0, 0.0)
@@ -99,17 +117,7 @@ EQUATION(oscillators_start_forward) {
   return origin(res[0] + 4, 3);
 }
 
-// arg: y, v, a, j, u, u1, u2, d
-RATE1(oscillators_rate1, oscillators_forward)
-
-EQUATION(oscillators_rate2) {
-  const double no_snap[3] = {0.0, 0.0, 0.0};
-  oscillators_balance(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
-  memcpy(res[0] + 3, arg[2], 3 * sizeof(double));
-  memcpy(res[0] + 6, arg[3], 3 * sizeof(double));
-  memcpy(res[0] + 9, no_snap, 3 * sizeof(double));
-  return 0;
-}
+LINEAR_RATES(oscillators, 12)
 
 // energy norm, without the products of different coordinates
 EQUATION(oscillators_scale) {
@@ -124,17 +132,15 @@ EQUATION(oscillators_scale) {
 }
 
 static const flex_term shown_accelerations[] = {{6, 0}, {7, 1}, {8, 2}};
-static const flex_variable oscillator_inputs[] = {{"equilibrium1", "m", 0.0, LIMITLESS, 0},
-                                                  {"equilibrium2", "m", 0.0, LIMITLESS, 0},
-                                                  {"equilibrium3", "m", 0.0, LIMITLESS, 0}};
+static const flex_variable oscillator_inputs[] = {
+    FREE("equilibrium1", "m"), FREE("equilibrium2", "m"), FREE("equilibrium3", "m")};
 static const flex_variable oscillator_parameters[] = {{"frequency1", "rad/s", 1.0, 0.0, 1e9, 0},
                                                       {"frequency2", "rad/s", 3.0, 0.0, 1e9, 0},
                                                       {"frequency3", "rad/s", 7.0, 0.0, 1e9, 0},
                                                       {"damping.ratio", "1", 0.0, 0.0, 10.0, 1}};
-static const flex_variable oscillator_outputs[] = {
-    {"y1", "m", 0.0, LIMITLESS, 0},    {"y2", "m", 0.0, LIMITLESS, 0},    {"y3", "m", 0.0, LIMITLESS, 0},
-    {"v1", "m/s", 0.0, LIMITLESS, 0},  {"v2", "m/s", 0.0, LIMITLESS, 0},  {"v3", "m/s", 0.0, LIMITLESS, 0},
-    {"a1", "m/s2", 0.0, LIMITLESS, 0}, {"a2", "m/s2", 0.0, LIMITLESS, 0}, {"a3", "m/s2", 0.0, LIMITLESS, 0}};
+static const flex_variable oscillator_outputs[] = {FREE("y1", "m"),    FREE("y2", "m"),    FREE("y3", "m"),
+                                                   FREE("v1", "m/s"),  FREE("v2", "m/s"),  FREE("v3", "m/s"),
+                                                   FREE("a1", "m/s2"), FREE("a2", "m/s2"), FREE("a3", "m/s2")};
 
 const flex_model oscillators = {
     .name = "oscillators", .guid = "{oscillators}", .n = 3, .n_inputs = 3, .n_parameters = 4, .n_derived = 4,
@@ -147,15 +153,8 @@ const flex_model oscillators = {
 
 /* pendulum */
 
-EQUATION(pendulum_residual) {
-  res[0][0] = arg[2][0] + sin(arg[0][0]) - arg[3][0];
-  return 0;
-}
-
-EQUATION(pendulum_energy) {
-  res[0][0] = 0.5 * arg[1][0] * arg[1][0] - cos(arg[0][0]);
-  return 0;
-}
+FORMULA(pendulum_residual, arg[2][0] + sin(arg[0][0]) - arg[3][0])
+FORMULA(pendulum_energy, 0.5 * arg[1][0] * arg[1][0] - cos(arg[0][0]))
 
 // arg: y, v, a, u, d, dy, dv, du, dd
 EQUATION(pendulum_forward) {
@@ -164,7 +163,6 @@ EQUATION(pendulum_forward) {
   return 0;
 }
 
-// arg: y, v, a, j, u, u1, u2, d
 RATE1(pendulum_rate1, pendulum_forward)
 
 EQUATION(pendulum_rate2) {
@@ -175,7 +173,7 @@ EQUATION(pendulum_rate2) {
 }
 
 static const flex_variable torque_input[] = {{"torque", "N.m", 0.0, -10.0, 10.0, 0}};
-static const flex_variable energy_output[] = {{"energy", "J", 0.0, LIMITLESS, 0}};
+static const flex_variable energy_output[] = {FREE("energy", "J")};
 
 const flex_model pendulum = {
     .name = "pendulum", .guid = "{pendulum}", .n = 1, .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
@@ -218,32 +216,17 @@ const flex_model double_pendulum = {
 
 /* rigid: u, u' and u'' of the input are all there is */
 
-EQUATION(rigid_outputs) {
-  res[0][0] = arg[3][0] * arg[3][0];
-  return 0;
-}
+FORMULA(rigid_outputs, arg[3][0] * arg[3][0])
 
 // arg: y, v, a, u, d, dy, dv, du, dd
-EQUATION(rigid_forward) {
-  res[0][0] = 2.0 * arg[3][0] * arg[7][0];
-  return 0;
-}
+FORMULA(rigid_forward, 2.0 * arg[3][0] * arg[7][0])
 
-// arg: y, v, a, j, u, u1, u2, d
 RATE1(rigid_rate1, rigid_forward)
 
-EQUATION(rigid_rate2) {
-  res[0][0] = 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]);
-  return 0;
-}
+FORMULA(rigid_rate2, 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]))
 
-EQUATION(margin_below_one) {
-  res[0][0] = 1.0 - arg[1][0];
-  return 0;
-}
-
-static const flex_variable angle_input[] = {{"angle", "rad", 0.0, LIMITLESS, 0}};
-static const flex_variable square_output[] = {{"square", "rad2", 0.0, LIMITLESS, 0}};
+static const flex_variable angle_input[] = {FREE("angle", "rad")};
+static const flex_variable square_output[] = {FREE("square", "rad2")};
 
 const flex_model rigid = {
     .name = "rigid", .guid = "{rigid}", .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
@@ -291,31 +274,20 @@ EQUATION(sliders_forward) {
   return 0;
 }
 
-// arg: y, v, a, j, u, u1, u2, d
-RATE1(sliders_rate1, sliders_forward)
-
-EQUATION(sliders_rate2) {
-  const double no_snap[2] = {0.0, 0.0};
-  sliders_forces(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
-  memcpy(res[0] + 2, arg[2], 2 * sizeof(double));
-  memcpy(res[0] + 4, arg[3], 2 * sizeof(double));
-  memcpy(res[0] + 6, res[0], 2 * sizeof(double));
-  return 0;
-}
+LINEAR_RATES(sliders, 8)
 
 EQUATION(sliders_start_forward) {
   memcpy(res[0], arg[1], 4 * sizeof(double));
   return origin(res[0] + 4, 4);
 }
 
-static const flex_variable sliders_input[] = {{"pull", "m", 0.0, LIMITLESS, 0}};
+static const flex_variable sliders_input[] = {FREE("pull", "m")};
 static const flex_variable sliders_parameters[] = {{"c", "N", 1.0, 0.0, 1e9, 0},
                                                    {"b", "N", 1.5, 0.0, 1e9, 1},
                                                    {"viscous", "N.s/m", 0.0, 0.0, 1e9, 0},
                                                    {"coupling", "N/m", 0.0, 0.0, 1e9, 0}};
-static const flex_variable sliders_shown[] = {{"y1", "m", 0.0, LIMITLESS, 0},   {"y2", "m", 0.0, LIMITLESS, 0},
-                                              {"v1", "m/s", 0.0, LIMITLESS, 0}, {"v2", "m/s", 0.0, LIMITLESS, 0},
-                                              {"f1", "N", 0.0, LIMITLESS, 0},   {"f2", "N", 0.0, LIMITLESS, 0}};
+static const flex_variable sliders_shown[] = {FREE("y1", "m"),   FREE("y2", "m"), FREE("v1", "m/s"),
+                                              FREE("v2", "m/s"), FREE("f1", "N"), FREE("f2", "N")};
 static const flex_term sliders_terms[] = {{4, 0}, {5, 1}};
 static const flex_friction sliders_frictions[] = {{0, 1, 4}, {1, 1, 5}};
 
@@ -342,14 +314,7 @@ EQUATION(fragile_forward) {
   return 0;
 }
 
-// arg: y, v, a, j, u, u1, u2, d
-RATE1(fragile_rate1, fragile_forward)
-
-EQUATION(fragile_rate2) {
-  res[0][0] = arg[2][0] - arg[6][0];
-  res[0][1] = arg[2][0];
-  return 0;
-}
+LINEAR_RATES(fragile, 2)
 
 // d changes with p, the start position does not
 EQUATION(fragile_start_forward) {
@@ -357,16 +322,11 @@ EQUATION(fragile_start_forward) {
   return origin(res[0] + 2, 1);
 }
 
-EQUATION(margin_below_two) {
-  res[0][0] = 2.0 - arg[1][0];
-  return 0;
-}
-
 static const flex_variable fragile_parameters[] = {{"limit", "m", 10.0, -HUGE_VAL, 100.0, 0},
                                                    {"load", "N", 0.0, -5.0, 5.0, 1}};
 static const flex_variable force_input[] = {{"force", "N", 0.0, -100.0, 100.0, 0}};
 static const int position_alone[] = {0, -1};
-static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS, 0}};
+static const flex_variable position_output[] = {FREE("position", "m")};
 
 // also the one that the FMI functions find
 #define FRAGILE_MODEL                                                                                \

@@ -9,8 +9,13 @@
 typedef const double **in;
 typedef double **out;
 
-/* functions of a model: in general, with the same results always, and with the first n numbers of the first argument */
+/* functions of a model: in general, with one result, with the same results always, and with the first n numbers of the first argument */
 #define EQUATION(name) static int name(in arg, out res, int *iw, double *w, int mem)
+#define FORMULA(name, result) \
+  EQUATION(name) {            \
+    res[0][0] = (result);     \
+    return 0;                 \
+  }
 #define CONSTANT(name, ...)                        \
   EQUATION(name) {                                 \
     static const double results[] = {__VA_ARGS__}; \

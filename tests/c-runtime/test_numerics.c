@@ -124,15 +124,6 @@ TEST(tableaus_meet_the_order_conditions) {
   }
 }
 
-// b_i a_ij + b_j a_ji = b_i b_j keeps quadratic invariants, the energy of a linear vibration among them (Cooper 1987)
-TEST(tableaus_are_symplectic) {
-  for (int t = 0; t < 3; t++) {
-    const flex_tableau *m = tableaus[t];
-    for (int i = 0; i < m->stages; i++)
-      for (int j = 0; j < m->stages; j++) CHECK_CLOSE(m->b[i] * m->a[i][j] + m->b[j] * m->a[j][i], m->b[i] * m->b[j], 4e-17);
-  }
-}
-
 // conditions up to order 5 for the rooted trees (Hairer, Norsett, Wanner: Solving ODEs I, table II.2.2)
 static void check_order_conditions(const flex_explicit_tableau *m, const double *b, int order) {
   const int orders[] = {1, 2, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 5, 5, 5};

@@ -121,22 +121,13 @@ EQUATION(refusal) {
 }
 
 // M = 1 says the mass matrix, but the residual has M = 4: Newton's corrections grow threefold at any step size
-EQUATION(false_mass) {
-  res[0][0] = 4.0 * arg[2][0] - 1.0;
-  return 0;
-}
+FORMULA(false_mass, 4.0 * arg[2][0] - 1.0)
 
 // y'' = 6 y^2, solved by 1/(1 - t)^2
-EQUATION(blow_up) {
-  res[0][0] = arg[2][0] - 6.0 * arg[0][0] * arg[0][0];
-  return 0;
-}
+FORMULA(blow_up, arg[2][0] - 6.0 * arg[0][0] * arg[0][0])
 
 // y'' = force, but only up to 50 N
-EQUATION(picky) {
-  res[0][0] = arg[3][0] > 50.0 ? NAN : arg[2][0] - arg[3][0];
-  return 0;
-}
+FORMULA(picky, arg[3][0] > 50.0 ? NAN : arg[2][0] - arg[3][0])
 
 // a start that fails gives the outcome and a sentence with this part
 static void check_start(const flex_model *model, flex_outcome outcome, const char *part) {
