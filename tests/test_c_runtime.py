@@ -37,11 +37,6 @@ def build(folder: Path, *flags: str) -> Path:
     )
 
 
-def objects_beside(plain: Path, sources: list[Path]) -> list[Path]:
-    """Object files of sources that a test program has been linked from."""
-    return [plain.with_name(f"{source.stem}.o") for source in sources]
-
-
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("plain"), "-O2")
@@ -74,10 +69,10 @@ def test_sanitizers_find_nothing(sanitized: Path) -> None:
 def test_has_no_writable_globals(plain: Path, tmp_path: Path) -> None:
     """Several instances in one process, and threads, must not share anything that changes."""
     others = sorted(set(RUNTIME.glob("*/*.c")) - set(SOURCES))
-    objects = [*objects_beside(plain, SOURCES), *object_files(tmp_path, others, *FLAGS, *INCLUDES, "-O2")]
-    sections = [
-        line.split() for line in run("size", "-A", *objects).splitlines() if line.startswith((".data ", ".bss "))
-    ]
+    objects = [plain.with_name(f"{source.stem}.o") for source in SOURCES]
+    objects += object_files(tmp_path, others, *FLAGS, *INCLUDES, "-O2")
+    lines = run("size", "-A", *objects).splitlines()
+    sections = [line.split() for line in lines if line.startswith((".data ", ".bss "))]
     assert len(sections) == 2 * len(objects)
     assert {size for _, size, _ in sections} == {"0"}
 
@@ -86,7 +81,8 @@ def test_has_no_writable_globals(plain: Path, tmp_path: Path) -> None:
 def test_exports_the_fmi_functions_only(plain: Path, tmp_path: Path) -> None:
     """Two FMUs in one process would otherwise call into each other."""
     library = tmp_path / "library.so"
-    run(COMPILER, "-shared", *objects_beside(plain, [*SOURCES, TESTS / "models.c"]), "-lm", "-o", library)
+    objects = [plain.with_name(f"{source.stem}.o") for source in [*SOURCES, TESTS / "models.c"]]
+    run(COMPILER, "-shared", *objects, "-lm", "-o", library)
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
     functions = {name for name in exported if name.startswith("fmi2")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()

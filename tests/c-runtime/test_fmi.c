@@ -201,28 +201,6 @@ TEST(fmi_logs_what_is_asked_for) {
   fmi2FreeInstance(c);
 }
 
-// outputs that are read after an input was set are the right-sided limits, position and rate going on
-TEST(fmi_inputs_jump_at_communication_points) {
-  importer ear;
-  fmi2Component c = started(fmi2CoSimulation, &ear, 0.0);
-  const fmi2ValueReference position = POSITION;
-  const fmi2Integer order = 2;
-  double left, right;
-  CHECK(fmi2DoStep(c, 0.0, 0.5, fmi2True) == fmi2OK);
-  CHECK(fmi2GetRealOutputDerivatives(c, &position, 1, &order, &left) == fmi2OK);
-  CHECK(set(c, FORCE, 1.25) == fmi2OK);
-  CHECK(fmi2GetRealOutputDerivatives(c, &position, 1, &order, &right) == fmi2OK);
-  CHECK_CLOSE(left, 0.0, 1e-15);
-  CHECK_CLOSE(right, 1.25, 1e-15);
-
-  // derivatives go on over several steps until a new value is set
-  CHECK(set(c, FORCE, 0.0) == fmi2OK && set_derivative(c, 1, 0.5) == fmi2OK);
-  CHECK(fmi2DoStep(c, 0.5, 0.5, fmi2True) == fmi2OK && fmi2DoStep(c, 1.0, 0.5, fmi2True) == fmi2OK);
-  CHECK_CLOSE(get(c, FORCE), 0.5, 1e-15);
-  CHECK_CLOSE(get(c, POSITION), 0.5 * (1.0 - sin(1.0)), 1e-8);
-  fmi2FreeInstance(c);
-}
-
 // times are start + n h: they must meet over a long run, also where the importer sums them up
 TEST(fmi_runs_a_hundred_thousand_steps) {
   importer ear;

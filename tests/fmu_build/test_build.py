@@ -186,11 +186,3 @@ def test_a_changed_part_compiles_again_what_includes_it(changed: str) -> None:
     texts = {"whole.c": whole, "part.c": "static const double part = 1.25;\n", "part.h": "#define PART 3.5\n"}
     assert library(texts) == library(texts)
     assert library(texts) != library(texts | {changed: texts[changed].replace("5", "7")})
-
-
-@pytest.mark.slow
-def test_runtime_compiles_without_warnings(make_oscillators: MakeModel) -> None:
-    """Whoever compiles the sources of an FMU with all warnings sees none of ours."""
-    sources = generate_sources(make_oscillators(), build.DefaultExperiment())
-    compiler = toolchain.find_compiler(native_platform())
-    assert compile_library(sources, compiler, cache=False, runtime_flags=(*toolchain.RUNTIME_FLAGS, "-Werror"))

@@ -91,12 +91,3 @@ def test_static_start_stays_where_it_is(make_oscillators: MakeModel) -> None:
     result = _simulate(path, start_values={"mass": 5.0, "initial": 2}, relative_tolerance=1e-9)
     expected = _released(result["time"], mass=5.0)[:, 0]
     np.testing.assert_allclose(result["first.position"], expected, atol=1e-7 * np.abs(expected).max())
-
-
-def test_model_without_unknowns_is_an_fmu_too(make_lever: MakeModel) -> None:
-    """A rigid scene has nothing to integrate, and its outputs still follow its inputs."""
-    ramp = np.array([(0.0, 0.0), (1.0, 3.0)], dtype=[("time", float), ("angle", float)])
-    result = fmpy.simulate_fmu(
-        str(build_fmu(make_lever()).path), stop_time=1.0, output_interval=0.1, input=ramp, output=["angle", "angle_out"]
-    )
-    np.testing.assert_allclose(result["angle_out"], 2.0 * result["angle"], atol=1e-14)

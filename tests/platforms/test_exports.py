@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from time import sleep
 from typing import Any
 
 import pytest
 
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.sources import Sources
 from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler, native_platform
 from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
+from flexfmu.fmu_build.validation.validate import validate_fmu
+from flexfmu.model.symbolic import SymbolicModel
 
 pytestmark = pytest.mark.slow
 
@@ -64,3 +70,20 @@ def test_the_native_compiler_keeps_to_old_versions_too(library_for: LibraryFor) 
     if native.zig_target != PLATFORMS["linux64"].zig_target:
         pytest.skip(f"{find_compiler(native).command[0]} builds for {native.zig_target} here")
     assert _glibc_version(lief.parse(list(library_for("linux64")))) <= OLDEST_GLIBC["linux64"]
+
+
+@pytest.mark.usefixtures("zig")
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_binaries_hold_no_time(name: str, robot_sources: Sources, library_for: LibraryFor) -> None:
+    """Linked again a second later, the library has the same bytes, on every platform."""
+    first = library_for(name)
+    sleep(1.1)
+    assert compile_library(robot_sources, find_compiler(PLATFORMS[name])) == first
+
+
+@pytest.mark.usefixtures("zig")
+def test_zig_builds_sound_fmus_too(robot: SymbolicModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a machine without a compiler the one from PyPI gives the same good FMU."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert validate_fmu(build_fmu(robot, stop_time=0.1).path) == []

@@ -97,17 +97,6 @@ def test_agrees_with_differences_at_the_start(instantiate: Any, name: str) -> No
         outputs(start)
 
 
-def test_co_simulation_differentiates_the_same(instantiate: Any) -> None:
-    """Both kinds of instances ask the same equations: at the same point they give the same numbers to the last bit."""
-    both = [instantiate(TORQUE, kind) for kind in ("exchange", "stepping")]
-    for plant in both:
-        plant.initialize()
-        plant.begin()
-    knowns = [*both[0].states, *both[0].inputs, "payload.mass"]
-    exchange, stepping = (plant.jacobian(plant.outputs, knowns) for plant in both)
-    assert np.array_equal(exchange, stepping)
-
-
 @pytest.mark.parametrize("modes", [{}, RIGID], ids=["elastic", "rigid"])
 @pytest.mark.parametrize("kind", ["exchange", "stepping"])
 def test_agrees_with_the_models_own_linearisation(

@@ -62,25 +62,6 @@ def test_importers_find_the_same_events(instantiate: Any, plant_path: Any, integ
     assert np.array_equal(tight[:, 2:] == 0.0, stuck)
 
 
-def test_rolls_back_to_the_last_bit(instantiate: Any) -> None:
-    """Modes are part of the FMU's state, also of the serialized one: steps over events repeat exactly."""
-    plant = instantiate(RIGID, "stepping")
-    plant.initialize(1e-6)
-    torques = swinging(plant.get(TORQUES))
-    plant.begin()
-    for k in range(COUNT // 2):
-        plant.set(TORQUES, torques[2 * k])
-        state = plant.fmu.getFMUstate()
-        ends = []
-        for again in range(2):
-            plant.fmu.doStep(2 * k * INTERVAL, 2 * INTERVAL)
-            ends.append(plant.get(plant.outputs))
-            if not again:
-                plant.fmu.setFMUstate(plant.fmu.deSerializeFMUstate(plant.fmu.serializeFMUstate(state)))
-        plant.fmu.freeFMUstate(state)
-        assert np.array_equal(*ends)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("rates", [(0.0, 0.0), (0.3, 0.0), (0.3, -0.2)], ids=["both stick", "one slips", "both slip"])
 def test_derivatives_belong_to_the_mode(instantiate: Any, rates: tuple[float, float]) -> None:

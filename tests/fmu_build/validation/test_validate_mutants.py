@@ -20,16 +20,7 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
-from mutants import (
-    DESCRIPTION,
-    LIBRARY,
-    MUTANTS,
-    Mutant,
-    compile_spring,
-    sound_variants,
-    spring_files,
-    zipped,
-)
+from mutants import DESCRIPTION, LIBRARY, MUTANTS, Mutant, compile_spring, sound_variants, spring_files, zipped
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -317,14 +308,14 @@ def test_unusual_dependencies_are_found(found: Found, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("drive", "step"), [("motion", 2e-3), ("motion", 5e-3), ("torque", 1e-3)])
-def test_robots_with_coarse_steps_have_no_findings(tmp_path: Path, drive: str, step: float) -> None:
-    """Differences over a step that skips vibrations say nothing about derivatives."""
+@pytest.mark.parametrize(("drive", "step"), [("motion", 2e-4), ("motion", 5e-3), ("torque", 1e-3)])
+def test_robots_have_no_findings(tmp_path: Path, drive: str, step: float) -> None:
+    """Neither of fmpy nor of ours; differences over a step that skips vibrations say nothing about derivatives."""
     scene = load_scene("barnard2012-6kg")
     cosimulation = scene.cosimulation.model_copy(update={"drive": drive, "step": step})
     path = tmp_path / "plant.fmu"
     build_scene(scene.model_copy(update={"cosimulation": cosimulation}), output=path)
-    assert validate_fmu(path) == []
+    assert validate_by_fmpy(str(path)) == validate_fmu(path) == []
 
 
 def test_mutants_are_mutants(library: bytes, tmp_path: Path) -> None:
