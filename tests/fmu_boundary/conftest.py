@@ -6,8 +6,5 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-sys.path[:0] = [
-    str(TESTS),
-    str(TESTS / "fmu_boundary"),
-    str(TESTS / "cosim" / "exchange" / "fmu_export"),
-]  # pytest imports tests without their folder
+# pytest imports tests without their folder
+sys.path[:0] = [str(TESTS), str(TESTS / "fmu_boundary"), str(TESTS / "cosim" / "exchange" / "fmu_export")]

@@ -11,8 +11,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from boundary_support.subjects import FILES, SUBJECTS
+from boundary_support.subjects import FILES, SUBJECTS, subject
 from object_files import COMPILER, object_files, program, run
+
+from flexfmu.fmu_build.sources import c_files
 
 SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "500"))
 FEWER = 20
@@ -34,20 +36,16 @@ def has_sanitizers(folder: Path) -> bool:
 
 def fuzzer(folder: Path, name: str, *flags: str) -> Path:
     """The program that fuzzes a subject; hand-written files compile without a warning."""
-    subject, here = SUBJECTS[name](), Path(__file__).parent
-    for file, text in (subject.own | subject.generated).items():
+    sources, counts = subject(name)
+    for file, text in (sources.runtime | sources.generated).items():
         (folder / file).write_text(text, encoding="utf-8")
-    options = (
-        "-std=c99",
-        "-ffp-contract=off",
-        *flags,
-        *subject.defines,
-        f"-I{folder}",
-        f"-I{here.parent / 'c-runtime'}",
-    )
-    own, generated = (
-        [folder / file for file in files if file.endswith(".c")] for files in (subject.own, subject.generated)
-    )
+    names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS", "N_STATES", "N_INDICATORS")
+    numbers = [f"-D{each}={count}" for each, count in zip(names, counts, strict=False)]
+    here = Path(__file__).parent
+    options = ("-std=c99", "-ffp-contract=off", f"-I{folder}", f"-I{here.parent / 'c-runtime'}", *flags)
+    # steps that have no end are given up early
+    options += (f'-DGUID="{sources.guid}"', *numbers, "-DFLEX_MAX_STEPS=3000.0", "-DFLEX_MAX_SAMPLES=3000.0")
+    own, generated = ([folder / file for file in c_files(files)] for files in (sources.runtime, sources.generated))
     objects = object_files(folder, [*own, here / "fuzz.c"], *options, *STRICT)
     return program(folder, [*objects, *object_files(folder, generated, *options, "-w")], *flags)
 

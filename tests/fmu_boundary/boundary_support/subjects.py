@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from export_support.blocks import pd_controller
@@ -26,89 +25,34 @@ N_INTEGERS = 7
 MECHANISM = load_scene("barnard2012-6kg").mechanism
 
 
-@dataclass(frozen=True)
-class Subject:
-    """C files by name, and the numbers of Real variables (inputs first, then parameters, then outputs) and Integers.
-
-    Attributes:
-        own: hand-written and constant files, which must compile without a warning.
-        generated: CasADi's.
-        guid: of the model description.
-        counts: N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES and N_INDICATORS where there is model exchange.
-    """
-
-    own: dict[str, str]
-    generated: dict[str, str]
-    guid: str
-    counts: tuple[int, ...]
-
-    @property
-    def defines(self) -> tuple[str, ...]:
-        """For the compiler; steps that have no end are given up early."""
-        names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS", "N_STATES", "N_INDICATORS")
-        numbers = [f"-D{name}={count}" for name, count in zip(names, self.counts, strict=False)]
-        return (f'-DGUID="{self.guid}"', *numbers, "-DFLEX_MAX_STEPS=3000.0", "-DFLEX_MAX_SAMPLES=3000.0")
-
-
 def scene(drive: str) -> Scene:
     """The smallest robot that bends: one mode in each proximal arm; driven by torques, its motors stick."""
+    friction = {"kind": "stiction", "coulomb": 1.0, "breakaway": 2.0} if drive == "torque" else {}
+    modes = {"effects.proximal_bending": 1, "effects.distal_axial": 0}
     return load_scene("barnard2012-6kg").replace(
-        {
-            "effects.proximal_bending": 1,
-            "effects.distal_axial": 0,
-            "effects.joint_friction": {"kind": "stiction", "coulomb": 1.0, "breakaway": 2.0}
-            if drive == "torque"
-            else {},
-            "cosimulation.drive": drive,
-        }
+        modes | {"effects.joint_friction": friction, "cosimulation.drive": drive}
     )
 
 
-def _fragile() -> Subject:
-    """One that can fail in every way."""
-    return Subject(
-        runtime_sources("plant") | {"models.c": HAND_WRITTEN.read_text(encoding="utf-8")},
-        {},
-        "{fragile}",
-        (1, 3, 5, N_INTEGERS, 2, 0),
-    )
+SUBJECTS = ("fragile", "robot", "torque-driven robot", "block", "trajectory")
 
 
-def _robot(drive: str) -> Subject:
-    model = build_model(scene(drive))
+def subject(name: str) -> tuple[Sources, tuple[int, ...]]:
+    """Sources by name, and N_INPUTS, N_SETTABLE, N_REALS (inputs first, then parameters, then outputs) and N_INTEGERS, with N_STATES and
+    N_INDICATORS where there is model exchange."""
+    if name == "block":
+        return generate_sources(pd_controller(), EXPERIMENT), (2, 5, 6, 1)
+    if name == "trajectory":
+        return generate_sources(Motion(Swing(), ["axis"], "m"), EXPERIMENT), (0, 0, 3, 1)  # type: ignore[arg-type]
+    if name == "fragile":  # can fail in every way
+        files = runtime_sources("plant") | {"models.c": HAND_WRITTEN.read_text(encoding="utf-8")}
+        return Sources("fragile", "{fragile}", "", {}, files, {}), (1, 3, 5, N_INTEGERS, 2, 0)
+    model = build_model(scene("motion" if name == "robot" else "torque"))
     inputs, settable = len(model.inputs), len(model.inputs) + len(model.parameters)
-    counts = (
-        inputs,
-        settable,
-        settable + len(model.outputs) + 1,
-        N_INTEGERS,
-        2 * len(model.unknowns),
-        len(model.frictions),
-    )
-    return _subject(generate_sources(model, EXPERIMENT), counts)
+    reals, states = settable + len(model.outputs) + 1, 2 * len(model.unknowns)
+    counts = (inputs, settable, reals, N_INTEGERS, states, len(model.frictions))
+    return generate_sources(model, EXPERIMENT), counts
 
-
-def _subject(sources: Sources, counts: tuple[int, ...]) -> Subject:
-    return Subject(sources.runtime, sources.generated, sources.guid, counts)
-
-
-def _block() -> Subject:
-    return _subject(generate_sources(pd_controller(), EXPERIMENT), (2, 5, 6, 1))
-
-
-def _trajectory() -> Subject:
-    sources = generate_sources(Motion(Swing(), ["axis"], "m"), EXPERIMENT)  # type: ignore[arg-type]
-    return _subject(sources, (0, 0, 3, 1))
-
-
-SUBJECTS: dict[str, Callable[[], Subject]] = {
-    "fragile": _fragile,
-    "robot": lambda: _robot("motion"),
-    "torque-driven robot": lambda: _robot("torque"),
-    "block": _block,
-    "trajectory": _trajectory,
-}
-"""Name → function that makes it."""
 
 FILES: dict[str, Callable[[], Path]] = {
     "robot": lambda: build_scene(scene("motion")).path,

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.schema import Scene
 
 Array = NDArray[np.float64]
 Kind = Literal["exchange", "stepping"]
@@ -101,10 +100,6 @@ class Instance:
 Instantiate = Callable[..., Instance]
 
 
-def scene_of(changes: Mapping[str, object]) -> Scene:
-    return load_scene("barnard2012-6kg").replace(changes)
-
-
 @pytest.fixture(autouse=True)
 def cache_folder(shared_cache: Path) -> Path:
     """These tests need no empty cache."""
@@ -120,7 +115,8 @@ def plant_path(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[
         key = repr(sorted(changes.items()))
         if key not in built:
             folder = tmp_path_factory.mktemp("plant")
-            fmu = build_scene(scene_of(changes), output=folder / "plant.fmu").path
+            scene = load_scene("barnard2012-6kg").replace(changes)
+            fmu = build_scene(scene, output=folder / "plant.fmu").path
             built[key] = fmu, Path(fmpy.extract(str(fmu), str(folder / "unpacked")))
         return built[key]
 
@@ -139,12 +135,6 @@ def instantiate(plant_path: Callable[..., tuple[Path, Path]]) -> Iterator[Instan
     yield make
     for instance in instances:
         instance.fmu.freeInstance()
-
-
-@pytest.fixture
-def make_scene() -> Callable[[Mapping[str, object]], Scene]:
-    """The 6 kg scene with changes."""
-    return scene_of
 
 
 def integrate(

@@ -6,11 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from flexfmu.fmu_build.validation.validate import validate_fmu
-
-Array = NDArray[np.float64]
 
 TORQUES = ["joint1.torque", "joint2.torque"]
 POSITIONS = ["joint1.position", "joint2.position"]
@@ -26,29 +23,21 @@ RIGID = DRIVEN | STIFF | {"effects.joint_friction": STICKING}
 ELASTIC = DRIVEN | {"effects.joint_friction": STICKING | {"stribeck_velocity": 0.05}}
 
 
-def swinging(holding: Array) -> Array:
-    """Torques from each sample on, (samples, 2): they stop and turn both motors again and again."""
-    time = np.arange(COUNT) * INTERVAL
-    return holding + np.array([5.0, 4.0]) * np.sin(2 * np.pi * time[:, None] * np.array([2.0, 3.0]))
-
-
-def step_through(plant: Any, tolerance: float) -> tuple[Array, Array]:
-    """Torques, and positions and rates at the end of each interval of a co-simulation, (samples, 4)."""
-    plant.initialize(tolerance)
-    torques = swinging(plant.get(TORQUES))
+@pytest.mark.slow
+def test_importers_find_the_same_events(instantiate: Any, plant_path: Any, integrate: Any) -> None:
+    """CVODE, which looks for roots of the event indicators, converges to the co-simulation and sticks when it does."""
+    # torques stop and turn both motors again and again
+    plant, time = instantiate(RIGID, "stepping"), np.arange(COUNT) * INTERVAL
+    plant.initialize(1e-10)
+    turns = np.sin(2 * np.pi * time[:, None] * np.array([2.0, 3.0]))
+    torques = plant.get(TORQUES) + np.array([5.0, 4.0]) * turns
     plant.begin()
     rows = []
     for k in range(COUNT):
         plant.set(TORQUES, torques[k])
         plant.fmu.doStep(k * INTERVAL, INTERVAL)
         rows.append(plant.get(POSITIONS + RATES))
-    return torques, np.array(rows)
-
-
-@pytest.mark.slow
-def test_importers_find_the_same_events(instantiate: Any, plant_path: Any, integrate: Any) -> None:
-    """CVODE, which looks for roots of the event indicators, converges to the co-simulation and sticks when it does."""
-    torques, reference = step_through(instantiate(RIGID, "stepping"), 1e-10)
+    reference = np.array(rows)
     stuck = reference[:, 2:] == 0.0
     assert 10 < stuck.sum() < stuck.size / 2
     # inputs jump at each sample
