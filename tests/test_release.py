@@ -35,14 +35,8 @@ def listed() -> set[str]:
 def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The source distribution, built from a copy that also holds what must stay outside, and unpacked."""
     copy, target = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("unpacked")
-    for name in {
-        *listed(),
-        "results/run.csv",
-        "cosim/__pycache__/a.pyc",
-        "robot.fmu",
-        ".venv/pyvenv.cfg",
-        "build/a.txt",
-    }:
+    outside = {"results/run.csv", "cosim/__pycache__/a.pyc", "robot.fmu", ".venv/pyvenv.cfg", "build/a.txt"}
+    for name in listed() | outside:
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         if (ROOT / name).is_file():
             shutil.copy(ROOT / name, copy / name)

@@ -40,11 +40,7 @@ def record(motion_plan: MotionPlan, step: float, end: float) -> Recording:
     """A recording with all signals of the motion-driven plant, vibrating at 58 Hz with 14 % damping after T."""
     time, is_left = two_sided_times(motion_plan, step, end)
     evaluate = [
-        np.where(
-            is_left[:, np.newaxis],
-            trajectory.evaluate(time, 4, "left"),
-            trajectory.evaluate(time, 4, "right"),
-        )
+        np.where(is_left[:, np.newaxis], trajectory.evaluate(time, 4, "left"), trajectory.evaluate(time, 4, "right"))
         for trajectory in (motion_plan.task, motion_plan.joints)
     ]
     task, joints = evaluate

@@ -215,14 +215,9 @@ def test_a_mass_from_the_start_on_is_the_payload() -> None:
 
 def test_several_in_one_signal_add_up() -> None:
     """The robot gets the sum, at the instants of each."""
-    changes = {
-        **RIGID,
-        "trajectory.duration": 0.02,
-        "disturbance": [
-            {"kind": "step", "signal": "force.x", "amplitude": 2.0, "start": 0.0053},
-            {"kind": "sine", "signal": "force.x", "amplitude": 1.0, "frequency": 50.0, "sample_time": 1e-3},
-        ],
-    }
+    push = {"kind": "step", "signal": "force.x", "amplitude": 2.0, "start": 0.0053}
+    wave = {"kind": "sine", "signal": "force.x", "amplitude": 1.0, "frequency": 50.0, "sample_time": 1e-3}
+    changes = {**RIGID, "trajectory.duration": 0.02, "disturbance": [push, wave]}
     run = run_scene(load_scene("barnard2012-6kg").replace(changes))
     time, force = run.recording.time, run.recording["force.x"].values
     assert abs(time - 0.0053).min() < 1e-12

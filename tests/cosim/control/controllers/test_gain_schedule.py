@@ -133,10 +133,8 @@ def test_gains_over_the_payload(robot: Scene) -> None:
 
 def test_loops_of_a_cascade_have_their_own(robot: Scene) -> None:
     """Both loops take the signal."""
-    position = {
-        "proportional": 60.0,
-        "schedule": {"over": "joint1.position", "at": [1.0, 3.0], "velocity_feedforward": [1.0, 0.9]},
-    }
+    table = {"over": "joint1.position", "at": [1.0, 3.0], "velocity_feedforward": [1.0, 0.9]}
+    position = {"proportional": 60.0, "schedule": table}
     velocity = {"proportional": 90.0, "schedule": {**SCHEDULE, "inertia": [1.0, 2.0, 3.0]}}
     cascade = {"kind": "cascade", "position": position, "velocity": velocity, "sample_time": H}
     outer, inner = loop_of(robot.replace({"controller": [cascade]})).controllers
@@ -169,7 +167,5 @@ def test_an_own_output_is_no_signal_to_follow() -> None:
 def test_a_signal_that_there_isnt(robot: Scene) -> None:
     """A misspelt signal has no source."""
     misspelt = {**SCHEDULE, "over": "end_efector.position.x"}
-    with pytest.raises(
-        InputError, match=r"end_efector.position.x.* has no source.*did you mean 'end_effector.position.x'"
-    ):
+    with pytest.raises(InputError, match=r"end_efector.position.x.* has no source.*mean 'end_effector.position.x'"):
         run_scene(robot.replace({"controller": [{**PD, "schedule": misspelt}]}))

@@ -131,15 +131,8 @@ def test_norm_optimal_block(monkeypatch: pytest.MonkeyPatch) -> None:
     places = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(cycle) / cycle)
     errors = rng.normal(size=(3 * cycle, 2))
     monkeypatch.setattr(iterative_learning, "places_of", lambda context, instants: places)
-    model = learning(
-        law="norm-optimal",
-        response=response.tolist(),
-        cycles=2,
-        period=cycle * H,
-        sample_time=H,
-        forgetting=0.05,
-        q_filter=150.0,
-    )
+    options = {"period": cycle * H, "sample_time": H, "forgetting": 0.05, "q_filter": 150.0}
+    model = learning(law="norm-optimal", response=response.tolist(), cycles=2, **options)
     found = answer(model, errors)
     law = iterative_learnings.norm_optimal_law(response, 1e-3, 0.05, iterative_learnings.zero_phase(150.0, H, 39), 39)
     assert law.error.shape[0] == 3
