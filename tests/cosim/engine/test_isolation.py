@@ -64,15 +64,9 @@ class Ramp(PythonSlave):
         self.time = float(str(state))
 
 
-class StubbornError(Exception):
-    """Can't go from one process to another."""
-
-    def __init__(self, first: str, second: Callable[[], None]) -> None:
-        super().__init__(first, second)
-
-
 def stubborn() -> None:
-    raise StubbornError("no", lambda: None)
+    """Raises what can't go from one process to another."""
+    raise RuntimeError("no", lambda: None)
 
 
 def sleep() -> None:
@@ -107,9 +101,8 @@ def assert_recorded(run: Simulation, name: str, words: str) -> None:
 def test_an_fmu_in_trouble(foreign_fmu: Path, trouble: str, words: str, compiled: bool) -> None:
     """Named among others, in C and in Python; what it recorded is what it records without trouble."""
     slaves = [Ramp(), FmuSlave(foreign_fmu, "guest", {"trouble": trouble})]
-    run = simulate(
-        connect(slaves, []), 1.0, 0.01, compiled=compiled, isolation=QUICK if trouble == "hangs" else PATIENT
-    )
+    limit = QUICK if trouble == "hangs" else PATIENT
+    run = simulate(connect(slaves, []), 1.0, 0.01, compiled=compiled, isolation=limit)
     assert_recorded(run, "guest", words)
     assert run.recording["guest.x"].values == pytest.approx(np.exp(-run.recording.time), rel=1e-12)
     assert np.array_equal(run.recording["ramp.x"].values, run.recording.time)
@@ -121,7 +114,7 @@ def test_an_fmu_in_trouble(foreign_fmu: Path, trouble: str, words: str, compiled
         (lambda: os._exit(3), "exit status 3"),
         (lambda: sys.exit(0), "it called sys.exit(0)"),
         (sleep, "hasn't returned"),
-        (stubborn, "StubbornError: ('no'"),
+        (stubborn, "RuntimeError: ('no'"),
         (lambda: 1 / 0, "ZeroDivisionError: division by zero"),
     ],
 )

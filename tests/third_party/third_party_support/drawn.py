@@ -9,7 +9,7 @@ from typing import Any
 from export_support.kinds import KINDS
 
 from flexfmu.fmu_build.block_build import block_description, regular_block
-from flexfmu.fmu_build.description import Description, description_xml
+from flexfmu.fmu_build.description import description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.sources import plant_description
 from flexfmu.model.plants import build_model
@@ -49,7 +49,8 @@ def descriptions() -> dict[str, str]:
     """Name → text of modelDescription.xml."""
     plants = {scene.name: plant_description(build_model(scene)) for scene in scenes()}
     blocks = {name: block_description(regular_block(KINDS[name]())) for name in BLOCKS}
-    return {name: _text(description) for name, description in (plants | blocks).items()}
+    rest = "{00112233-4455-6677-8899-aabbccddeeff}", DefaultExperiment(0.68, 2e-4, 1e-6), ("model.c",)
+    return {name: description_xml(description, *rest) for name, description in (plants | blocks).items()}
 
 
 def scenes() -> Iterator[Scene]:
@@ -61,8 +62,3 @@ def scenes() -> Iterator[Scene]:
         drawn = {key: random.choice(values) for key, values in CHOICES.items()}
         chosen = {key: value for key, value in drawn.items() if value is not None}
         yield base.replace({"name": f"drawn-{number}"} | chosen)
-
-
-def _text(description: Description) -> str:
-    experiment = DefaultExperiment(stop_time=0.68, step=2e-4, tolerance=1e-6)
-    return description_xml(description, "{00112233-4455-6677-8899-aabbccddeeff}", experiment, ("model.c",))

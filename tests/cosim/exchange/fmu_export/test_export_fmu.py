@@ -58,15 +58,6 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
     assert "with a derivative of in1 out1 is 0.00775 off" in finding.message
 
 
-def test_fmpy_simulates_a_trajectory(tmp_path: Path) -> None:
-    """Left limits at the communication points."""
-    path = str(build_fmu(SWING, tmp_path / "swing.fmu").path)
-    result = fmpy.simulate_fmu(path, step_size=0.01, output_interval=0.01)
-    exact = Swing().evaluate(result["time"], 2, "left")[:, :, 0]
-    for row, kind in zip(exact, ("position", "velocity", "acceleration"), strict=True):
-        np.testing.assert_allclose(result[f"axis.reference.{kind}"], row, rtol=0.0, atol=1e-12 * abs(exact).max())
-
-
 def test_description_says_what_it_is(tmp_path: Path) -> None:
     """Outputs that jump are discrete, feedthrough is declared, and tools that look find sample time and breakpoints."""
     path = build_fmu(delay(sample_time=0.25, offset=0.125), tmp_path / "delay.fmu").path

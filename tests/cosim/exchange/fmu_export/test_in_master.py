@@ -72,25 +72,16 @@ def test_exported_controller_equals_its_twin(ratio: float, name: str) -> None:
     assert abs(twin["controller.out1"]).max() > 0.4, "the controller does something"
 
 
-def test_parameters_reach_the_fmu() -> None:
-    """Gains are given when the slave is made, by name."""
-    path = build_fmu(pd_controller()).path
-    weak = closed_loop(SampledFmu(path, "controller", {"kp": 0.0, "kd": 0.0}), SAMPLE_TIME)
-    assert (weak["controller.out1"] == 0.0).all()
-    with pytest.raises(InputError, match="no parameter 'gain'"):
-        SampledFmu(path, "controller", {"gain": 1.0})
-
-
 def test_saves_and_restores() -> None:
     """A master that repeats steps gets the same samples."""
     slave = SampledFmu(build_fmu(pd_controller()).path)
-    indices, values = np.array([0, 1]), np.empty(1)
-    output = np.array([i for i, each in enumerate(slave.variables) if each.causality == "output"])
+    (output,) = (i for i, each in enumerate(slave.variables) if each.causality == "output")
+    values = np.empty(1)
 
     def sample(k: int, u: float) -> float:
-        slave.set(indices, np.array([u, 0.0]))
+        slave.set(np.array([0, 1]), np.array([u, 0.0]))
         slave.sample(k * SAMPLE_TIME)
-        slave.get(output, values)
+        slave.get(np.array([output]), values)
         return float(values[0])
 
     slave.initialize(0.0, 1.0, None)

@@ -67,17 +67,9 @@ def test_signals_are_called_as_in_the_scene(scene_of: SceneOf, ssp_of: SspOf) ->
     """One name in the scene's recording, in that of its SSP file and in the FMUs; the names in the file are found, too."""
     loaded, expected = load_ssp(ssp_of("controlled"), stop=0.01), run_scene(scene_of("controlled")).recording
     recording = loaded.simulate().recording
-    assert set(recording.columns) == {
-        name for name in expected.columns if not name.startswith("end_effector.reference")
-    }
-    outputs = {
-        each.name
-        for slave in loaded.system.slaves
-        if slave.name == "plant"
-        for each in slave.variables
-        if each.causality == "output"
-    }
-    assert outputs <= set(recording.columns)
+    assert {*recording.columns} == {each for each in expected.columns if not each.startswith("end_effector.reference")}
+    (plant,) = (slave for slave in loaded.system.slaves if slave.name == "plant")
+    assert {each.name for each in plant.variables if each.causality == "output"} <= set(recording.columns)
     assert recording["plant.joint1.position"] is recording["joint1.position"]
     assert recording.units["joint1.torque"] == expected.units["joint1.torque"] == "N.m"
     with pytest.raises(KeyError, match=r"no signal 'plant\.joint3\.position' was recorded"):

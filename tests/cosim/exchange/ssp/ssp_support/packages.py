@@ -8,12 +8,9 @@ from pathlib import Path
 
 NAMESPACES = " ".join(
     f'xmlns:{prefix}="http://ssp-standard.org/SSP1/SystemStructure{name}"'
-    for prefix, name in {
-        "ssc": "Common",
-        "ssd": "Description",
-        "ssv": "ParameterValues",
-        "ssm": "ParameterMapping",
-    }.items()
+    for prefix, name in zip(
+        ("ssc", "ssd", "ssv", "ssm"), ("Common", "Description", "ParameterValues", "ParameterMapping"), strict=True
+    )
 )
 
 CONNECTION = '<ssd:Connection startElement="first" startConnector="x" endElement="second" endConnector="u"/>'
