@@ -35,7 +35,7 @@ from flexfmu.fmu_build.description import Content, Description
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import Interface, counter_variable, feedthrough, real_variables
 from flexfmu.fmu_build.naming import Naming, named
-from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, block_picture
+from flexfmu.fmu_build.picture import block_picture
 from flexfmu.fmu_build.regular_sampling import regular
 from flexfmu.fmu_build.templating import render
 from flexfmu.model.symbolic import SymbolicBlock
@@ -71,8 +71,7 @@ def block_content(block: SymbolicBlock, naming: Naming) -> Content:
         block_description(block),
         code,
         "block.html.j2",
-        picture=block_picture(*PAGE_SIZE, FINE_PEN),
-        icon=block_picture(),
+        picture=block_picture(),
         values={"model": block},
         c_files=block.c_files,
         libraries=block.libraries,

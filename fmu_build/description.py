@@ -99,7 +99,6 @@ class Content:
         code: function from a GUID to the generated C files, name → text.
         page: template of the documentation's page, which extends ``page.html.j2``.
         picture: picture at the top of the page.
-        icon: picture for the icon.
         values: further variables of the template.
         c_files: further C files and headers, whose functions the generated ones call, name → text.
         libraries: shared libraries that the FMU's own one needs beside it, name → library.
@@ -110,7 +109,6 @@ class Content:
     code: Callable[[str], dict[str, str]]
     page: str
     picture: Picture
-    icon: Picture
     values: Mapping[str, Any] = field(default_factory=dict)
     c_files: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)

@@ -1,20 +1,14 @@
-"""Pictures of lines and labels: the documentation shows them as SVG, this module writes the icon ``model.png``.
-
-The PNG file (ISO/IEC 15948) is written without a drawing library, so that its bytes depend only on the picture and zlib.
-"""
+"""Pictures of lines and labels for an FMU's documentation, which shows them as SVG."""
 
 from __future__ import annotations
 
 import itertools
-import struct
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import hypot
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.model.symbolic import Drawing, Part
 from flexfmu.trajectories.curves import Point
@@ -35,17 +29,14 @@ _THINNEST = 0.018
 """Smallest width of the bars, as a fraction of the picture's smaller side, so that slender links are visible."""
 
 
-PEN, FINE_PEN = 0.05, 0.018
-"""Line widths for icons and for larger pictures, as a fraction of the height."""
+PEN = 0.018
+"""Line width of blocks and curves, as a fraction of the height."""
 
-ICON_FILE = "model.png"
-"""Path of the icon in the FMU (FMI 2.0.4, section 2.3)."""
-
-ICON_SIZE = 96
-"""Width and height of the icon [px]."""
+PLANT_SIZE = (560, 420)
+"""Width and height of the picture of a mechanism [px]."""
 
 PAGE_SIZE = (420, 210)
-"""Width and height of pictures of blocks and curves in the documentation [px]."""
+"""Width and height of pictures of blocks and curves [px]."""
 
 
 FONT_SIZE = 15.0
@@ -56,9 +47,6 @@ DISTANCE = 35.0
 
 ROOM = (125.0, 45.0)
 """Margins for labels at the sides, and above and below [px]."""
-
-SAMPLES = 4
-"""Samples of a pixel of the icon in each direction, whose mean it is."""
 
 Anchor = Literal["start", "middle", "end"]
 
@@ -97,17 +85,15 @@ class Picture:
     labels: tuple[Label, ...] = ()
 
 
-def plant_picture(
-    drawing: Drawing | None, width: int = ICON_SIZE, height: int = ICON_SIZE, *, labelled: bool = False
-) -> Picture:
-    """Picture of a mechanism, scaled to fit, or of a block without a drawing; ``labelled`` adds the names used by the variables."""
+def plant_picture(drawing: Drawing | None) -> Picture:
+    """Picture of a mechanism, scaled to fit, with the names used by the variables; or of a block without a drawing."""
     if drawing is None:
-        return block_picture(width, height)
+        return block_picture()
     # scaled to fit, with margins for the labels
+    width, height = PLANT_SIZE
     side = min(width, height)
-    margins = ROOM if labelled else (0.10 * side, 0.10 * side)
     ends = [point for bar in drawing.bars for point in (bar.start, bar.end)]
-    view, scale = _fitted([*ends, *(spot.position for spot in drawing.spots)], width, height, margins)
+    view, scale = _fitted([*ends, *(spot.position for spot in drawing.spots)], width, height, ROOM)
     # bars first, small spots over large ones
     lines = [
         Line(view(bar.start), view(bar.end), max(bar.diameter * scale, _THINNEST * side), COLOURS[bar.part])
@@ -118,10 +104,10 @@ def plant_picture(
         lines += [Line(at, at, 2.0 * _RADII[spot.part] * side, COLOURS[spot.part])]
     # names on the bars, and beside the spots, away from the middle
     labels, middle = list[Label](), np.mean([view(spot.position) for spot in drawing.spots], axis=0)
-    for bar in drawing.bars if labelled else ():
+    for bar in drawing.bars:
         start, end = view(bar.start), view(bar.end)
         labels.append(Label(bar.name, ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 0.25 * FONT_SIZE), "middle"))
-    for spot in drawing.spots if labelled else ():
+    for spot in drawing.spots:
         spot_at = np.array(view(spot.position))
         x, y = (spot_at - middle) / (hypot(*(spot_at - middle)) or 1.0)
         anchor: Anchor = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
@@ -131,29 +117,23 @@ def plant_picture(
     return Picture(width, height, tuple(lines), tuple(labels))
 
 
-def curves_picture(
-    curves: Iterable[Sequence[Point]], width: int = ICON_SIZE, height: int = ICON_SIZE, pen: float = PEN
-) -> Picture:
-    """Picture of up to two curves through points (abscissa, ordinate), each scaled to the picture.
-
-    Args:
-        curves: points of each curve; only the first two are drawn.
-        width, height: size of the picture [px].
-        pen: line width as a fraction of the height.
-    """
+def curves_picture(curves: Iterable[Sequence[Point]]) -> Picture:
+    """Picture of the first two curves, each through points (abscissa, ordinate) and scaled to the picture."""
+    width, height = PAGE_SIZE
     lines: list[Line] = []
     for curve, colour in zip(curves, (COLOURS["proximal"], COLOURS["distal"]), strict=False):
         view, _ = _fitted(curve, width, height, (0.12 * width, 0.12 * height), keep_aspect=False)
         points = [view(point) for point in curve]
-        lines += [Line(a, b, pen * height, colour) for a, b in itertools.pairwise(points)]
+        lines += [Line(a, b, PEN * height, colour) for a, b in itertools.pairwise(points)]
     return Picture(width, height, tuple(lines))
 
 
-def block_picture(width: int = ICON_SIZE, height: int = ICON_SIZE, pen: float = PEN) -> Picture:
-    """Picture of a block diagram's block with an input and an output arrow; ``pen`` is a fraction of the height."""
+def block_picture() -> Picture:
+    """Picture of a block diagram's block with an input and an output arrow."""
+    width, height = PAGE_SIZE
     left, right, top, bottom, middle = 0.3 * width, 0.7 * width, 0.25 * height, 0.75 * height, 0.5 * height
     corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
-    dark, light, ink = COLOURS["proximal"], COLOURS["distal"], pen * height
+    dark, light, ink = COLOURS["proximal"], COLOURS["distal"], PEN * height
     box = [Line(a, b, ink, dark) for a, b in itertools.pairwise(corners)]
     arrows = [arrow for x in (0.05 * width, right) for arrow in _arrow((x, middle), 0.25 * width, ink, light)]
     return Picture(width, height, (*arrows, *box))
@@ -176,34 +156,3 @@ def _fitted(
         across = up = min(across, up)
     x0, y0 = width / 2 - across * (left + right) / 2, height / 2 + up * (low + high) / 2
     return lambda point: (x0 + across * point[0], y0 - up * point[1]), across
-
-
-def png(picture: Picture) -> bytes:
-    """The picture as a PNG file, without labels, on a transparent background, with antialiased edges."""
-    n, height, width = SAMPLES, picture.height, picture.width
-    y, x = (np.indices((n * height, n * width)) + 0.5) / n
-    samples = np.zeros((n * height, n * width, 4))
-    for line in picture.lines:
-        # distance of each sample from the line segment
-        along = np.subtract(line.end, line.start)
-        right, down = x - line.start[0], y - line.start[1]
-        share = np.clip((right * along[0] + down * along[1]) / (along @ along or 1.0), 0.0, 1.0)
-        distance = np.hypot(right - share * along[0], down - share * along[1])
-        colour = [int(line.colour[i : i + 2], 16) for i in (1, 3, 5)]
-        samples[distance <= line.width / 2] = [*colour, 255]
-    # the mean of each pixel's samples, in colour of those that are drawn
-    pixels = samples.reshape(height, n, width, n, 4).mean(axis=(1, 3))
-    pixels[..., :3] *= 255 / np.maximum(pixels[..., 3:], 1.0)
-    return _encode(np.rint(pixels).astype(np.uint8))
-
-
-def _encode(pixels: NDArray[np.uint8]) -> bytes:
-    """RGBA pixels (rows, columns, 4) as a PNG file (ISO/IEC 15948), without metadata."""
-    height, width, _ = pixels.shape
-    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
-    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-        for kind, content in chunks
-    )

@@ -23,14 +23,17 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import build_interface
 from flexfmu.fmu_build.naming import Naming, named, namer
-from flexfmu.fmu_build.picture import ICON_FILE, plant_picture, png
+from flexfmu.fmu_build.picture import plant_picture
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, fmi_header_folder
 from flexfmu.fmu_build.trajectory_build import Motion, motion_content
-from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
 
 if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SharedLibrary, SymbolicModel
+    from flexfmu.model.symbolic import SharedLibrary
+
+ICON_FILE = "model.png"
+"""Path of the icon in the FMU (FMI 2.0.4, section 2.3)."""
 
 RuntimeKind = FmuKind | Literal["batch", "elementary", "processor"]
 """What the C runtime is compiled for."""
@@ -114,6 +117,7 @@ def generate_sources(
     else:
         content = _plant_content(model, naming, experiment)
     description = replace(content.description, naming=naming, enumerations=enumerations)
+    icon = "block" if isinstance(model, SymbolicModel) and model.drawing is None else content.kind
     # C code with a blank GUID, and the runtime
     runtime, blank = runtime_sources(content.kind), content.code("")
     taken = sorted(set(content.c_files) & {*runtime, *blank})
@@ -134,7 +138,7 @@ def generate_sources(
         content.code(guid),
         runtime,
         documentation(content, naming, experiment),
-        png(content.icon),
+        (files(__package__) / "templates" / f"{icon}.png").read_bytes(),
         content.libraries,
     )
 
@@ -161,8 +165,7 @@ def _plant_content(model: SymbolicModel, naming: Naming, experiment: DefaultExpe
         plant_description(model),
         code,
         "index.html.j2",
-        picture=plant_picture(model.drawing, 560, 420, labelled=True),
-        icon=plant_picture(model.drawing),
+        picture=plant_picture(model.drawing),
         values={
             "model": named(model, naming),
             "states": states,

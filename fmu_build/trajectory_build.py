@@ -18,7 +18,7 @@ from flexfmu.fmu_build.description import Content, Description
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import Interface, choice_variable, real_variables
 from flexfmu.fmu_build.naming import Naming, named_variables
-from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, curves_picture
+from flexfmu.fmu_build.picture import curves_picture
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, tabulate
 from flexfmu.model.symbolic import Variable
@@ -91,7 +91,7 @@ def motion_content(motion: Motion, naming: Naming) -> Content:
         template = "trajectory_description.c.j2"
         return {DESCRIPTION_FILE: render(template, name=name, guid=guid, table=table, **values)}
 
-    # pictures of the positions of the first two axes over time
+    # a picture of the positions of the first two axes over time
     times = np.linspace(breakpoints[0], breakpoints[-1], PICTURE_POINTS)
     positions = motion.trajectory.evaluate(times, 0)[0]
     curves = [list(zip(times.tolist(), values.tolist(), strict=True)) for values in positions.T]
@@ -100,8 +100,7 @@ def motion_content(motion: Motion, naming: Naming) -> Content:
         description,
         code,
         "trajectory.html.j2",
-        picture=curves_picture(curves, *PAGE_SIZE, FINE_PEN),
-        icon=curves_picture(curves),
+        picture=curves_picture(curves),
         values={
             "table": table,
             "breakpoints": breakpoints,
