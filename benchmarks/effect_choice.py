@@ -146,9 +146,7 @@ def judge(rows: Sequence[Row], tolerance: float, *, drawn: bool) -> Iterator[Cri
     below = sum(row.observed < tolerance for row in rows)
     largest = percent(max(row.observed for row in rows))
     yield Criterion(
-        "observed error below the tolerance",
-        below == len(rows),
-        f"{below} of {len(rows)} scenes, largest {largest}",
+        "observed error below the tolerance", below == len(rows), f"{below} of {len(rows)} scenes, largest {largest}"
     )
     apart = max(abs(row.observed - row.verified) for row in rows)
     yield Criterion(

@@ -18,12 +18,7 @@ for label, rule in {
     "back-calculation": {"kind": "back-calculation", "tracking_time": 0.01},
 }.items():
     controller = flexfmu.control.pid(
-        proportional=10e3,
-        integral=300e3,
-        derivative=100.0,
-        sample_time=1e-3,
-        torque_limit=50.0,
-        anti_windup=rule,
+        proportional=10e3, integral=300e3, derivative=100.0, sample_time=1e-3, torque_limit=50.0, anti_windup=rule
     )
     found = flexfmu.run(robot, controllers=[controller]).metrics
     settling = found.settling_time

@@ -11,13 +11,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
-from flexfmu.fmu_build.cache import (
-    cache_folder,
-    content_hash,
-    package_fingerprint,
-    read_cached,
-    store,
-)
+from flexfmu.fmu_build.cache import cache_folder, content_hash, package_fingerprint, read_cached, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, PlatformError
 from flexfmu.fmu_build.experiment import DefaultExperiment

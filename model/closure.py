@@ -104,10 +104,7 @@ class Closure:
     def _solve_transposed(self, force: casadi.SX) -> list[casadi.SX]:
         """Coefficients m_i for which the sum of m_i e_p[i] equals the force: the axial forces in the distal links."""
         e1, e2 = self.e_p
-        return [
-            (force[0] * e2[1] - force[1] * e2[0]) / self.sine,
-            (force[1] * e1[0] - force[0] * e1[1]) / self.sine,
-        ]
+        return [(force[0] * e2[1] - force[1] * e2[0]) / self.sine, (force[1] * e1[0] - force[0] * e1[1]) / self.sine]
 
     def _move(self) -> None:
         """Set the velocities: angular rates of the links, elbows, end effector."""

@@ -83,11 +83,7 @@ def _root(a: Jet) -> Jet:
     return q0, q1, (a[2] - q1 * q1) * half
 
 
-_SPECIAL: dict[int, Callable[..., Jet]] = {
-    casadi.OP_DIV: _divide,
-    casadi.OP_INV: _invert,
-    casadi.OP_SQRT: _root,
-}
+_SPECIAL: dict[int, Callable[..., Jet]] = {casadi.OP_DIV: _divide, casadi.OP_INV: _invert, casadi.OP_SQRT: _root}
 """Recurrences with fewer divisions than the chain rule."""
 
 

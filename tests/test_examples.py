@@ -168,13 +168,11 @@ EXPECTED: dict[str, Check] = {
     ),
     # every cycle is better than the one before; after eight of them a tenth of the error is left
     "controller_learning.py": figures(
-        "tracking error",
-        lambda *errors: [*errors] == sorted(errors, reverse=True) and errors[-1] < 0.1 * errors[0],
+        "tracking error", lambda *errors: [*errors] == sorted(errors, reverse=True) and errors[-1] < 0.1 * errors[0]
     ),
     # constant gains have the same margin everywhere; scheduled ones a smaller one where gains are larger
     "controller_gain_schedule.py": figures(
-        "gain margin",
-        lambda *found: max(found[:3]) < 1.05 * min(found[:3]) and found[3] < found[4] < found[5],
+        "gain margin", lambda *found: max(found[:3]) < 1.05 * min(found[:3]) and found[3] < found[4] < found[5]
     ),
     # friction is a good part of a slow motion's error; half a compensation takes half of it
     "controller_friction.py": figures(

@@ -219,11 +219,7 @@ def _missing(t: RealArray, known: RealArray, given: int) -> RealArray:
     for row, k in product(range(count), range(half)):
         order, equation = half + row, count * (inner - 1) + row
         after, before = widths[inner] ** (k - order), (-1.0) ** (k + order) * widths[inner - 1] ** (k - order)
-        factors = {
-            0: of_start[row, k] * (after - before),
-            1: of_end[row, k] * after,
-            -1: -of_end[row, k] * before,
-        }
+        factors = {0: of_start[row, k] * (after - before), 1: of_end[row, k] * after, -1: -of_end[row, k] * before}
         for offset, factor in factors.items():
             knot = inner + offset
             free = (knot > 0) & (knot < knots - 1) & (k >= given)

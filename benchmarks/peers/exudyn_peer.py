@@ -124,10 +124,7 @@ def _motor(system: Any, base: tuple[float, float], node: Any, offset: Offset) ->
     """A joint that holds a node at a base and turns its slope to the motor's angle."""
     # joint between ground and node, whose rotation the user function prescribes
     ground = system.AddObject(ObjectGround(referencePosition=[*base, 0.0]))
-    markers = [
-        system.AddMarker(MarkerBodyRigid(bodyNumber=ground)),
-        system.AddMarker(MarkerNodeRigid(nodeNumber=node)),
-    ]
+    markers = [system.AddMarker(MarkerBodyRigid(bodyNumber=ground)), system.AddMarker(MarkerNodeRigid(nodeNumber=node))]
     return system.AddObject(ObjectJointGeneric(markerNumbers=markers, constrainedAxes=CLAMP, offsetUserFunction=offset))
 
 

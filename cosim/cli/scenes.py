@@ -60,12 +60,7 @@ def _table(found: list[dict[str, Any]]) -> Table:
     return table
 
 
-def new(
-    file: Path,
-    origin: str = USUAL,
-    force: bool = False,
-    json: bool = False,
-) -> int:
+def new(file: Path, origin: str = USUAL, force: bool = False, json: bool = False) -> int:
     """Write a scene file to start from: complete, with units, choices and defaults as comments.
 
     Args:
@@ -96,9 +91,7 @@ def new(
     return 0
 
 
-def schema(
-    output: Path | None = None,
-) -> int:
+def schema(output: Path | None = None) -> int:
     """JSON Schema of scene files, by which editors complete keys and show their units.
 
     Editors with taplo (Even Better TOML) read it where a scene file begins with a line [i]#:schema ./scene.schema.json[/i].

@@ -113,10 +113,7 @@ def _shown_comparison(found: Comparison, out: Path | None) -> Iterator[Renderabl
         yield f"comparison.html and comparison.json are in {out}"
 
 
-def paper(
-    out: Path | None = None,
-    json: bool = False,
-) -> int:
+def paper(out: Path | None = None, json: bool = False) -> int:
     """Repeat the paper's experiment: compare every table with the printed one, and draw the figures.
 
     Barnard, Briot and Caro, "Trajectory Generation for High Speed Pick-and-Place Robots", ESDA 2012.

@@ -55,10 +55,7 @@ class LostError(ResultsError):
 
 
 def finished(
-    executor: Executor[S, T],
-    items: Iterable[S],
-    parts: Callable[[S], Sequence[S]],
-    failed: Callable[[S, str], T],
+    executor: Executor[S, T], items: Iterable[S], parts: Callable[[S], Sequence[S]], failed: Callable[[S, str], T]
 ) -> Generator[T, None, None]:
     """Yield the result of each item, in the order in which they come.
 

@@ -159,8 +159,7 @@ def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
     shown = min(total, SHOWN_FREQUENCIES)
     headings = "path", "x [m]", "y [m]", *(f"f{k}" for k in range(1, shown + 1))
     table = titled_table(
-        f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium",
-        numbers=headings,
+        f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium", numbers=headings
     )
     for pose in poses:
         # four decimals without a negative zero

@@ -76,10 +76,7 @@ def test_composition_is_associative_with_multiplication(a: np.ndarray, b: np.nda
     inner = Jet(0.5 * b)
     f, g = Jet(a), Jet(a[::-1])
     np.testing.assert_allclose(
-        compose(f * g, inner).coefficients,
-        (compose(f, inner) * compose(g, inner)).coefficients,
-        rtol=1e-10,
-        atol=1e-9,
+        compose(f * g, inner).coefficients, (compose(f, inner) * compose(g, inner)).coefficients, rtol=1e-10, atol=1e-9
     )
     both = compose(stack((f, g)), inner).coefficients
     np.testing.assert_array_equal(both[:, 1], compose(g, inner).coefficients)

@@ -21,12 +21,7 @@ from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory, M
 from flexfmu.trajectories.path import Blend, ClothoidPair, LameBlend, PickAndPlacePath, PolarPolynomial
 from flexfmu.trajectories.profiles import Profile, bang_bang, evaluate_profile, seventh_degree_polynomial, trapezoidal
 from flexfmu.trajectories.shapers.designs import SHAPERS, design
-from flexfmu.trajectories.shapers.sequence import (
-    Oscillator,
-    ShapedTrajectory,
-    path_deviation,
-    shape_along_path,
-)
+from flexfmu.trajectories.shapers.sequence import Oscillator, ShapedTrajectory, path_deviation, shape_along_path
 from flexfmu.trajectories.trajectory import TaskTrajectory
 
 PROFILES = (seventh_degree_polynomial(), bang_bang(), trapezoidal(0.25), trapezoidal(0.125))

@@ -168,12 +168,7 @@ def references(scene: Scene, design: Design, steps: int) -> JointMotion:
 
 @lru_cache(maxsize=16)
 def path_table(
-    mechanism: Mechanism,
-    start: Point,
-    lift: Point,
-    width: float,
-    height: float,
-    corner: tuple[str, float, float],
+    mechanism: Mechanism, start: Point, lift: Point, width: float, height: float, corner: tuple[str, float, float]
 ) -> PiecewisePolynomial:
     """Joint angles [rad] by the arc length [m] of the path with these corners: kind, height and width [m].
 

@@ -186,12 +186,7 @@ class MotionSearch:
     """
 
     def __init__(
-        self,
-        study: MotionStudy,
-        judge: MotionStudy,
-        seed: int = 0,
-        processes: int = 1,
-        journal: WorkJournal = NOWHERE,
+        self, study: MotionStudy, judge: MotionStudy, seed: int = 0, processes: int = 1, journal: WorkJournal = NOWHERE
     ) -> None:
         self._study, self._judge, self._processes = study, judge, processes
         self._journal, self._asked = journal, 0

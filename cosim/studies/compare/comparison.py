@@ -19,13 +19,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
 from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
-from flexfmu.cosim.reports.comparison import (
-    BAND_METRICS,
-    ComparedRun,
-    loop_tables,
-    metrics_table,
-    render_comparison,
-)
+from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, loop_tables, metrics_table, render_comparison
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.studies.compare.measured import (

@@ -262,8 +262,7 @@ TRAJECTORY_FIGURES: Mapping[PaperFigure, Callable[[], Figure]] = {
 
 SIMULATED_FIGURES: Mapping[PaperFigure, Callable[[Mapping[PaperCase, SimulatedCase], Sequence[PaperTable]], Figure]] = {
     _printed(
-        12,
-        "Path-tracking error of the end effector with the payload of 6 kg, over the motion of 0.43 s and the dwell.",
+        12, "Path-tracking error of the end effector with the payload of 6 kg, over the motion of 0.43 s and the dwell."
     ): path_errors,
     PaperFigure(
         "overview",

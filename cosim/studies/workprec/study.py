@@ -121,9 +121,7 @@ def run_study(
         elif name == "effects":
             # one unit: their times are measured in turns
             trials += journal.kept(
-                ("effects",),
-                list[WorkPrecisionTrial],
-                lambda: list(effect_trials(subject, step, LADDER_TOLERANCE)),
+                ("effects",), list[WorkPrecisionTrial], lambda: list(effect_trials(subject, step, LADDER_TOLERANCE))
             )
         elif name == "formulations" and has_equations:
             trials += solver_trials.formulation_trials(subject)

@@ -9,14 +9,7 @@ import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.radau import radau
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, free_modes
-from flexfmu.model.reference_design.joint_spline import (
-    REST,
-    JointSpline,
-    basis,
-    derivative_matrix,
-    fitted,
-    rest_matrix,
-)
+from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, derivative_matrix, fitted, rest_matrix
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -11,12 +11,7 @@ from blocks import linear_system, responses
 from blocks import state_space as state_space_section
 from numpy.typing import NDArray
 
-from flexfmu.cosim.control.controllers.from_control import (
-    LinearSystem,
-    control_block,
-    dotted,
-    state_space,
-)
+from flexfmu.cosim.control.controllers.from_control import LinearSystem, control_block, dotted, state_space
 from flexfmu.cosim.control.controllers.joints import named_signals
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import signal_label

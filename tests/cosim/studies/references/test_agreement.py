@@ -13,15 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-from formulations import (
-    FREQUENCIES,
-    Beam,
-    compare_at_rest,
-    compare_motions,
-    full_scene,
-    sample_instants,
-    shapes_motion,
-)
+from formulations import FREQUENCIES, Beam, compare_at_rest, compare_motions, full_scene, sample_instants, shapes_motion
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
