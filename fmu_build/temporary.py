@@ -17,6 +17,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from weakref import finalize
 from zlib import crc32
 
 PREFIX = "flexfmu-"
@@ -35,7 +36,20 @@ def temporary_folder(purpose: str, within: Path | None = None) -> TemporaryDirec
     where = within or Path(tempfile.gettempdir())
     _remove_stale(where)
     mine = f"{PREFIX}{_space()}-{os.getpid()}-{purpose}-"
-    return TemporaryDirectory(prefix=mine, dir=where, ignore_cleanup_errors=True)
+    folder = TemporaryDirectory(prefix=mine, dir=where, ignore_cleanup_errors=True)
+    finalize(folder, _remove_rest, folder.name)
+    return folder
+
+
+def _remove_rest(folder: str) -> None:
+    """Remove what `shutil.rmtree` leaves where there are too few file descriptors: it takes one for each level, this one for all."""
+    for where, folders, files in os.walk(folder, topdown=False):
+        for remove, names in ((os.unlink, files), (os.rmdir, folders)):
+            for name in names:
+                with suppress(OSError):
+                    remove(os.path.join(where, name))
+    with suppress(OSError):
+        os.rmdir(folder)
 
 
 @cache

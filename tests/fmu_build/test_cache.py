@@ -112,6 +112,19 @@ def test_folders_of_dead_processes_are_removed(tmp_path: Path) -> None:
         assert {each.name for each in where.iterdir()} == {*others, Path(mine).name}
 
 
+@pytest.mark.skipif(os.name != "posix", reason="POSIX limits")
+def test_folders_are_removed_with_few_file_descriptors(tmp_path: Path) -> None:
+    """One descriptor does for folders within folders."""
+    script = (
+        "import resource; from pathlib import Path; from flexfmu.fmu_build.temporary import temporary_folder as new\n"
+        f"with new('x', Path({str(tmp_path)!r})) as name:\n"
+        " (deep := Path(name, 'a', 'b', 'c')).mkdir(parents=True); (deep / 'd').write_text('')\n"
+        " resource.setrlimit(resource.RLIMIT_NOFILE, (4, 4))"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+    assert not list(tmp_path.glob("flexfmu-*"))
+
+
 def test_old_files_without_a_seal_are_counted(cache_folder: Path) -> None:
     """What was killed between a file and its seal doesn't stay for ever."""
     (cache_folder / NAMES[0]).write_text("")
