@@ -78,7 +78,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "plan": ("plan", SCENE, "--method", "search", "--budget", "600", "--no-robust", "-j", "2", "--out", "out"),
     "margins": ("margins", "../given/loop.toml", "--poses", "1", "--out", "out"),
-    "effects": ("effects", SCENE, "--tolerance", "0.5"),
+    "effects": ("effects", SCENE, "--tolerance", "0.5", "--out", "out"),
     "workprec": ("workprec", SCENE, "--only", "communication", "--out", "out"),
     "build": ("build", SCENE, "-o", "out/robot.fmu"),
     "validate": ("validate", "../given/a.fmu"),

@@ -196,7 +196,7 @@ def orderly_termination() -> Iterator[None]:
         yield
     except SystemExit as ended:
         early = ended.code == BY_TYPER
-        if early:
+        if early or (asked and not ended.code):  # a library's code can swallow the interruption
             show_note("interrupted")
         if asked or early:
             sys.exit(128 + asked[0] if asked else FAILURE)
