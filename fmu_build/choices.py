@@ -7,12 +7,8 @@ option of the build, with the same numbers and value references.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 ANNOTATION = "Choices"
 """Vendor annotation with an attribute for each choice, such as ``initial="static=1 undeformed=2"``."""

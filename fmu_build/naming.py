@@ -18,12 +18,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from flexfmu.fmu_build.errors import ModelError
-
-if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
+from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
 
 Symbolic = TypeVar("Symbolic", "SymbolicModel", "SymbolicBlock")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from flexfmu.fmu_build.block_build import block_content
 from flexfmu.fmu_build.cache import content_hash
@@ -27,10 +27,7 @@ from flexfmu.fmu_build.picture import plant_picture
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, fmi_header_folder
 from flexfmu.fmu_build.trajectory_build import Motion, motion_content
-from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
-
-if TYPE_CHECKING:
-    from flexfmu.model.symbolic import SharedLibrary
+from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock, SymbolicModel
 
 ICON_FILE = "model.png"
 """Path of the icon in the FMU (FMI 2.0.4, section 2.3)."""

@@ -9,15 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from math import comb, factorial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.trajectories.jets import RealArray
-
-if TYPE_CHECKING:
-    from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.trajectories.trajectory import Trajectory
 
 KINDS = ("position", "velocity", "acceleration")
 """Outputs of the FMU: the trajectory and its first two derivatives."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.own_function import FunctionSlave
@@ -20,17 +20,13 @@ from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.recording import SlaveFacts, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
 from flexfmu.cosim.experiment.system import PLANT, scene_system
 from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.fmu_build.naming import namer
+from flexfmu.fmu_build.naming import Naming, namer
 from flexfmu.fmu_build.trajectory_build import Motion
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.experiment.scene_loop import Loop
-    from flexfmu.fmu_build.naming import Naming
-    from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.schema import Scene
 
 
 @dataclass(frozen=True)

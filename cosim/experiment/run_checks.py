@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import hypot, inf, log, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +19,9 @@ from flexfmu.cosim.engine.results import Column, Selection
 from flexfmu.cosim.engine.slave import GivesOutputDerivatives, RealArray, Sampled
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import VELOCITIES
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.system import SceneSystem
 from flexfmu.cosim.experiment.wiring import names_of
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.experiment.scene_run import Run
 
 LARGEST_SIZE = 2e9
 """Bytes of the recordings of a run and of its companion together that are made without being asked for."""

@@ -5,19 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flexfmu.cosim.engine.shared_library import LIBRARIES, library_file
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.naming import Naming
 from flexfmu.model.scene.disturbances import disturbance_inputs
 from flexfmu.model.scene.motion import TrajectorySection
-
-if TYPE_CHECKING:
-    from flexfmu.fmu_build.naming import Naming
-    from flexfmu.model.scene.schema import Scene
-    from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicModel
 
 _TIME_KEYS = {"duration", "dwell", "way_back", "cycles", "pause"}
 _PATH_KEYS = {"kind", "lift", "height", "width", "blend", "profile", "degree", "noise", "references", *_TIME_KEYS}

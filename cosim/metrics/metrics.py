@@ -17,11 +17,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.master.simulator import Progress
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import few_lines
 from flexfmu.cosim.engine.slave import RealArray
@@ -47,10 +47,7 @@ from flexfmu.cosim.metrics.signals import (
     position_rounding,
     segments,
 )
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.engine.master.simulator import Progress
-    from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.trajectories.trajectory import Trajectory
 
 SHAPE = 2.0 / 3.0
 """Largest mean of an interpolation error over a segment in terms of its peak: that of theta (1 - theta); others are slimmer."""

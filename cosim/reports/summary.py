@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_loop import counted_twice
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import Metrics
 from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads
@@ -32,10 +33,6 @@ from flexfmu.model.scene.choice import NAMED_FLOOR
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.experiment.scene_run import Run
-    from flexfmu.model.scene.schema import Scene
 
 JERK_JUMP = 1e-3
 """Jump of the motion's jerk, relative to its largest jerk, above which it counts: smaller ones are rounding."""

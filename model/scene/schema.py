@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import reduce
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
@@ -27,9 +27,7 @@ from flexfmu.model.scene.motor import MotorSection, one_table
 from flexfmu.model.scene.plan import PlanSection
 from flexfmu.model.scene.section import Section, as_tuple
 from flexfmu.model.scene.shapers import ShaperSection
-
-if TYPE_CHECKING:
-    from flexfmu.trajectories.curves import Point
+from flexfmu.trajectories.curves import Point
 
 MOST_ERRORS = 20
 """Largest number of errors that a message names."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import Value, typed
@@ -29,13 +28,10 @@ from flexfmu.cosim.exchange.ssp.structure import (
 )
 from flexfmu.cosim.exchange.ssp.wiring import ComponentFmu
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
-from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_loop import Loop, loop_of
 from flexfmu.fmu_build.archive import pack, write_atomically
 from flexfmu.fmu_build.temporary import temporary_folder
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.experiment.scene_loop import Loop
-    from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.schema import Scene
 
 TOOL = f"flexfmu {version('flexfmu')}"
 
