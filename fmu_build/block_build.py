@@ -22,15 +22,7 @@ from typing import Any
 
 import casadi
 
-from flexfmu.fmu_build.codegen import (
-    DESCRIPTION_FILE,
-    HEADER_FILE,
-    MAX_INPUT_ORDER,
-    GeneratedFunction,
-    c_code,
-    function_facts,
-    function_file,
-)
+from flexfmu.fmu_build import codegen
 from flexfmu.fmu_build.description import Content, Description
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import Interface, counter_variable, feedthrough, real_variables
@@ -63,8 +55,10 @@ def block_content(block: SymbolicBlock, naming: Naming) -> Content:
 
     # only the tables contain names and the GUID
     def code(guid: str) -> dict[str, str]:
-        values = {"sample": facts, "guid": guid, "max_input_order": MAX_INPUT_ORDER}
-        return functions | {DESCRIPTION_FILE: render("block_description.c.j2", block=named(block, naming), **values)}
+        values = {"sample": facts, "guid": guid, "max_input_order": codegen.MAX_INPUT_ORDER}
+        return functions | {
+            codegen.DESCRIPTION_FILE: render("block_description.c.j2", block=named(block, naming), **values)
+        }
 
     return Content(
         "block",
@@ -93,7 +87,7 @@ def block_description(block: SymbolicBlock) -> Description:
         text=f"{block.description.rstrip('.')}. Samples every {block.sample_time!r} s, first {block.offset!r} s after the "
         "start, and holds its outputs in between.",
         interface=block_interface(block),
-        max_input_order=MAX_INPUT_ORDER,
+        max_input_order=codegen.MAX_INPUT_ORDER,
         annotations={"Sampling": {"sampleTime": repr(block.sample_time), "offset": repr(block.offset)}},
     )
 
@@ -116,7 +110,7 @@ def block_interface(block: SymbolicBlock) -> Interface:
     )
 
 
-SAMPLE_FILE = function_file("sample")
+SAMPLE_FILE = codegen.function_file("sample")
 
 LARGE = 5000
 """Number of lines of C from which GCC's optimiser is switched off: its time grows quadratically (half a minute for 10 000
@@ -158,7 +152,7 @@ def sample_function(block: SymbolicBlock) -> casadi.Function:
     return with_runs_copied(sample) if is_scalar else sample
 
 
-def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunction]:
+def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], codegen.GeneratedFunction]:
     """C files of the block's function (name → text, header included) and the facts for the constant tables.
 
     Raises:
@@ -166,15 +160,15 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
     """
     check_block(block)
     function = sample_function(block)
-    facts = function_facts("sample", function)
+    facts = codegen.function_facts("sample", function)
     try:
-        code = c_code(function)
+        code = codegen.c_code(function)
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
     # long straight-line code is compiled without the optimiser
     code = code if code.count("\n") < LARGE else _QUICK + code
-    return {SAMPLE_FILE: code, HEADER_FILE: render(HEADER_FILE + ".j2", functions=(facts,))}, facts
+    return {SAMPLE_FILE: code, codegen.HEADER_FILE: render(codegen.HEADER_FILE + ".j2", functions=(facts,))}, facts
 
 
 def check_block(block: SymbolicBlock) -> None:

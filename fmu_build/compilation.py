@@ -7,18 +7,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flexfmu.fmu_build import toolchain
 from flexfmu.fmu_build.cache import content_hash, read_cached, store
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.temporary import temporary_folder
-from flexfmu.fmu_build.toolchain import (
-    FIRST_HEADER,
-    GENERATED_FLAGS,
-    LANES_FLAGS,
-    RUNTIME_FLAGS,
-    SOLVER_LANES,
-    CompileJob,
-    Compiler,
-)
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.sources import Sources
@@ -29,11 +21,11 @@ _SMALL_FILE, _SMALL_SIZE = "model_small_functions.c", 10_000
 
 def compile_library(
     sources: Sources,
-    compiler: Compiler,
+    compiler: toolchain.Compiler,
     *,
     cache: bool = True,
-    runtime_flags: tuple[str, ...] = RUNTIME_FLAGS,
-    generated_flags: tuple[str, ...] = GENERATED_FLAGS,
+    runtime_flags: tuple[str, ...] = toolchain.RUNTIME_FLAGS,
+    generated_flags: tuple[str, ...] = toolchain.GENERATED_FLAGS,
 ) -> bytes:
     """Compile and link ``sources`` in a temporary folder; return the content of the shared library.
 
@@ -50,13 +42,13 @@ def compile_library(
     # one job per C file, with flags for generated code or runtime
     generated = _with_small_ones_joined(sources)
     texts = generated | sources.runtime
-    first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
+    first = toolchain.FIRST_HEADER if toolchain.FIRST_HEADER[-1] in texts else ()
 
     jobs = []
     for name in sorted(name for name in texts if name.endswith(".c")):
         flags = generated_flags if name in generated else runtime_flags
-        lanes = LANES_FLAGS if name == SOLVER_LANES else ()
-        jobs.append(CompileJob(name, (*flags, *lanes, *first)))
+        lanes = toolchain.LANES_FLAGS if name == toolchain.SOLVER_LANES else ()
+        jobs.append(toolchain.CompileJob(name, (*flags, *lanes, *first)))
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
     with _work_folder() as folder:
         for file, text in texts.items():
@@ -78,13 +70,13 @@ def compile_library(
         return (folder / library).read_bytes()
 
 
-def _stand_ins(sources: Sources, compiler: Compiler, folder: Path) -> tuple[str, ...]:
+def _stand_ins(sources: Sources, compiler: toolchain.Compiler, folder: Path) -> tuple[str, ...]:
     """Arguments of the linker for shared libraries that lie beside this one.
 
     It is linked with empty libraries of their names, since the name that a library was built with, its SONAME, may be another one.
     """
     for name, each in sources.libraries.items():
-        job = CompileJob(f"{Path(name).stem}.c", GENERATED_FLAGS)
+        job = toolchain.CompileJob(f"{Path(name).stem}.c", toolchain.GENERATED_FLAGS)
         (folder / job.source).write_text(f'__attribute__((visibility("default"))) void {each.function}(void) {{}}\n')
         compiler.compile([job], folder)
         compiler.link([job.object_file], name, folder)
@@ -116,7 +108,7 @@ def _work_folder() -> Iterator[Path]:
         raise ArchiveError(f"cannot compile in a temporary folder: {error.strerror}; {remedy}") from error
 
 
-def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> str:
+def _kept_object(job: toolchain.CompileJob, texts: dict[str, str], compiler: toolchain.Compiler) -> str:
     """Name of a job's object file in the cache, a hash of source, all headers, files it includes, flags and compiler."""
     source = texts[job.source]
     read = [text for name, text in sorted(texts.items()) if name.endswith(".h") or f'#include "{name}"' in source]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import casadi
 import numpy as np
 
+from flexfmu.model import time_derivatives
 from flexfmu.model.choice_text import choice_notes
 from flexfmu.model.closure import ProjectedForces
 from flexfmu.model.five_bar import FiveBar, assemble
@@ -24,14 +25,6 @@ from flexfmu.model.scene.disturbances import PAYLOAD, disturbance_inputs
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import Bar, Drawing, Friction, Spot, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import (
-    MotionSymbols,
-    acceleration_terms,
-    forward,
-    motion_forward,
-    motion_rate1,
-    motion_rate2,
-)
 
 MINIMUM_SINE = 0.01
 """Smallest |sine| of the angle between the distal links in a simulation: half of the limit for planning.
@@ -67,7 +60,7 @@ class PlantEquations:
     description: str
     unknowns: tuple[str, ...]
     inputs: tuple[Variable, ...]
-    motion: MotionSymbols
+    motion: time_derivatives.MotionSymbols
     residual: casadi.SX
     outputs: Sequence[OutputRow]
     initial_inputs: casadi.SX
@@ -93,13 +86,13 @@ def make_plant(scene: Scene, five_bar: FiveBar, equations: PlantEquations) -> Sy
         "derive": ([p], derived),
         "initial_inputs": ([p], equations.initial_inputs),
         "initial_coordinates": ([p], equations.initial_coordinates),
-        "start_forward": forward([p], start),
+        "start_forward": time_derivatives.forward([p], start),
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], casadi.tril2symm(casadi.tril(casadi.jacobian(residual, a)))),
         "outputs": ([y, v, a, u, d], outputs),
-        "motion_forward": motion_forward(motion, residual, outputs, d),
-        "motion_rate1": motion_rate1(motion, residual, outputs, d),
-        "motion_rate2": motion_rate2(motion, residual, outputs, d),
+        "motion_forward": time_derivatives.motion_forward(motion, residual, outputs, d),
+        "motion_rate1": time_derivatives.motion_rate1(motion, residual, outputs, d),
+        "motion_rate2": time_derivatives.motion_rate2(motion, residual, outputs, d),
         "singularity": ([y, u, d], side * five_bar.closure.sine),
         "error_scale": ([d], equations.error_scale),
     }
@@ -114,7 +107,7 @@ def make_plant(scene: Scene, five_bar: FiveBar, equations: PlantEquations) -> Sy
             name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
             for name, (arguments, result) in results.items()
         },
-        acceleration_terms=acceleration_terms(motion, outputs),
+        acceleration_terms=time_derivatives.acceleration_terms(motion, outputs),
         feedthrough=_feedthrough(equations),
         static_start=scene.cosimulation.initial == "static",
         margin_name=MARGIN_NAME,
@@ -313,7 +306,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
         unknowns=elastic_names(five_bar),
         inputs=_reference_inputs(scene),
         rate_inputs=4,
-        motion=MotionSymbols(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
+        motion=time_derivatives.MotionSymbols(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
         residual=five_bar.forces.elastic,
         outputs=outputs,
         initial_inputs=casadi.vertcat(start_angles(five_bar, start, scene), casadi.SX.zeros(4)),
@@ -368,7 +361,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
             Friction(i, position_of(friction.breakaway), position_of(friction.direction))
             for i, friction in enumerate(five_bar.stiction)
         ),
-        motion=MotionSymbols(
+        motion=time_derivatives.MotionSymbols(
             casadi.vertcat(m.q_a, m.q_e),
             casadi.vertcat(m.v_a, m.v_e),
             casadi.vertcat(m.a_a, m.a_e),

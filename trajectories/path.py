@@ -18,16 +18,7 @@ from typing import NamedTuple
 
 from numpy.typing import ArrayLike
 
-from flexfmu.trajectories.curves import (
-    ParametricPiece,
-    Piece,
-    PiecewiseCurve,
-    PlacedPiece,
-    PlaneJets,
-    Point,
-    Side,
-    StraightLine,
-)
+from flexfmu.trajectories import curves
 from flexfmu.trajectories.errors import TrajectoryError, plane_vector, positive
 from flexfmu.trajectories.jets import Jet, RealArray, power, sincos, stack, unstack
 from flexfmu.trajectories.roots import root_between
@@ -53,8 +44,8 @@ class PickAndPlacePath:
         TrajectoryError: a value is not finite or not positive, the lift is (0, 0), or the blends do not fit.
     """
 
-    start: Point
-    lift: Point
+    start: curves.Point
+    lift: curves.Point
     height: float
     width: float
     blend: Blend
@@ -72,7 +63,7 @@ class PickAndPlacePath:
         _check_fit("width e", self.blend.width, "half the path's width", 0.5 * self.width)
 
     @property
-    def lift_direction(self) -> Point:
+    def lift_direction(self) -> curves.Point:
         """Unit vector along the lift."""
         # scale first, so that squares neither overflow nor underflow
         largest = max(abs(self.lift[0]), abs(self.lift[1]))
@@ -80,7 +71,7 @@ class PickAndPlacePath:
         return x / math.hypot(x, y), y / math.hypot(x, y)
 
     @property
-    def crossing_direction(self) -> Point:
+    def crossing_direction(self) -> curves.Point:
         """Unit vector along the crossing."""
         x, y = self.lift_direction
         if abs(y) <= FIT:
@@ -88,28 +79,32 @@ class PickAndPlacePath:
         return abs(y), -x * math.copysign(1.0, y)
 
     @cached_property
-    def pieces(self) -> tuple[PlacedPiece, ...]:
+    def pieces(self) -> tuple[curves.PlacedPiece, ...]:
         """The pieces of the path; straight parts of length zero are left out."""
         lift, across = self.lift_direction, self.crossing_direction
         back = -across[0], -across[1]
         rise, run = self.height - self.blend.height, self.width - 2.0 * self.blend.width
-        upright: tuple[Piece, ...] = (StraightLine(rise),) if rise > FIT * self.height else ()
-        level: tuple[Piece, ...] = (StraightLine(run),) if run > FIT * self.width else ()
+        upright: tuple[curves.Piece, ...] = (curves.StraightLine(rise),) if rise > FIT * self.height else ()
+        level: tuple[curves.Piece, ...] = (curves.StraightLine(run),) if run > FIT * self.width else ()
         corner = self.blend.curve.pieces
         # up, with the corner on top of the straight part
-        pieces = [PlacedPiece(piece, self.start, across, lift) for piece in upright]
-        pieces += [PlacedPiece(piece, self._point(0.0, rise), across, lift) for piece in corner]
+        pieces = [curves.PlacedPiece(piece, self.start, across, lift) for piece in upright]
+        pieces += [curves.PlacedPiece(piece, self._point(0.0, rise), across, lift) for piece in corner]
         # across; the second axis of a straight line is its direction
-        pieces += [PlacedPiece(piece, self._point(self.blend.width, self.height), lift, across) for piece in level]
+        pieces += [
+            curves.PlacedPiece(piece, self._point(self.blend.width, self.height), lift, across) for piece in level
+        ]
         # down: the mirror image of the way up, traversed backwards
-        pieces += [PlacedPiece(piece, self._point(self.width, rise), back, lift, True) for piece in reversed(corner)]
-        pieces += [PlacedPiece(piece, self.end, back, lift, True) for piece in upright]
+        pieces += [
+            curves.PlacedPiece(piece, self._point(self.width, rise), back, lift, True) for piece in reversed(corner)
+        ]
+        pieces += [curves.PlacedPiece(piece, self.end, back, lift, True) for piece in upright]
         return tuple(pieces)
 
     @cached_property
-    def curve(self) -> PiecewiseCurve:
+    def curve(self) -> curves.PiecewiseCurve:
         """The path by arc length."""
-        return PiecewiseCurve(self.pieces)
+        return curves.PiecewiseCurve(self.pieces)
 
     @property
     def length(self) -> float:
@@ -122,15 +117,15 @@ class PickAndPlacePath:
         return self.curve.knots
 
     @property
-    def end(self) -> Point:
+    def end(self) -> curves.Point:
         """End point (x, y) [m]."""
         return self._point(self.width, 0.0)
 
-    def jets(self, s: ArrayLike, order: int = 2, side: Side = "right") -> PlaneJets:
+    def jets(self, s: ArrayLike, order: int = 2, side: curves.Side = "right") -> curves.PlaneJets:
         """Return x and y [m] and their derivatives by arc length at s [m]; see `PiecewiseCurve.jets`."""
         return self.curve.jets(s, order, side)
 
-    def _point(self, across: float, up: float) -> Point:
+    def _point(self, across: float, up: float) -> curves.Point:
         """Return the point (x, y) [m] at distances ``across`` along the crossing and ``up`` along the lift from the start [m]."""
         (cx, cy), (lx, ly) = self.crossing_direction, self.lift_direction
         return self.start[0] + across * cx + up * lx, self.start[1] + across * cy + up * ly
@@ -173,7 +168,7 @@ class Blend(ABC):
 
     @property
     @abstractmethod
-    def curve(self) -> PiecewiseCurve:
+    def curve(self) -> curves.PiecewiseCurve:
         """The blend by arc length; coordinates are along the crossing and along the lift [m]."""
 
 
@@ -186,11 +181,11 @@ class LameBlend(Blend):
     """
 
     @cached_property
-    def curve(self) -> PiecewiseCurve:
+    def curve(self) -> curves.PiecewiseCurve:
         """See `Blend`."""
-        return PiecewiseCurve((ParametricPiece(self._point, QUARTER),))
+        return curves.PiecewiseCurve((curves.ParametricPiece(self._point, QUARTER),))
 
-    def _point(self, t: Jet) -> PlaneJets:
+    def _point(self, t: Jet) -> curves.PlaneJets:
         direction = stack(sincos(t))
         s3, c3 = unstack(direction * direction * direction)
         s, c = unstack(direction * power(c3 + s3, -1.0 / 3.0))
@@ -205,11 +200,11 @@ class PolarPolynomial(Blend):
     """
 
     @cached_property
-    def curve(self) -> PiecewiseCurve:
+    def curve(self) -> curves.PiecewiseCurve:
         """See `Blend`."""
-        return PiecewiseCurve((ParametricPiece(self._point, QUARTER),))
+        return curves.PiecewiseCurve((curves.ParametricPiece(self._point, QUARTER),))
 
-    def _point(self, phi: Jet) -> PlaneJets:
+    def _point(self, phi: Jet) -> curves.PlaneJets:
         s, c = sincos(phi)
         radius = 1.0 + phi * phi * (0.5 + phi * (phi * (0.5 / QUARTER**2) - 1.0 / QUARTER))
         return self.width * (1.0 - c * radius), self.height * (s * radius)
@@ -229,7 +224,7 @@ class Clothoid:
     length: float
     turning: float
 
-    def jets(self, s: RealArray, order: int) -> PlaneJets:
+    def jets(self, s: RealArray, order: int) -> curves.PlaneJets:
         """See `flexfmu.trajectories.curves.Piece`; the position is a pair of Fresnel integrals."""
         from scipy.special import fresnel  # here, since reading a scene needs no scipy
 
@@ -269,7 +264,7 @@ class ClothoidPair(Blend):
         return root_between(lambda a: aspect_ratio(a) - ratio, 0.0, QUARTER, absolute=1e-16)
 
     @cached_property
-    def curve(self) -> PiecewiseCurve:
+    def curve(self) -> curves.PiecewiseCurve:
         """See `Blend`."""
         # both clothoids have the same smallest radius of curvature, which scales the unit pair to the area e d
         first = self.first_turning
@@ -278,8 +273,8 @@ class ClothoidPair(Blend):
         rising = Clothoid(2.0 * first * radius, first)
         falling = Clothoid(2.0 * (QUARTER - first) * radius, QUARTER - first)
         # the second one starts at the end of the blend and is traversed backwards
-        end = PlacedPiece(falling, (self.width, self.height), (0.0, -1.0), (-1.0, 0.0), backwards=True)
-        return PiecewiseCurve((rising, end))
+        end = curves.PlacedPiece(falling, (self.width, self.height), (0.0, -1.0), (-1.0, 0.0), backwards=True)
+        return curves.PiecewiseCurve((rising, end))
 
 
 def unit_extent(first_turning: float) -> tuple[float, float]:

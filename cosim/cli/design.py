@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from flexfmu.cosim.cli.console import (
-    FAILURE,
-    check_scene_file,
-    load_changed,
-    load_resolved,
-    prepared_folder,
-    print_result,
-    progress,
-    show_note,
-    usual_folder,
-)
+from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import to_json
@@ -48,12 +38,12 @@ def modes(
     from flexfmu.cosim.experiment.planning import plan
     from flexfmu.cosim.reports.modes_table import modes_along_path, modes_table
 
-    robot = load_resolved(scene, settings)
-    with progress() as show:
+    robot = console.load_resolved(scene, settings)
+    with console.progress() as show:
         show("frequencies along the path", None)
         found = modes_along_path(plan(robot), poses, lambda fraction: show("frequencies along the path", fraction))
     data = {"scene": robot.name, "poses": [pose.to_dict() for pose in found]}
-    print_result(json, data, *modes_table(robot.name, found))
+    console.print_result(json, data, *modes_table(robot.name, found))
     return 0
 
 
@@ -80,11 +70,11 @@ def margins(
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
     from flexfmu.cosim.design.margins.scene_margins import margins_data, margins_table, scene_margins, write_margins
 
-    robot = load_changed(scene, settings)
+    robot = console.load_changed(scene, settings)
     if out is not None:
-        prepared_folder(out)
+        console.prepared_folder(out)
     masses = () if payload_band is None else band_masses(robot, parse_band(payload_band))
-    with progress() as show:
+    with console.progress() as show:
         result = scene_margins(
             robot, poses=poses, payloads=masses, progress=lambda fraction: show("margins along the path", fraction)
         )
@@ -94,8 +84,8 @@ def margins(
             files = write_margins(result, out)
     where = [f"files: {', '.join(map(str, files))}"] if files else []
     data = {**margins_data(result), "files": [str(path) for path in files]}
-    print_result(json, data, *margins_table(result), *where)
-    return 0 if result.is_stable else FAILURE
+    console.print_result(json, data, *margins_table(result), *where)
+    return 0 if result.is_stable else console.FAILURE
 
 
 def effects(
@@ -123,18 +113,18 @@ def effects(
     from flexfmu.cosim.design.effects.study import comparison_table, comparisons, report, study_data, study_effects
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
-    robot, asked = load_changed(scene, settings), tuple(of or [])
+    robot, asked = console.load_changed(scene, settings), tuple(of or [])
     about = about_scene(robot) | {"of": requirements(robot, tolerance, asked)[1]}
-    folder = prepared_folder(out or usual_folder(robot.name, settings, "-effects"))
-    journal = WorkJournal(folder.path, "choice of effects", about, restart=restart, note=show_note)
-    with progress() as show:
+    folder = console.prepared_folder(out or console.usual_folder(robot.name, settings, "-effects"))
+    journal = WorkJournal(folder.path, "choice of effects", about, restart=restart, note=console.show_note)
+    with console.progress() as show:
         study = study_effects(robot, tolerance, asked, show, journal)
         checked = tuple(comparisons(study, show, journal)) if check else ()
     data = study_data(study, checked)
     folder.write("effects.json", to_json(data))
     journal.remove()
     compared = [comparison_table(checked)] if check else []
-    print_result(json, data, *report(study), *compared, f"results: {folder.path / 'effects.json'}")
+    console.print_result(json, data, *report(study), *compared, f"results: {folder.path / 'effects.json'}")
     return 0
 
 
@@ -184,14 +174,14 @@ def tune(
     from flexfmu.cosim.design.gains.tuner import summary, tune_scene, write_tuned, write_tuning
     from flexfmu.model.scene.keys import parse_setting
 
-    check_scene_file(output)
-    robot = load_resolved(scene, settings)
-    folder = out or usual_folder(robot.name, settings, "-tune")
+    console.check_scene_file(output)
+    robot = console.load_resolved(scene, settings)
+    folder = out or console.usual_folder(robot.name, settings, "-tune")
     changes = dict(map(parse_setting, settings or ()))
     if start is not None:
         robot = _started(robot, start)
         changes["controller"] = robot.model_dump(mode="json", exclude_none=True, exclude_defaults=True)["controller"]
-    with progress() as show:
+    with console.progress() as show:
         result = tune_scene(
             robot,
             split(over or ()),
@@ -205,15 +195,15 @@ def tune(
             folder=folder,
             restart=restart,
             show=show,
-            note=show_note,
+            note=console.show_note,
         )
     target = output or folder / "tuned.toml"
     files = [write_tuned(result, target, scene, changes), *write_tuning(result, folder)]
     if result.interrupted:
-        show_note("interrupted: these are the best values so far; the same command continues")
+        console.show_note("interrupted: these are the best values so far; the same command continues")
     names = [str(path) for path in files]
-    print_result(json, {**summary(result), "files": names}, *_shown_tuning(result, names))
-    return 0 if result.is_feasible else FAILURE
+    console.print_result(json, {**summary(result), "files": names}, *_shown_tuning(result, names))
+    return 0 if result.is_feasible else console.FAILURE
 
 
 def _started(scene: Scene, text: str) -> Scene:
@@ -333,9 +323,9 @@ def shaper(
         if not 0.0 <= limit < float("inf"):
             raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")
     # design, simulate, and write
-    robot = load_resolved(scene, settings)
-    folder = prepared_folder(out or usual_folder(robot.name, settings))
-    with progress() as show:
+    robot = console.load_resolved(scene, settings)
+    folder = console.prepared_folder(out or console.usual_folder(robot.name, settings))
+    with console.progress() as show:
         study = examine(robot, payload_band, FINE if payload_errors else COARSE, show, drive, limits)
         show("writing the results", None)
         data = study_data(study)
@@ -347,11 +337,11 @@ def shaper(
         write_shaped(
             scene, study.recommendation.result.candidate.section, output, dict(map(parse_setting, settings or ()))
         )
-    print_result(json, data, *report(study, folder.path, output))
+    console.print_result(json, data, *report(study, folder.path, output))
     # nothing keeps the limits
     if not study.recommendation.keeps_limits:
-        show_note(study.recommendation.reason + (f"; {output} is not written" if output is not None else ""))
-        return FAILURE
+        console.show_note(study.recommendation.reason + (f"; {output} is not written" if output is not None else ""))
+        return console.FAILURE
     return 0
 
 
@@ -416,18 +406,18 @@ def plan(
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
-    check_scene_file(output)
-    robot = load_changed(scene, settings)
+    console.check_scene_file(output)
+    robot = console.load_changed(scene, settings)
     band = None if payload_band is None else parse_band(payload_band)
     wishes: dict[str, Any] = {
         "minimise": minimise, "duration": duration, "residual": residual, "payload_band": band,
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
     }  # fmt: skip
     robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
-    folder = out or usual_folder(robot.name, settings, "-plan")
-    prepared_folder(folder)
-    journal = WorkJournal(folder, "plan", about_scene(robot), restart=restart, note=show_note)
-    with progress() as show:
+    folder = out or console.usual_folder(robot.name, settings, "-plan")
+    console.prepared_folder(folder)
+    journal = WorkJournal(folder, "plan", about_scene(robot), restart=restart, note=console.show_note)
+    with console.progress() as show:
         result = plan_scene(
             robot,
             methods=method or METHODS,
@@ -443,13 +433,15 @@ def plan(
     if not result.interrupted:
         journal.remove()
     for message in result.failures:
-        show_note(message)
+        console.show_note(message)
     if result.interrupted:
         cause = "interrupted" if budget is None else f"interrupted, or the budget of {budget:g} s is spent"
-        show_note(f"{cause}: this is the best motion so far")
+        console.show_note(f"{cause}: this is the best motion so far")
     names = [str(path) for path in files]
-    print_result(json, {**summary(result), "files": names}, *_shown_plan(result), f"results: {', '.join(names)}")
-    return FAILURE if result.missed else 0
+    console.print_result(
+        json, {**summary(result), "files": names}, *_shown_plan(result), f"results: {', '.join(names)}"
+    )
+    return console.FAILURE if result.missed else 0
 
 
 def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:

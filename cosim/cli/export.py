@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import (
-    FAILURE,
-    load_changed,
-    load_resolved,
-    print_result,
-    progress,
-    show_note,
-    usual_folder,
-)
+from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.fmu_build.errors import ArchiveError
@@ -51,9 +43,9 @@ def build(
     from flexfmu.model.choice_text import choice_sentence
 
     # choose effects where the scene leaves them open, then build
-    robot = load_changed(scene, settings)
+    robot = console.load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
-    with progress() as show:
+    with console.progress() as show:
         if robot.effects.select is not None:
             from flexfmu.cosim.design.effects.choice import resolved
 
@@ -73,7 +65,7 @@ def build(
         f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
         f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}"
     )
-    print_result(json, data, *([choice_sentence(robot)] if robot.effects.choice is not None else []), where)
+    console.print_result(json, data, *([choice_sentence(robot)] if robot.effects.choice is not None else []), where)
     return 0
 
 
@@ -97,9 +89,9 @@ def fmus(
     from flexfmu.cosim.exchange.slave_export import export_slaves
 
     # choose effects where the scene leaves them open, then export
-    robot = load_resolved(scene, settings)
-    folder = out or usual_folder(robot.name, settings) / "fmus"
-    with progress() as show:
+    robot = console.load_resolved(scene, settings)
+    folder = out or console.usual_folder(robot.name, settings) / "fmus"
+    with console.progress() as show:
         show("building the FMU of the robot", None)
         system = export_slaves(
             robot, folder, names=slave or None, platforms=platform or None, naming=naming, progress=show
@@ -119,7 +111,7 @@ def fmus(
     connections = [{"from": source, "to": target} for source, target in system.connections]
     data = {"slaves": slaves, "connections": connections, "step": system.step, "stop_time": system.stop_time}
     connected = f"connections between them: {len(connections)}, listed by --json"
-    print_result(json, data, _table(system), f"{folder}: {len(slaves)} FMUs; {connected}")
+    console.print_result(json, data, _table(system), f"{folder}: {len(slaves)} FMUs; {connected}")
     return 0
 
 
@@ -154,15 +146,15 @@ def export(
     from flexfmu.cosim.exchange.ssp.export import export_ssp
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
 
-    robot = load_resolved(scene, settings)
+    robot = console.load_resolved(scene, settings)
     target = output or Path(f"{robot.name}.ssp")
-    with progress() as show:
+    with console.progress() as show:
         export_ssp(robot, target, platforms=platform or None, progress=show)
     if robot.cosimulation.drive == "torque":
         _note_late_samples(load_ssp(target).system)
     size = target.stat().st_size
     text = f"{target}: {size / 1000:.0f} kB, SSP 1.0; run it with: flexfmu run {target}"
-    print_result(json, {"path": str(target), "bytes": size}, text)
+    console.print_result(json, {"path": str(target), "bytes": size}, text)
     return 0
 
 
@@ -186,7 +178,7 @@ def _note_late_samples(system: System) -> None:
             if (begin - other_begin) % gcd(time, other_time) == 0:
                 late[f"{source.name} -> {system.slaves[each.target].name}"] = None
     if late:
-        show_note(
+        console.show_note(
             f"note: {', '.join(late)} sample at the same instants: masters that read all outputs before they set inputs "
             "(libcosim, ecos, Maestro, fmpy) pass these signals on a sample late; give what is fed an `offset` of a "
             "communication step (docs/ssp.md)"
@@ -222,7 +214,7 @@ def validate(
         return status
     limit, broken = time_limit or TIME_LIMIT, None
     try:
-        with progress() as show:
+        with console.progress() as show:
             show(f"checking {fmu.name}, at most {limit:g} s", None)
             findings = validate_fmu(fmu, limit, not static)
     except ArchiveError as error:
@@ -230,11 +222,11 @@ def validate(
         findings, broken = [Finding(str(error), check="archive")], error
     data = {"fmu": str(fmu), "time_limit": limit, "findings": [asdict(finding) for finding in findings]}
     if json or broken is None:
-        print_result(json, data, *(map(str, findings) if findings else [f"{fmu}: no findings"]))
+        console.print_result(json, data, *(map(str, findings) if findings else [f"{fmu}: no findings"]))
     if broken is not None:
         raise FmuFileError(str(broken)) from broken
     fatal = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
-    return FAILURE if any(finding.severity in fatal for finding in findings) else 0
+    return console.FAILURE if any(finding.severity in fatal for finding in findings) else 0
 
 
 def cache(clear: bool = False, json: bool = False) -> int:
@@ -256,5 +248,5 @@ def cache(clear: bool = False, json: bool = False) -> int:
     data = {"folder": str(cache_folder()), "files": len(found), "bytes": size, "limit": limit, "cleared": clear}
     taken = f"{len(found)} files, {1e-6 * size:.3g} MB"
     text = f"{taken} removed" if clear else f"{taken} of at most {1e-6 * limit:.4g} MB"
-    print_result(json, data, f"{data['folder']}: {text}")
+    console.print_result(json, data, f"{data['folder']}: {text}")
     return 0

@@ -15,17 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.console import (
-    FAILURE,
-    abandon_stdout,
-    check_room,
-    end_loading,
-    keep_stdout,
-    one_line_errors,
-    orderly_termination,
-    print_text,
-    show_note,
-)
+from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.design import effects, margins, modes, plan, shaper, tune
 from flexfmu.cosim.cli.export import build, cache, export, fmus, validate
 from flexfmu.cosim.cli.options import help_and_signature
@@ -55,22 +45,22 @@ def main() -> None:
     gc.disable()  # until the command's modules are loaded, see `end_loading`
     # no search of all installed packages for plugins of pydantic
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    keep_stdout()
+    console.keep_stdout()
     try:
-        with orderly_termination():
+        with console.orderly_termination():
             app()
     except OSError as error:  # a help text that can't be written; the commands catch their own
-        abandon_stdout()
-        show_note(f"can't write to standard output: {error.strerror or error}")
-        sys.exit(FAILURE)
+        console.abandon_stdout()
+        console.show_note(f"can't write to standard output: {error.strerror or error}")
+        sys.exit(console.FAILURE)
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        with one_line_errors():
-            print_text(f"flexfmu {version('flexfmu')}\n")
+        with console.one_line_errors():
+            console.print_text(f"flexfmu {version('flexfmu')}\n")
         raise typer.Exit
 
 
@@ -89,10 +79,10 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
     @wraps(command)
     def run_command(**arguments: Any) -> None:
         if command is not run:  # which loads most and ends it itself
-            end_loading()
-        with one_line_errors():
+            console.end_loading()
+        with console.one_line_errors():
             if command not in WITHOUT_SCIPY:
-                check_room()
+                console.check_room()
             raise typer.Exit(command(**arguments))
 
     run_command.__doc__, parameters = help_and_signature(command)

@@ -12,18 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flexfmu.cosim.cli.console import (
-    FAILURE,
-    end_loading,
-    load_changed,
-    prepared_folder,
-    print_text,
-    progress,
-    scene_name,
-    show_note,
-    usual_folder,
-    write_results,
-)
+from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
 from flexfmu.cosim.engine.files import RESULTS, file_digest, to_json
@@ -97,8 +86,8 @@ def run(
     if sandbox:
         folder = out
         if folder is None:
-            name = Path(scene).stem if is_ssp else scene_name(scene, settings)
-            folder = usual_folder(name, settings)
+            name = Path(scene).stem if is_ssp else console.scene_name(scene, settings)
+            folder = console.usual_folder(name, settings)
         if (status := run_in_sandbox(folder)) is not None:
             return status
     if is_ssp:
@@ -136,13 +125,13 @@ def _run_scene(
     from flexfmu.cosim.reports.summary import summarise
     from flexfmu.model.scene.errors import EquilibriumError
 
-    end_loading()
+    console.end_loading()
     # formats and folder come first: no run is lost because it can't be written
     for name in formats:
         check_format(name)
-    scene = load_changed(source, changes)
-    folder = prepared_folder(out or usual_folder(scene.name, changes))
-    with progress() as show:
+    scene = console.load_changed(source, changes)
+    folder = console.prepared_folder(out or console.usual_folder(scene.name, changes))
+    with console.progress() as show:
         if scene.effects.select is not None or scene.learners:
             from flexfmu.cosim.design.effects.choice import resolved
 
@@ -157,7 +146,7 @@ def _run_scene(
             run = run_scene(scene, **options)
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
-        files = write_results(folder, run.recording, formats, run.about)
+        files = console.write_results(folder, run.recording, formats, run.about)
         # metrics and report are of all signals with two derivatives
         is_whole = record.names is None and record.order == EVERYTHING.order
         measurements: Mapping[str, Metric] = dict.fromkeys(COMMON_METRICS, Metric(None))
@@ -197,15 +186,15 @@ def _run_scene(
             folder.remove("report.html")
     # standard output
     if as_json:
-        print_text(to_json(summary))
+        console.print_text(to_json(summary))
     else:
         from flexfmu.cosim.cli.run_summary import print_summary
         from flexfmu.model.choice_text import choice_sentence
 
         print_summary(summary, choice_sentence(scene), folder.path, files)
     if problem is not None:
-        show_note(f"{problem}; what was recorded is in {folder.path}")
-        return FAILURE
+        console.show_note(f"{problem}; what was recorded is in {folder.path}")
+        return console.FAILURE
     return 0
 
 
@@ -227,18 +216,18 @@ def _run_ssp(
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
     from flexfmu.cosim.experiment.recording import slave_facts
 
-    end_loading()
+    console.end_loading()
     for name in formats:
         check_format(name)
     stop, step, ssd, output_order = told
     loaded = load_ssp(source, stop=stop, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
-    folder = prepared_folder(out or RESULTS / source.stem)
+    folder = console.prepared_folder(out or RESULTS / source.stem)
     # simulate, and write what was recorded even if it failed
-    with progress() as show:
+    with console.progress() as show:
         simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
         show("writing the results", None)
         recording, title = simulation.recording, loaded.structure.name
-        files = write_results(folder, recording, formats, {"system": title, "outcome": simulation.message})
+        files = console.write_results(folder, recording, formats, {"system": title, "outcome": simulation.message})
         summary: dict[str, Any] = {
             "system": title,
             "outcome": simulation.outcome.name.lower(),
@@ -261,12 +250,12 @@ def _run_ssp(
         folder.write("summary.json", to_json(summary))
     # standard output
     if as_json:
-        print_text(to_json(summary))
+        console.print_text(to_json(summary))
     else:
         from flexfmu.cosim.cli.run_summary import print_ssp_summary
 
         print_ssp_summary(summary, recording, folder.path, [*files, "summary.json"])
     if simulation.outcome.is_failure:
-        show_note(f"{simulation.message}; what was recorded is in {folder.path}")
-        return FAILURE
+        console.show_note(f"{simulation.message}; what was recorded is in {folder.path}")
+        return console.FAILURE
     return 0

@@ -21,17 +21,8 @@ from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channe
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.linear import linear_plant
+from flexfmu.model.scene import filters
 from flexfmu.model.scene.assembly import motor_angles
-from flexfmu.model.scene.filters import (
-    MODE,
-    BiquadSection,
-    FilterSection,
-    HighPassSection,
-    LeadLagSection,
-    LowPassSection,
-    NotchSection,
-    TunedSection,
-)
 from flexfmu.model.statics import natural_frequencies
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -138,7 +129,7 @@ def _butterworth(w: float, order: int) -> list[tuple[float, float, float]]:
     return [*found, (0.0, 1.0, w)] if order % 2 else found
 
 
-def filter_block(s: FilterSection, context: LoopContext, sections: Sequence[SecondOrder]) -> SymbolicBlock:
+def filter_block(s: filters.FilterSection, context: LoopContext, sections: Sequence[SecondOrder]) -> SymbolicBlock:
     """Build the block of a chain of second-order sections, one after the other, the same for each signal of a section of the scene file.
 
     Raises:
@@ -180,7 +171,7 @@ def _delay(sections: Sequence[SecondOrder], sample_time: float) -> float:
     return max(0.0, found)
 
 
-def frequency_of(section: TunedSection, context: LoopContext) -> float:
+def frequency_of(section: filters.TunedSection, context: LoopContext) -> float:
     """The frequency of a section [Hz]: its own, or that of the mode that it names.
 
     Raises:
@@ -188,7 +179,7 @@ def frequency_of(section: TunedSection, context: LoopContext) -> float:
     """
     if section.frequency is not None:
         return section.frequency
-    match = MODE.fullmatch(section.at or "")
+    match = filters.MODE.fullmatch(section.at or "")
     assert match is not None
     kind, number = match[1], int(match[2])
     found = _frequencies(kind, context, context.position(section.pose))
@@ -212,8 +203,8 @@ def _frequencies(kind: str, context: LoopContext, position: tuple[float, float])
     return found[len(found) - elastic :] if 0 < elastic <= len(found) else []
 
 
-builds(NotchSection)(lambda s, c: filter_block(s, c, notch(frequency_of(s, c), s.damping, s.depth)))
-builds(LowPassSection)(lambda s, c: filter_block(s, c, low_pass(frequency_of(s, c), s.order)))
-builds(HighPassSection)(lambda s, c: filter_block(s, c, high_pass(frequency_of(s, c), s.order)))
-builds(LeadLagSection)(lambda s, c: filter_block(s, c, lead_lag(s.zero, s.pole)))
-builds(BiquadSection)(lambda s, c: filter_block(s, c, biquad(s.numerator, s.denominator, s.prewarp)))
+builds(filters.NotchSection)(lambda s, c: filter_block(s, c, notch(frequency_of(s, c), s.damping, s.depth)))
+builds(filters.LowPassSection)(lambda s, c: filter_block(s, c, low_pass(frequency_of(s, c), s.order)))
+builds(filters.HighPassSection)(lambda s, c: filter_block(s, c, high_pass(frequency_of(s, c), s.order)))
+builds(filters.LeadLagSection)(lambda s, c: filter_block(s, c, lead_lag(s.zero, s.pole)))
+builds(filters.BiquadSection)(lambda s, c: filter_block(s, c, biquad(s.numerator, s.denominator, s.prewarp)))

@@ -9,33 +9,21 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
+from flexfmu.model.scene import section
 from flexfmu.model.scene.loop import OwnPart, SampledSection, Sampling, from_scene_file
-from flexfmu.model.scene.section import (
-    NotNegative,
-    NotNegativePerJoint,
-    PerJoint,
-    Positive,
-    PositivePerJoint,
-    SecondsOrZero,
-    Section,
-    as_tuple,
-    named_kind,
-    quantity,
-    tuples,
-)
 
-Matrix = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(tuples)]
-SignalNames = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
-TorqueLimit = Annotated[PositivePerJoint | None, quantity("N.m")]
+Matrix = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(section.tuples)]
+SignalNames = Annotated[tuple[str, ...], BeforeValidator(section.as_tuple)]
+TorqueLimit = Annotated[section.PositivePerJoint | None, section.quantity("N.m")]
 
 
-Breakpoints = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-Factors = Annotated[tuple[NotNegativePerJoint, ...], BeforeValidator(as_tuple)]
+Breakpoints = Annotated[tuple[float, ...], BeforeValidator(section.as_tuple)]
+Factors = Annotated[tuple[section.NotNegativePerJoint, ...], BeforeValidator(section.as_tuple)]
 """One factor, or a pair for both joints, for each breakpoint."""
-FactorTable = Annotated[Factors | None, quantity("1")]
+FactorTable = Annotated[Factors | None, section.quantity("1")]
 
 
-class ScheduleSection(Section):
+class ScheduleSection(section.Section):
     """Factors on gains at the breakpoints `at` of the signal `over`, linear in between and constant beyond.
 
     `over` is any signal, such as "joint1.reference.position" or "end_effector.position.x", or "payload.mass", the payload that the
@@ -96,26 +84,26 @@ class PdSection(SampledSection):
     """Torque = proportional * position error + derivative * velocity error."""
 
     kind: Literal["pd"]
-    proportional: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
-    derivative: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
+    proportional: Annotated[section.NotNegativePerJoint, section.quantity("N.m/rad")]
+    derivative: Annotated[section.NotNegativePerJoint, section.quantity("N.m.s/rad")]
     torque_limit: TorqueLimit = None
     schedule: PdScheduleSection | None = None
 
 
-class ClampingSection(Section):
+class ClampingSection(section.Section):
     """Conditional integration: the integrator stops while it would drive the torque further into saturation."""
 
     kind: Literal["clamping"] = "clamping"
 
 
-class BackCalculationSection(Section):
+class BackCalculationSection(section.Section):
     """Back-calculation: the saturation error is fed back to the integrator with the time constant `tracking_time`."""
 
     kind: Literal["back-calculation"]
-    tracking_time: SecondsOrZero
+    tracking_time: section.SecondsOrZero
 
 
-class UnprotectedSection(Section):
+class UnprotectedSection(section.Section):
     """No anti-windup: the integrator winds up."""
 
     kind: Literal["none"]
@@ -123,7 +111,7 @@ class UnprotectedSection(Section):
 
 AntiWindupSection = Annotated[
     ClampingSection | BackCalculationSection | UnprotectedSection,
-    BeforeValidator(named_kind),
+    BeforeValidator(section.named_kind),
     Field(discriminator="kind"),
 ]
 
@@ -137,48 +125,48 @@ class PidSection(SampledSection):
     """
 
     kind: Literal["pid"]
-    proportional: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
-    integral: Annotated[NotNegativePerJoint, quantity("N.m/(rad.s)")]
-    derivative: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
-    filter_time: Annotated[NotNegativePerJoint, quantity("s")] = (0.0, 0.0)
+    proportional: Annotated[section.NotNegativePerJoint, section.quantity("N.m/rad")]
+    integral: Annotated[section.NotNegativePerJoint, section.quantity("N.m/(rad.s)")]
+    derivative: Annotated[section.NotNegativePerJoint, section.quantity("N.m.s/rad")]
+    filter_time: Annotated[section.NotNegativePerJoint, section.quantity("s")] = (0.0, 0.0)
     setpoint_weight: float = 1.0
     derivative_weight: float = 1.0
-    initial_torque: Annotated[PerJoint | None, quantity("N.m")] = None
+    initial_torque: Annotated[section.PerJoint | None, section.quantity("N.m")] = None
     torque_limit: TorqueLimit = None
     anti_windup: AntiWindupSection = ClampingSection()
     schedule: PidScheduleSection | None = None
 
 
-class LoopOfCascade(Section):
+class LoopOfCascade(section.Section):
     """Sample time and offset of a loop of the cascade, by default those of the controller."""
 
-    sample_time: Annotated[Positive | None, quantity("s")] = None
-    offset: Annotated[NotNegative | None, quantity("s")] = None
+    sample_time: Annotated[section.Positive | None, section.quantity("s")] = None
+    offset: Annotated[section.NotNegative | None, section.quantity("s")] = None
 
 
 class PositionLoopSection(LoopOfCascade):
     """Velocity command = proportional * position error + velocity_feedforward * reference velocity, within ± velocity_limit."""
 
-    proportional: Annotated[NotNegativePerJoint, quantity("1/s")]
-    velocity_feedforward: Annotated[NotNegativePerJoint, quantity("1")] = (1.0, 1.0)
-    velocity_limit: Annotated[PositivePerJoint | None, quantity("rad/s")] = None
+    proportional: Annotated[section.NotNegativePerJoint, section.quantity("1/s")]
+    velocity_feedforward: Annotated[section.NotNegativePerJoint, section.quantity("1")] = (1.0, 1.0)
+    velocity_limit: Annotated[section.PositivePerJoint | None, section.quantity("rad/s")] = None
     schedule: PositionScheduleSection | None = None
 
 
 class VelocityLoopSection(LoopOfCascade):
     """Torque command = proportional * velocity error + its integral * integral + inertia * reference acceleration."""
 
-    proportional: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
-    integral: Annotated[NotNegativePerJoint, quantity("N.m/rad")] = (0.0, 0.0)
-    inertia: Annotated[NotNegativePerJoint, quantity("kg.m2")] = (0.0, 0.0)
-    initial_torque: Annotated[PerJoint, quantity("N.m")] = (0.0, 0.0)
+    proportional: Annotated[section.NotNegativePerJoint, section.quantity("N.m.s/rad")]
+    integral: Annotated[section.NotNegativePerJoint, section.quantity("N.m/rad")] = (0.0, 0.0)
+    inertia: Annotated[section.NotNegativePerJoint, section.quantity("kg.m2")] = (0.0, 0.0)
+    initial_torque: Annotated[section.PerJoint, section.quantity("N.m")] = (0.0, 0.0)
     schedule: VelocityScheduleSection | None = None
 
 
 class CurrentLoopSection(LoopOfCascade):
     """The torque follows its command as a first-order lag, sampled; zero is a delay of one sample."""
 
-    time_constant: Annotated[NotNegativePerJoint, quantity("s")]
+    time_constant: Annotated[section.NotNegativePerJoint, section.quantity("s")]
 
 
 class CascadeSection(SampledSection):
@@ -209,9 +197,9 @@ class ComputedTorqueSection(SampledSection):
     """
 
     kind: Literal["computed-torque"]
-    proportional: Annotated[NotNegativePerJoint, quantity("1/s2")]
-    derivative: Annotated[NotNegativePerJoint, quantity("1/s")]
-    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    proportional: Annotated[section.NotNegativePerJoint, section.quantity("1/s2")]
+    derivative: Annotated[section.NotNegativePerJoint, section.quantity("1/s")]
+    payload: Annotated[section.NotNegative | None, section.quantity("kg")] = None
     torque_limit: TorqueLimit = None
 
 
@@ -224,7 +212,7 @@ class FeedforwardSection(SampledSection):
 
     kind: Literal["feedforward"]
     robot: Literal["rigid", "flexible"] = "rigid"
-    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    payload: Annotated[section.NotNegative | None, section.quantity("kg")] = None
 
 
 class FrictionCompensationSection(SampledSection):
@@ -234,9 +222,9 @@ class FrictionCompensationSection(SampledSection):
     """
 
     kind: Literal["friction-compensation"]
-    viscous: Annotated[NotNegativePerJoint | None, quantity("N.m.s/rad")] = None
-    coulomb: Annotated[NotNegativePerJoint | None, quantity("N.m")] = None
-    velocity: Annotated[Positive | None, quantity("rad/s")] = None
+    viscous: Annotated[section.NotNegativePerJoint | None, section.quantity("N.m.s/rad")] = None
+    coulomb: Annotated[section.NotNegativePerJoint | None, section.quantity("N.m")] = None
+    velocity: Annotated[section.Positive | None, section.quantity("rad/s")] = None
     motion: Literal["reference", "measured"] = "reference"
 
 
@@ -245,7 +233,7 @@ class GravityFeedforwardSection(SampledSection):
 
     kind: Literal["gravity-feedforward"]
     motion: Literal["reference", "measured"] = "reference"
-    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    payload: Annotated[section.NotNegative | None, section.quantity("kg")] = None
 
 
 class DisturbanceObserverSection(SampledSection):
@@ -256,9 +244,9 @@ class DisturbanceObserverSection(SampledSection):
     """
 
     kind: Literal["disturbance-observer"]
-    time_constant: Annotated[NotNegativePerJoint, quantity("s")]
-    inertia: Annotated[PositivePerJoint | None, quantity("kg.m2")] = None
-    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    time_constant: Annotated[section.NotNegativePerJoint, section.quantity("s")]
+    inertia: Annotated[section.PositivePerJoint | None, section.quantity("kg.m2")] = None
+    payload: Annotated[section.NotNegative | None, section.quantity("kg")] = None
     torque_limit: TorqueLimit = None
 
 
@@ -291,15 +279,17 @@ class LearningSection(SampledSection):
 
     kind: Literal["learning"]
     law: Literal["proportional", "norm-optimal"] = "proportional"
-    gain: Annotated[NotNegativePerJoint | None, quantity("N.m/rad")] = None
-    cycles: Annotated[int, quantity("cycles", ge=1, le=1000)]
-    lead: Annotated[int, quantity("samples", ge=0)] = 1
-    forgetting: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
-    q_filter: Annotated[float | Literal["auto", "none"] | None, BeforeValidator(_cut_off), quantity("Hz")] = None
-    payload_error: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
-    regularisation: Annotated[float, quantity("1", gt=0.0)] = 1e-3
-    payload: Annotated[NotNegative | None, quantity("kg")] = None
-    response: Annotated[Responses | None, BeforeValidator(tuples), quantity("rad/(N.m)")] = None
+    gain: Annotated[section.NotNegativePerJoint | None, section.quantity("N.m/rad")] = None
+    cycles: Annotated[int, section.quantity("cycles", ge=1, le=1000)]
+    lead: Annotated[int, section.quantity("samples", ge=0)] = 1
+    forgetting: Annotated[float, section.quantity("1", ge=0.0, lt=1.0)] = 0.0
+    q_filter: Annotated[float | Literal["auto", "none"] | None, BeforeValidator(_cut_off), section.quantity("Hz")] = (
+        None
+    )
+    payload_error: Annotated[float, section.quantity("1", ge=0.0, lt=1.0)] = 0.2
+    regularisation: Annotated[float, section.quantity("1", gt=0.0)] = 1e-3
+    payload: Annotated[section.NotNegative | None, section.quantity("kg")] = None
+    response: Annotated[Responses | None, BeforeValidator(section.tuples), section.quantity("rad/(N.m)")] = None
 
     @model_validator(mode="after")
     def _keys_fit_the_law(self) -> Self:
@@ -330,11 +320,11 @@ class StateFeedbackSection(SampledSection):
 
     kind: Literal["state-feedback"]
     pose: Literal["start", "middle", "end"] = "end"
-    position_error: Annotated[PositivePerJoint, quantity("rad")] = (1e-3, 1e-3)
-    velocity_error: Annotated[PositivePerJoint, quantity("rad/s")] = (0.1, 0.1)
-    torque_deviation: Annotated[PositivePerJoint, quantity("N.m")] = (10.0, 10.0)
-    torque_noise: Annotated[Positive, quantity("N.m")] = 1.0
-    measurement_noise: Annotated[Positive, quantity("rad")] = 1e-5
+    position_error: Annotated[section.PositivePerJoint, section.quantity("rad")] = (1e-3, 1e-3)
+    velocity_error: Annotated[section.PositivePerJoint, section.quantity("rad/s")] = (0.1, 0.1)
+    torque_deviation: Annotated[section.PositivePerJoint, section.quantity("N.m")] = (10.0, 10.0)
+    torque_noise: Annotated[section.Positive, section.quantity("N.m")] = 1.0
+    measurement_noise: Annotated[section.Positive, section.quantity("rad")] = 1e-5
     torque_limit: TorqueLimit = None
 
 
@@ -347,8 +337,8 @@ class HInfinitySection(SampledSection):
 
     kind: Literal["h-infinity"]
     pose: Literal["start", "middle", "end"] = "end"
-    bandwidth: Annotated[PositivePerJoint, quantity("Hz")]
-    integral_time: Annotated[PositivePerJoint | None, quantity("s")] = None
+    bandwidth: Annotated[section.PositivePerJoint, section.quantity("Hz")]
+    integral_time: Annotated[section.PositivePerJoint | None, section.quantity("s")] = None
     torque_limit: TorqueLimit = None
 
 
@@ -386,7 +376,7 @@ class CFunctionSection(SampledSection):
     inputs: SignalNames
     outputs: SignalNames
     parameters: dict[str, float] = Field(default_factory=dict)
-    states: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    states: Annotated[tuple[float, ...], BeforeValidator(section.as_tuple)] = ()
     units: dict[str, str] = Field(default_factory=dict)
 
 

@@ -7,18 +7,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from flexfmu.model.scene import section
 from flexfmu.model.scene.loop import LoopSection, OwnPart
-from flexfmu.model.scene.section import (
-    NotNegativePerJoint,
-    PerJoint,
-    Positive,
-    PositivePerJoint,
-    Seconds,
-    SecondsOrZero,
-    Section,
-    named_kind,
-    quantity,
-)
 
 
 class SignalSection(LoopSection):
@@ -30,8 +20,8 @@ class SignalSection(LoopSection):
     """
 
     signal: Literal["torque", "position", "velocity", "reference"]
-    sample_time: Annotated[Positive | None, quantity("s")] = None
-    offset: SecondsOrZero = 0.0
+    sample_time: Annotated[section.Positive | None, section.quantity("s")] = None
+    offset: section.SecondsOrZero = 0.0
 
 
 class SaturationSection(SignalSection):
@@ -39,9 +29,9 @@ class SaturationSection(SignalSection):
 
     kind: Literal["saturation"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
-    limit: PositivePerJoint | None = None
-    lower: PerJoint | None = None
-    upper: PerJoint | None = None
+    limit: section.PositivePerJoint | None = None
+    lower: section.PerJoint | None = None
+    upper: section.PerJoint | None = None
 
     @model_validator(mode="after")
     def _one_kind_of_limits(self) -> Self:
@@ -66,8 +56,8 @@ class RateLimitSection(SignalSection):
 
     kind: Literal["rate-limit"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
-    rate: PositivePerJoint
-    falling_rate: PositivePerJoint | None = None
+    rate: section.PositivePerJoint
+    falling_rate: section.PositivePerJoint | None = None
 
 
 class DeadZoneSection(SignalSection):
@@ -75,7 +65,7 @@ class DeadZoneSection(SignalSection):
 
     kind: Literal["dead-zone"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
-    half_width: NotNegativePerJoint
+    half_width: section.NotNegativePerJoint
 
 
 class BacklashSection(SignalSection):
@@ -83,32 +73,32 @@ class BacklashSection(SignalSection):
 
     kind: Literal["backlash"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
-    gap: NotNegativePerJoint
+    gap: section.NotNegativePerJoint
 
 
-class LinearSection(Section):
+class LinearSection(section.Section):
     """Linear interpolation between two samples."""
 
     kind: Literal["linear"] = "linear"
     order: ClassVar[int] = 1
 
 
-class LagrangeSection(Section):
+class LagrangeSection(section.Section):
     """Lagrange interpolation: polynomial through `order` + 1 samples."""
 
     kind: Literal["lagrange"]
-    order: Annotated[int, quantity("1", ge=1, le=10)]
+    order: Annotated[int, section.quantity("1", ge=1, le=10)]
 
 
-class ThiranSection(Section):
+class ThiranSection(section.Section):
     """Thiran all-pass filter of this order, which changes no amplitude."""
 
     kind: Literal["thiran"]
-    order: Annotated[int, quantity("1", ge=1, le=10)]
+    order: Annotated[int, section.quantity("1", ge=1, le=10)]
 
 
 InterpolationSection = Annotated[
-    LinearSection | LagrangeSection | ThiranSection, BeforeValidator(named_kind), Field(discriminator="kind")
+    LinearSection | LagrangeSection | ThiranSection, BeforeValidator(section.named_kind), Field(discriminator="kind")
 ]
 
 
@@ -122,7 +112,7 @@ class DelaySection(SignalSection):
 
     kind: Literal["delay"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
-    time: SecondsOrZero
+    time: section.SecondsOrZero
     interpolation: InterpolationSection = LinearSection()
     known: bool = False
 
@@ -138,17 +128,17 @@ class QuantisationSection(SignalSection):
 
     kind: Literal["quantisation"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
-    resolution: PositivePerJoint
+    resolution: section.PositivePerJoint
 
 
 class EncoderSection(LoopSection):
     """Incremental encoders of both joints: angles rounded to counts, velocities as change over `window` samples."""
 
     kind: Literal["encoder"]
-    counts_per_turn: Annotated[float, quantity("1", ge=1.0)]
-    window: Annotated[int, quantity("samples", ge=1)] = 1
-    sample_time: Annotated[Positive | None, quantity("s")] = None
-    offset: SecondsOrZero = 0.0
+    counts_per_turn: Annotated[float, section.quantity("1", ge=1.0)]
+    window: Annotated[int, section.quantity("samples", ge=1)] = 1
+    sample_time: Annotated[section.Positive | None, section.quantity("s")] = None
+    offset: section.SecondsOrZero = 0.0
 
 
 class NoiseSection(SignalSection):
@@ -160,8 +150,8 @@ class NoiseSection(SignalSection):
 
     kind: Literal["noise"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
-    standard_deviation: NotNegativePerJoint | None = None
-    half_width: NotNegativePerJoint | None = None
+    standard_deviation: section.NotNegativePerJoint | None = None
+    half_width: section.NotNegativePerJoint | None = None
     seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
 
     @model_validator(mode="after")
@@ -176,7 +166,7 @@ class JitterSection(SignalSection):
 
     kind: Literal["jitter"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
-    time: Seconds
+    time: section.Seconds
     seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
 
 
@@ -185,7 +175,7 @@ class LagSection(SignalSection):
 
     kind: Literal["lag"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
-    time_constant: Seconds
+    time_constant: section.Seconds
 
     @model_validator(mode="after")
     def _offset_has_a_sample_time(self) -> Self:
@@ -196,11 +186,11 @@ class LagSection(SignalSection):
         return self
 
 
-class PayloadErrorSection(Section):
+class PayloadErrorSection(section.Section):
     """The real payload is (1 + relative) times the one that planning, controllers and shapers assume."""
 
     kind: Literal["payload-error"]
-    relative: Annotated[float, quantity("1", ge=-1.0)]
+    relative: Annotated[float, section.quantity("1", ge=-1.0)]
 
 
 ImperfectionSection = Annotated[

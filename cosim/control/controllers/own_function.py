@@ -26,14 +26,7 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.blocks.slave import BlockSlave, SampledMemory
-from flexfmu.cosim.control.controllers.joints import (
-    TORQUE,
-    check_units,
-    joint_inputs,
-    joint_outputs,
-    named_parameters,
-    named_signals,
-)
+from flexfmu.cosim.control.controllers import joints
 from flexfmu.cosim.engine.errors import InputError, SlaveError, suggestion
 from flexfmu.cosim.engine.slave import RealArray, check_sampling
 from flexfmu.model.symbolic import SymbolicBlock, Variable
@@ -75,9 +68,9 @@ def controller(
         InputError: an argument has no default, a name is repeated, a number isn't finite, or the sample time isn't positive.
     """
     units = units or {}
-    standard = joint_inputs("reference.position", "reference.velocity", "position", "velocity")
-    taken = standard if inputs is None else named_signals(inputs, "input", units)
-    given = joint_outputs(*TORQUE) if outputs is None else named_signals(outputs, "output", units)
+    standard = joints.joint_inputs("reference.position", "reference.velocity", "position", "velocity")
+    taken = standard if inputs is None else joints.named_signals(inputs, "input", units)
+    given = joints.joint_outputs(*joints.TORQUE) if outputs is None else joints.named_signals(outputs, "output", units)
     states = tuple(float(value) for value in np.atleast_1d(np.asarray(state, dtype=float)))
 
     def decorate(function: Callable[..., Any]) -> FunctionController:
@@ -176,7 +169,9 @@ class FunctionController:
 
     def __post_init__(self) -> None:
         check_sampling(self.sample_time, self.offset, self.name)
-        check_units(self.units, [each.name for each in (*self.inputs, *self.outputs, *self.variables)], self.name)
+        joints.check_units(
+            self.units, [each.name for each in (*self.inputs, *self.outputs, *self.variables)], self.name
+        )
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
         return self.function(*arguments, **keywords)
@@ -190,7 +185,7 @@ class FunctionController:
                 values[name] = value
             elif is_vector(value):
                 values |= {f"{name}[{i}]": element for i, element in enumerate(value, start=1)}
-        return named_parameters(values, self.units)
+        return joints.named_parameters(values, self.units)
 
     def changed(self, arguments: Mapping[str, Any]) -> FunctionController:
         """Return the controller with other parameters, sample time or offset.

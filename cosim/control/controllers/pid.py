@@ -26,15 +26,7 @@ from flexfmu.cosim.control.blocks.equations import Vector, split
 from flexfmu.cosim.control.controllers.gain_schedule import with_schedule
 from flexfmu.cosim.control.controllers.joints import JOINTS, TORQUE, joint_block, limited, saturate
 from flexfmu.cosim.control.sections import LoopContext, builds
-from flexfmu.model.scene.controllers import (
-    AntiWindupSection,
-    BackCalculationSection,
-    ClampingSection,
-    FeedforwardSection,
-    GravityFeedforwardSection,
-    PdSection,
-    PidSection,
-)
+from flexfmu.model.scene import controllers
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -43,7 +35,7 @@ def limited_sum(
     integral: Vector,
     increment: Vector,
     bounds: Sequence[Vector],
-    rule: AntiWindupSection,
+    rule: controllers.AntiWindupSection,
     sample_time: float,
 ) -> tuple[Vector, Vector]:
     """Return the limited sum of all terms of a controller, and the integral that the next sample starts from [N.m].
@@ -63,7 +55,7 @@ def limited_sum(
     if not bounds:
         return rest + integral + increment, integral + increment
     lower, upper = bounds
-    if isinstance(rule, ClampingSection):
+    if isinstance(rule, controllers.ClampingSection):
         # leave the increment out where the sum is beyond a limit and the increment drives it further
         candidate = rest + integral + increment
         above = casadi.logic_and(candidate > upper, increment > 0.0)
@@ -72,15 +64,15 @@ def limited_sum(
     now = integral + increment
     total = rest + now
     torque = saturate(total, lower, upper)
-    if not isinstance(rule, BackCalculationSection):
+    if not isinstance(rule, controllers.BackCalculationSection):
         return torque, now
     # the next sample starts from the corrected integral
     share = 1.0 - exp(-sample_time / rule.tracking_time) if rule.tracking_time else 1.0
     return torque, now + share * (torque - total)
 
 
-@builds(PdSection)
-def pd(s: PdSection, context: LoopContext) -> SymbolicBlock:
+@builds(controllers.PdSection)
+def pd(s: controllers.PdSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: torque = sat(K_p (q_r - q) + K_d (v_r - v) + feedforward) for each joint, without states.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``joint1.position``, ``joint1.velocity``, ``joint1.feedforward``; output
@@ -108,8 +100,8 @@ def pd(s: PdSection, context: LoopContext) -> SymbolicBlock:
     return with_schedule(controller, s.schedule, context)
 
 
-@builds(PidSection)
-def pid(s: PidSection, context: LoopContext) -> SymbolicBlock:
+@builds(controllers.PidSection)
+def pid(s: controllers.PidSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: PID control of each joint by the law at the top of this module, plus a feedforward.
 
     Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward``; output ``joint1.torque``. Gains and filter times
@@ -154,12 +146,13 @@ def pid(s: PidSection, context: LoopContext) -> SymbolicBlock:
     return with_schedule(controller, s.schedule, context)
 
 
-def _initial_torque(section: PidSection, context: LoopContext) -> Sequence[float]:
+def _initial_torque(section: controllers.PidSection, context: LoopContext) -> Sequence[float]:
     """Torque [N.m] of a section at the first sample: where it has none, what holds the robot and no feedforward adds."""
     if section.initial_torque is not None:
         return section.initial_torque
     is_held = any(
-        isinstance(each, (FeedforwardSection, GravityFeedforwardSection)) for each in context.scene.controller
+        isinstance(each, (controllers.FeedforwardSection, controllers.GravityFeedforwardSection))
+        for each in context.scene.controller
     )
     if is_held or context.is_about_rest or not any(section.integral):
         return (0.0, 0.0)

@@ -29,16 +29,7 @@ from flexfmu.cosim.control.controllers.joints import saturate
 from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channels, cut, recall, remember, repeated
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.scene.imperfections import (
-    BacklashSection,
-    DeadZoneSection,
-    EncoderSection,
-    JitterSection,
-    NoiseSection,
-    QuantisationSection,
-    RateLimitSection,
-    SaturationSection,
-)
+from flexfmu.model.scene import imperfections
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 MODULI = (2147483563, 2147483399)
@@ -53,8 +44,8 @@ LARGEST_SEED = 2**SEED_BITS - 1
 _HALF = 2**16
 
 
-@builds(SaturationSection)
-def saturation(s: SaturationSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.SaturationSection)
+def saturation(s: imperfections.SaturationSection, context: LoopContext) -> SymbolicBlock:
     """y = sat(u): u within its limits, otherwise the nearer one; parameters ``<channel>.minimum``, ``<channel>.maximum``."""
     channels, (lower, upper) = Channels(s, context), s.bounds
 
@@ -66,8 +57,8 @@ def saturation(s: SaturationSection, context: LoopContext) -> SymbolicBlock:
     return channels.block("Saturation", law, [*minima, *maxima])
 
 
-@builds(RateLimitSection)
-def rate_limit(s: RateLimitSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.RateLimitSection)
+def rate_limit(s: imperfections.RateLimitSection, context: LoopContext) -> SymbolicBlock:
     """y_k = u_k, limited to y_k-1 - falling h .. y_k-1 + rising h.
 
     Before the first sample y is the channel's initial value, or without one the first input. Parameters ``<channel>.rising_rate``
@@ -89,8 +80,8 @@ def rate_limit(s: RateLimitSection, context: LoopContext) -> SymbolicBlock:
     return channels.block("Rate limit", law, [*rise, *fall, *channels.starts], memory=n)
 
 
-@builds(DeadZoneSection)
-def dead_zone(s: DeadZoneSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.DeadZoneSection)
+def dead_zone(s: imperfections.DeadZoneSection, context: LoopContext) -> SymbolicBlock:
     """y = u - sat(u) with the limits ± w: nothing within ± w, and u less w beyond; w is the parameter ``<channel>.half_width``."""
 
     def law(x: Vector, u: Vector, w: Vector) -> tuple[Vector, Vector]:
@@ -100,8 +91,8 @@ def dead_zone(s: DeadZoneSection, context: LoopContext) -> SymbolicBlock:
     return channels.block("Dead zone", law, channels.numbers("half_width", s.half_width, "the half width", minimum=0.0))
 
 
-@builds(BacklashSection)
-def backlash(s: BacklashSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.BacklashSection)
+def backlash(s: imperfections.BacklashSection, context: LoopContext) -> SymbolicBlock:
     """y_k = min(max(y_k-1, u_k - g / 2), u_k + g / 2): a play, as between a joint and the gear of its encoder.
 
     The output stands still while the input goes through the gap g, the parameter ``<channel>.gap``. At the first sample it is in
@@ -121,8 +112,8 @@ def backlash(s: BacklashSection, context: LoopContext) -> SymbolicBlock:
     return channels.block("Backlash", law, gaps, memory=len(channels))
 
 
-@builds(QuantisationSection)
-def quantisation(s: QuantisationSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.QuantisationSection)
+def quantisation(s: imperfections.QuantisationSection, context: LoopContext) -> SymbolicBlock:
     """y = q floor(u / q + 1/2), the nearest multiple of the resolution q, the parameter ``<channel>.resolution``; zero switches it off.
 
     The error is at most q/2. For a signal that crosses many steps it is approximately white and uniform, of variance
@@ -137,8 +128,8 @@ def quantisation(s: QuantisationSection, context: LoopContext) -> SymbolicBlock:
     return channels.block("Quantisation", law, resolutions)
 
 
-@builds(EncoderSection)
-def encoder(s: EncoderSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.EncoderSection)
+def encoder(s: imperfections.EncoderSection, context: LoopContext) -> SymbolicBlock:
     """Build the block of incremental encoders: angles to the nearest count, rates by difference.
 
     With q = 2 pi / counts_per_turn and window w::
@@ -167,8 +158,8 @@ def encoder(s: EncoderSection, context: LoopContext) -> SymbolicBlock:
     return channels.block("Incremental encoders", law, counts, memory=s.window * n, latency=late, inputs=angles)
 
 
-@builds(NoiseSection)
-def noise(s: NoiseSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.NoiseSection)
+def noise(s: imperfections.NoiseSection, context: LoopContext) -> SymbolicBlock:
     """y = u + white noise, independent for every channel: its numbers depend on channel, block's name and seed alone.
 
     Uniform noise in ± ``half_width`` has the variance half_width² / 3. A normal number is made of two uniform ones,
@@ -195,8 +186,8 @@ def noise(s: NoiseSection, context: LoopContext) -> SymbolicBlock:
     return channels.block(title, law, [*scales, _seed_parameter(s.seed)], memory=2 * n)
 
 
-@builds(JitterSection)
-def jitter(s: JitterSection, context: LoopContext) -> SymbolicBlock:
+@builds(imperfections.JitterSection)
+def jitter(s: imperfections.JitterSection, context: LoopContext) -> SymbolicBlock:
     """Build the block: the sample at t_k is up to ``time`` old, at random; the same for all channels.
 
     With U uniform in (0, 1)::

@@ -21,18 +21,10 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
+from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
-from flexfmu.model.reference_design.optimal_control import (
-    DEPTH,
-    LOOSE,
-    NODES,
-    Improvement,
-    MotionLimits,
-    optimal_motion,
-    spread,
-)
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TableSection
@@ -95,7 +87,7 @@ def optimal(
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     own, fuller = (goals.variations(count) for count in PAYLOADS)
-    groups, nodes = [(goals.scene, own)], _nodes(own, NODES)
+    groups, nodes = [(goals.scene, own)], _nodes(own, optimal_control.NODES)
     if (scene := fuller_scene(goals.scene)) is not None:
         groups.append((scene, fuller))
         nodes += [len(own) + k for k in _nodes(fuller, FULLER_NODES)]
@@ -105,13 +97,15 @@ def optimal(
     durations = [share * joints.duration for share in STARTS] if wishes.duration is None else [wishes.duration]
     for duration in durations:
         start = fitted(joints, INTERVALS, side="left").with_duration(duration)
-        tight, loose, tried = limits, LOOSE, False
+        tight, loose, tried = limits, optimal_control.LOOSE, False
         for number in range(TRIES):
 
-            def best(tight: MotionLimits = tight, start: JointSpline = start, loose: float = loose) -> Any:
-                last: Improvement | None = None
+            def best(
+                tight: optimal_control.MotionLimits = tight, start: JointSpline = start, loose: float = loose
+            ) -> Any:
+                last: optimal_control.Improvement | None = None
                 try:
-                    for last in optimal_motion(
+                    for last in optimal_control.optimal_motion(
                         [*chain(*robots)], tight, start, nodes, loose=loose, aim=wishes.minimise
                     ):
                         show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
@@ -147,7 +141,7 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
     """
     missed = {use.figure: use for use in judged.uses if not use.met}
     clearance = missed.pop("clearance", None)
-    if "off_path" in missed or (clearance is not None and clearance.value > DEPTH):
+    if "off_path" in missed or (clearance is not None and clearance.value > optimal_control.DEPTH):
         return {}
     found = dict[str, float]()
     for name, use in missed.items():
@@ -156,7 +150,7 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
     return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
 
 
-def tightened(limits: MotionLimits, excess: Mapping[str, float]) -> MotionLimits:
+def tightened(limits: optimal_control.MotionLimits, excess: Mapping[str, float]) -> optimal_control.MotionLimits:
     """The limits, tighter by `excesses`."""
 
     def distances(points: RealArray) -> tuple[RealArray, RealArray]:
@@ -183,10 +177,10 @@ def fuller_scene(scene: Scene) -> Scene | None:
 def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
     """Indices of a number of payloads, and of all robots with other stiffness or damping."""
     payloads = sum(each.stiffness == each.damping == 1.0 for each in variations)
-    return [*spread(payloads, count), *range(payloads, len(variations))]
+    return [*optimal_control.spread(payloads, count), *range(payloads, len(variations))]
 
 
-def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVariant]]) -> MotionLimits:
+def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVariant]]) -> optimal_control.MotionLimits:
     """The goals' limits in numbers, torques for each robot, relative to what the given motion needs in the same model."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (
@@ -198,7 +192,7 @@ def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVari
         return distance + clear * goals.wishes.margin, gradient
 
     torque = share * goals.limit("torque", np.vstack([_given_torques(goals, each) for each in robots]))
-    return MotionLimits(torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances)
+    return optimal_control.MotionLimits(torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances)
 
 
 def _given_torques(goals: Goals, robots: Sequence[RobotVariant]) -> RealArray:

@@ -17,18 +17,7 @@ from weakref import ref
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.binding import (
-    Both,
-    Copy,
-    Evaluation,
-    Phase,
-    Reevaluation,
-    Refresh,
-    SamplesInC,
-    SampleStep,
-    Take,
-    is_range,
-)
+from flexfmu.cosim.engine import binding
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.fmu.instance import Checked
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
@@ -151,7 +140,9 @@ def _reached(call: partial[int]) -> dict[str, int | None]:
     return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
-def evaluation(call: Evaluation, when: When, owner: int, again: Reevaluation | None = None) -> Instruction:
+def evaluation(
+    call: binding.Evaluation, when: When, owner: int, again: binding.Reevaluation | None = None
+) -> Instruction:
     """Evaluates the equations of a block; with ``again`` only if its inputs have changed."""
     fields: dict[str, Any] = {"function": call.function, "component": addressof(call.argument)}
     if again is not None:
@@ -167,7 +158,7 @@ def gather(
     With a stride ``source`` is a table, and the columns count from the beginning of its row ``point``.
     """
     fields: dict[str, Any] = {"count": columns.size, "stride": stride}
-    if is_range(columns) and is_range(places):
+    if binding.is_range(columns) and binding.is_range(places):
         source, target = source.reshape(-1)[columns[0] :], target.reshape(-1)[places[0] : places[-1] + 1]
         return Instruction(Opcode.COPY, when, owner, source=source, target=target, **fields)
     columns, places = (np.ascontiguousarray(each, dtype=np.int64) for each in (columns, places))
@@ -217,7 +208,7 @@ def load() -> RunProgram | None:
     return lambda program, points, progress: int(function(byref(program), points, byref(progress)))
 
 
-PHASES: Mapping[Action, Phase] = {Action.SAMPLE: "sample", Action.OUTPUT: "output", Action.UPDATE: "update"}
+PHASES: Mapping[Action, binding.Phase] = {Action.SAMPLE: "sample", Action.OUTPUT: "output", Action.UPDATE: "update"}
 """What a slave calculates in an operation at a sample instant."""
 
 
@@ -267,16 +258,16 @@ def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
     """The instructions of a sample, where the slave is due."""
     i, when = operation.slave, operation.when
     slave = schedule.slaves[i]
-    calls = slave.sample_calls(PHASES[operation.action]) if isinstance(slave, SamplesInC) else None
+    calls = slave.sample_calls(PHASES[operation.action]) if isinstance(slave, binding.SamplesInC) else None
     if calls is None:
         yield python_callback(schedule.bind(operation), when, i)
         return
     for call in calls:
         match call:
-            case SampleStep():
+            case binding.SampleStep():
                 kind, step = Opcode.TASK if call.is_task else Opcode.SAMPLE, call.step
                 yield Instruction(kind, when, i, call.failure, call, target=call.state, **_reached(step))
-            case Reevaluation():
+            case binding.Reevaluation():
                 yield evaluation(call.evaluation, when, i, call)
             case _:
                 yield from _transfer(call, when, i)
@@ -319,20 +310,20 @@ def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
     """The instructions of a bound transfer: in C where there is an equivalent, else a Python callback."""
     match call:
         # values first, then derivatives
-        case Both():
+        case binding.Both():
             yield from _transfer(call.first, when, owner)
             yield from _transfer(call.second, when, owner)
         # an FMI function on fixed buffers
         case Checked() if isinstance(call.call, partial):
             yield fmi_transfer(call.call, when, owner, lambda status, begin, end: call.error(status))
         # equations, and copies between buffers
-        case Evaluation():
+        case binding.Evaluation():
             yield evaluation(call, when, owner)
-        case Copy() if call.source.flags.c_contiguous and call.target.flags.c_contiguous:
+        case binding.Copy() if call.source.flags.c_contiguous and call.target.flags.c_contiguous:
             yield gather(call.source, np.arange(call.source.size), call.target, call.indices, when, owner)
-        case Take() if call.target.flags.c_contiguous:
+        case binding.Take() if call.target.flags.c_contiguous:
             yield gather(call.source, call.indices, call.target, np.arange(call.target.size), when, owner)
-        case Refresh() if isinstance(call.send, Checked) and isinstance(call.send.call, partial):
+        case binding.Refresh() if isinstance(call.send, Checked) and isinstance(call.send.call, partial):
             error, fields = call.send.error, {"source": call.take.source, "columns": call.take.indices.astype(np.int64)}
             yield fmi_transfer(call.send.call, when, owner, lambda status, begin, end: error(status), **fields)
         case _:

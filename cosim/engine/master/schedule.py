@@ -19,6 +19,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from flexfmu.cosim.engine.master import loops
 from flexfmu.cosim.engine.master.couplings import (
     Algorithm,
     Couplings,
@@ -29,14 +30,6 @@ from flexfmu.cosim.engine.master.couplings import (
     step_groups,
 )
 from flexfmu.cosim.engine.master.grid import Block, RunGrid
-from flexfmu.cosim.engine.master.loops import (
-    LoopCall,
-    LoopSignals,
-    StateKeeper,
-    check_can_save,
-    needs_rollback,
-    solution,
-)
 from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall, columns, wire
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, System
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
@@ -271,14 +264,14 @@ class Schedule:
         self.inputs, self.outputs = wire(system, self.couplings, selection)
         self.active = c_int.from_buffer(mmap(-1, sizeof(c_int)))
         self.system, self.grid = system, grid
-        self._with_state = [slave for slave in system.slaves if needs_rollback(slave)]
+        self._with_state = [slave for slave in system.slaves if loops.needs_rollback(slave)]
         self.plan = plan = make_plan(system, self.couplings, algorithm)
         announcing = [each.slave for each in plan.exchange if each.action is Action.ANNOUNCE]
         self.predicting = {i: cast(PredictsOutputs, system.slaves[i]) for i in announcing}
         sampled = [i for i, slave in enumerate(system.slaves) if isinstance(slave, Sampled)]
         self.due = {i: bytearray(grid.most + 2) for i in sampled}
         # lists of calls, bound once since a run spends its time in them; fewer calls where no signal jumps
-        self._unknowns: dict[str, LoopSignals] = {}
+        self._unknowns: dict[str, loops.LoopSignals] = {}
         self._step = [(each.slave, self.bind(each)) for each in plan.step]
         exchange = [(each, self.bind(each)) for each in plan.exchange]
         self._at_jump = [(each.slave, call) for each, call in exchange]
@@ -381,7 +374,7 @@ class Schedule:
 
     def save(self) -> Snapshot:
         """A snapshot of the slaves, with the inputs that are set now, and of all output signals."""
-        return Snapshot(StateKeeper(self._with_state), [port.signals.copy() for port in self.outputs])
+        return Snapshot(loops.StateKeeper(self._with_state), [port.signals.copy() for port in self.outputs])
 
     def restore(self, snapshot: Snapshot) -> None:
         """Roll back to a snapshot; call `begin` afterwards."""
@@ -423,7 +416,7 @@ class Schedule:
     def _solution(self, operation: Operation) -> TimedCall:
         """The call that solves a loop, at an instant or over a step."""
         loop, body = operation.loop, operation.body
-        calls: list[LoopCall] = [
+        calls: list[loops.LoopCall] = [
             (each.slave, self.bind(each), self.outputs[each.slave] if each.action is Action.READ else None)
             for each in body
         ]
@@ -434,17 +427,17 @@ class Schedule:
             ]
             # all rounds of an exchange share the loop's unknowns and their magnitudes
             signals = self._unknowns.setdefault(loop.name, self._unknowns_at_instant(loop))
-            return solution(loop.solver, loop.name, calls, sampling, signals, self.active, at_instant=True)
+            return loops.solution(loop.solver, loop.name, calls, sampling, signals, self.active, at_instant=True)
         assert loop is not None
         assert loop.solver is not None
         name = ", ".join(self.system.describe(each) for each in loop.torn)
         signals = self._unknowns.setdefault(name, self._unknowns_of_step(loop))
         members = [self.slaves[i] for i in loop.slaves]
-        check_can_save(members, "repeating a step")
+        loops.check_can_save(members, "repeating a step")
         repeated = [(slave, None) for slave in members]
-        return solution(loop.solver, name, calls, repeated, signals, self.active, at_instant=False)
+        return loops.solution(loop.solver, name, calls, repeated, signals, self.active, at_instant=False)
 
-    def _unknowns_at_instant(self, loop: AlgebraicLoop) -> LoopSignals:
+    def _unknowns_at_instant(self, loop: AlgebraicLoop) -> loops.LoopSignals:
         """The unknowns of an algebraic loop, with as many derivatives as its couplings pass round."""
         unknowns: dict[OutputPort, tuple[Indices, int]] = {}
         for slave in dict.fromkeys(slave for slave, _ in loop.unknowns):
@@ -452,9 +445,9 @@ class Schedule:
             pairs = [(slave, target) for target in loop.slaves if (slave, target) in self.couplings]
             rows = 1 + max(self.couplings[pair].order for pair in pairs)
             unknowns[self.outputs[slave]] = np.searchsorted(self.outputs[slave].indices, indices), rows
-        return LoopSignals(unknowns)
+        return loops.LoopSignals(unknowns)
 
-    def _unknowns_of_step(self, group: StepGroup) -> LoopSignals:
+    def _unknowns_of_step(self, group: StepGroup) -> loops.LoopSignals:
         """The unknowns of an iterated step: signals at its end that feed slaves stepped before their sources."""
         unknowns: dict[OutputPort, tuple[Indices, int]] = {}
         for source in dict.fromkeys(each.source for each in group.torn):
@@ -462,7 +455,7 @@ class Schedule:
             rows = 1 + max(self.couplings[each.source, each.target].ends or 0 for each in torn)
             port = self.outputs[source]
             unknowns[port] = np.unique(columns(port, torn)), rows
-        return LoopSignals(unknowns)
+        return loops.LoopSignals(unknowns)
 
 
 def _where_due(due: Sequence[int], sample: Callable[[float], None]) -> TimedCall:
@@ -479,5 +472,5 @@ def _where_due(due: Sequence[int], sample: Callable[[float], None]) -> TimedCall
 class Snapshot:
     """Saved states of all slaves that need rollback, and the signals (orders + 1, n) of each output port."""
 
-    states: StateKeeper
+    states: loops.StateKeeper
     signals: Sequence[RealArray]
