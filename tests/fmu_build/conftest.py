@@ -8,15 +8,8 @@ from pathlib import Path
 import casadi
 import pytest
 
+from flexfmu.model import time_derivatives
 from flexfmu.model.symbolic import EffectNote, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import (
-    MotionSymbols,
-    acceleration_terms,
-    forward,
-    motion_forward,
-    motion_rate1,
-    motion_rate2,
-)
 
 MakeModel = Callable[..., SymbolicModel]
 
@@ -64,18 +57,18 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
     K = casadi.vertcat(casadi.horzcat(d[1] + d[2], -d[2]), casadi.horzcat(-d[2], d[1] + d[2]))
     residual = d[0] * a + d[3] * K @ v + K @ y - casadi.vertcat(u, 0)
     outputs = casadi.vertcat(y[0], v[0], a[0], y[1], v[1], a[1], -d[1] * y[0], u * v[0])
-    motion = MotionSymbols(y, v, a, u)
+    motion = time_derivatives.MotionSymbols(y, v, a, u)
     results = {
         "derive": ([p], p[:4]),
         "initial_inputs": ([p], p[4]),
         "initial_coordinates": ([p], casadi.SX.zeros(2)),
-        "start_forward": forward([p], casadi.vertcat(p[:4], casadi.SX.zeros(2))),
+        "start_forward": time_derivatives.forward([p], casadi.vertcat(p[:4], casadi.SX.zeros(2))),
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], d[0] * casadi.SX.eye(2)),
         "outputs": ([y, v, a, u, d], outputs),
-        "motion_forward": motion_forward(motion, residual, outputs, d),
-        "motion_rate1": motion_rate1(motion, residual, outputs, d),
-        "motion_rate2": motion_rate2(motion, residual, outputs, d),
+        "motion_forward": time_derivatives.motion_forward(motion, residual, outputs, d),
+        "motion_rate1": time_derivatives.motion_rate1(motion, residual, outputs, d),
+        "motion_rate2": time_derivatives.motion_rate2(motion, residual, outputs, d),
         "singularity": ([y, u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.vertcat(d[1], d[1], d[0], d[0], 1e-6)),
     }
@@ -98,7 +91,7 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
             Variable("power", "W", "Power of the force", "output"),
         ),
         functions={key: _function(key, *result) for key, result in results.items()},
-        acceleration_terms=acceleration_terms(motion, outputs),
+        acceleration_terms=time_derivatives.acceleration_terms(motion, outputs),
         feedthrough=dict.fromkeys((f"{name}.position" for name in ("first", "second")), ())
         | dict.fromkeys(("der(first.position)", "der(second.position)", "der(second.position,2)"), ())
         | {"der(first.position,2)": ("force",), "first.spring_force": (), "power": ("force",)},
@@ -113,18 +106,18 @@ def lever(name: str = "lever") -> SymbolicModel:
     """A rigid lever: no unknowns, the output is the input times the ratio."""
     empty = [casadi.SX.sym(symbol, 0) for symbol in "yva"]
     p, u, d = (casadi.SX.sym(symbol, 1) for symbol in "pud")
-    none, motion = casadi.SX(0, 1), MotionSymbols(*empty, u)
+    none, motion = casadi.SX(0, 1), time_derivatives.MotionSymbols(*empty, u)
     results = {
         "derive": ([p], p),
         "initial_inputs": ([p], casadi.SX(0)),
         "initial_coordinates": ([p], none),
-        "start_forward": forward([p], p),
+        "start_forward": time_derivatives.forward([p], p),
         "residual": ([*empty, u, d], none),
         "mass_matrix": ([empty[0], u, d], casadi.SX(0, 0)),
         "outputs": ([*empty, u, d], d * u),
-        "motion_forward": motion_forward(motion, none, d * u, d),
-        "motion_rate1": motion_rate1(motion, none, d * u, d),
-        "motion_rate2": motion_rate2(motion, none, d * u, d),
+        "motion_forward": time_derivatives.motion_forward(motion, none, d * u, d),
+        "motion_rate1": time_derivatives.motion_rate1(motion, none, d * u, d),
+        "motion_rate2": time_derivatives.motion_rate2(motion, none, d * u, d),
         "singularity": ([empty[0], u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.SX(1)),
     }

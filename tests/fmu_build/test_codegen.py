@@ -14,17 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.fmu_build.codegen import (
-    _prepare,
-    _sizes,
-    c_code,
-    function_file,
-    generate_description,
-    generate_functions,
-    identifier,
-    twin_arguments,
-    with_all_arguments,
-)
+from flexfmu.fmu_build import codegen
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.templating import c_double, c_string
@@ -79,7 +69,7 @@ def _points(function: casadi.Function, count: int) -> list[list[np.ndarray]]:
 def test_compiled_functions_agree_with_casadi(make_oscillators: MakeModel, tmp_path: Path) -> None:
     """What the FMU calculates is what the model says, argument by argument."""
     model = make_oscillators()
-    files, facts = generate_functions(model)
+    files, facts = codegen.generate_functions(model)
     library = _library(files | {name: runtime_sources()[name] for name in ("real.h", "memory.h")}, tmp_path)
     for fact in facts:
         function = model.functions[fact.field]
@@ -92,13 +82,13 @@ def test_compiled_functions_agree_with_casadi(make_oscillators: MakeModel, tmp_p
 def test_code_is_deterministic_and_complete(make_oscillators: MakeModel, make_lever: MakeModel) -> None:
     """Two models of equal content give equal bytes: the GUID and the cache rely on it. A rigid model has the same set of files as an
     elastic one, so the runtime needs no special case."""
-    first, second = (generate_functions(make_oscillators()) for _ in range(2))
+    first, second = (codegen.generate_functions(make_oscillators()) for _ in range(2))
     assert first == second
-    description = [generate_description(make_oscillators(), first[1], "{x}", 1e-6) for _ in range(2)]
+    description = [codegen.generate_description(make_oscillators(), first[1], "{x}", 1e-6) for _ in range(2)]
     assert description[0] == description[1]
-    files, facts = generate_functions(make_lever())
+    files, facts = codegen.generate_functions(make_lever())
     assert [fact.field for fact in facts] == list(FUNCTION_SIGNATURES)
-    assert {function_file(name) for name in FUNCTION_SIGNATURES} < set(files)
+    assert {codegen.function_file(name) for name in FUNCTION_SIGNATURES} < set(files)
 
 
 def _with_mass(
@@ -132,9 +122,9 @@ def test_mass_matrices_that_are_not_symmetric_are_refused(
     def wrong(y: casadi.SX, d: casadi.SX) -> casadi.SX:
         return matrix(y, d, 1.0 + error * (casadi.sin(y[0]) if is_late else 1.0))
 
-    generate_functions(_with_mass(make_oscillators(), matrix))
+    codegen.generate_functions(_with_mass(make_oscillators(), matrix))
     with pytest.raises(ModelError, match=r"entry \(second[.]position, first[.]position\) is .*first[.]position = "):
-        generate_functions(_with_mass(make_oscillators(), wrong))
+        codegen.generate_functions(_with_mass(make_oscillators(), wrong))
 
 
 def test_a_mass_matrix_that_is_not_the_residuals_is_refused(make_oscillators: MakeModel) -> None:
@@ -143,9 +133,9 @@ def test_a_mass_matrix_that_is_not_the_residuals_is_refused(make_oscillators: Ma
     def diagonal(y: casadi.SX, d: casadi.SX) -> casadi.SX:
         return d[0] * casadi.SX.eye(2)
 
-    generate_functions(_with_mass(make_oscillators(), diagonal, np.ones(2)))
+    codegen.generate_functions(_with_mass(make_oscillators(), diagonal, np.ones(2)))
     with pytest.raises(ModelError, match=r"row of second[.]position the residual changes by"):
-        generate_functions(_with_mass(make_oscillators(), diagonal, np.array([1.0, 1.01])))
+        codegen.generate_functions(_with_mass(make_oscillators(), diagonal, np.array([1.0, 1.01])))
 
 
 @pytest.mark.parametrize(
@@ -165,7 +155,7 @@ def test_wrong_shape_is_refused(make_oscillators: MakeModel, sizes: tuple[int, .
     if sizes is not None:
         functions["residual"] = casadi.Function("f", [casadi.SX.sym("x", size) for size in sizes], [result])
     with pytest.raises(ModelError, match="residual"):
-        generate_functions(replace(model, functions=functions))
+        codegen.generate_functions(replace(model, functions=functions))
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
@@ -189,7 +179,7 @@ def test_strings_in_c_survive(text: str) -> None:
 def test_model_names_become_identifiers() -> None:
     """The library's file name must be a C identifier by the FMI standard."""
     names = {"barnard2012-6kg": "barnard2012_6kg", "6 kg": "model_6_kg", "": "model_"}
-    assert {name: identifier(name) for name in names} == names
+    assert {name: codegen.identifier(name) for name in names} == names
 
 
 def _model(changes: dict[str, Any]) -> SymbolicModel:
@@ -197,7 +187,7 @@ def _model(changes: dict[str, Any]) -> SymbolicModel:
 
 
 def _function(model: SymbolicModel, name: str) -> casadi.Function:
-    return _prepare(name, model.functions[name], _sizes(model))
+    return codegen._prepare(name, model.functions[name], codegen._sizes(model))
 
 
 @pytest.mark.slow
@@ -206,10 +196,12 @@ def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path) -> None:
     """Side by side or not, with vector types or without: a compiler must not decide about an FMU's numbers."""
     model = _model({})
     function = _function(model, name)
-    code = function_code(function, twin_arguments(model, name))
+    code = function_code(function, codegen.twin_arguments(model, name))
     assert code is not None
     points, results = _points(function, 20), []
-    for number, (text, *flags) in enumerate(((with_all_arguments(c_code(function)),), (code,), (code, "-DFLEX_PLAIN"))):
+    for number, (text, *flags) in enumerate(
+        ((codegen.with_all_arguments(codegen.c_code(function)),), (code,), (code, "-DFLEX_PLAIN"))
+    ):
         library = _library({"function.c": text, "model_functions.h": REAL}, tmp_path / str(number), *flags)
         results.append(_results(library, function.name(), function, points))
     assert np.isfinite(results[0]).any()
@@ -232,7 +224,7 @@ def test_most_operations_of_the_legs_are_twins(changes: dict[str, Any]) -> None:
     model = _model(changes)
     for name in FUNCTIONS:
         graph = Graph.of(_function(model, name))
-        twins = find_twins(graph, twin_arguments(model, name))
+        twins = find_twins(graph, codegen.twin_arguments(model, name))
         operations = [node for node in range(len(graph.nodes)) if not graph.is_leaf(node)]
         assert sum(node in twins for node in operations) > 0.7 * len(operations), name
 
@@ -241,7 +233,7 @@ def test_no_twin_needs_the_other() -> None:
     """Twins are computed at once, so an operand must not wait for them."""
     model = _model({})
     graph = Graph.of(_function(model, "residual"))
-    twins = find_twins(graph, twin_arguments(model, "residual"))
+    twins = find_twins(graph, codegen.twin_arguments(model, "residual"))
     needed: list[set[int]] = []
     for node in range(len(graph.nodes)):
         # everything that a node needs, the twins of its operands included

@@ -5,17 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.model.beams import (
-    Shape,
-    clamped_free_bending,
-    clamped_pinned_bending,
-    fixed_fixed_axial,
-    fixed_free_axial,
-    integrate_shapes,
-    pinned_pinned_bending,
-    tip_force_axial,
-    tip_force_bending,
-)
+from flexfmu.model import beams
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -26,7 +16,7 @@ XI = np.linspace(0.0, 1.0, 101)
 
 def test_first_shape_is_the_papers_formula() -> None:
     """The evaluation without cancellation is eq. (1) with the exact a_k, tip 2.7244 included."""
-    shape = clamped_free_bending(1)
+    shape = beams.clamped_free_bending(1)
     b = shape.wave_number
     a = -(np.cosh(b) + np.cos(b)) / (np.sinh(b) - np.sin(b))
     paper = np.sin(b * XI) + a * np.cos(b * XI) - np.sinh(b * XI) - a * np.cosh(b * XI)
@@ -39,19 +29,19 @@ def test_first_shape_is_the_papers_formula() -> None:
 def test_shapes_meet_their_boundary_conditions(mode: int) -> None:
     """Clamped: phi = phi' = 0; free: phi'' = 0; pinned: phi = phi'' = 0, with the tabulated roots 3.9266, 7.0686 (Blevins 1979,
     table 8-1); the sign of the free tip alternates."""
-    ends, free, pinned = np.array([0.0, 1.0]), clamped_free_bending(mode), clamped_pinned_bending(mode)
+    ends, free, pinned = np.array([0.0, 1.0]), beams.clamped_free_bending(mode), beams.clamped_pinned_bending(mode)
     for shape in (free, pinned):
         assert abs(shape.value(ends)[0]) < 1e-14
         assert abs(shape.slope(ends)[0]) < 1e-13 * shape.wave_number
         assert abs(shape.strain(ends)[1]) < 1e-12 * shape.wave_number**2
     assert np.sign(free.tip) == (-1) ** (mode + 1)
     assert abs(pinned.value(ends)[1]) < 1e-13
-    assert [round(clamped_pinned_bending(k).wave_number, 4) for k in (1, 2)] == [3.9266, 7.0686]
+    assert [round(beams.clamped_pinned_bending(k).wave_number, 4) for k in (1, 2)] == [3.9266, 7.0686]
 
 
 def test_twenty_bending_modes_are_orthogonal_to_1e_10() -> None:
     """High modes are as good as the first: mass and stiffness Gram matrices are diagonal."""
-    shapes = [clamped_free_bending(k) for k in range(1, 21)]
+    shapes = [beams.clamped_free_bending(k) for k in range(1, 21)]
     xi, w = np.polynomial.legendre.leggauss(300)
     values = np.array([s.value(0.5 * (xi + 1)) for s in shapes])
     strains = np.array([s.strain(0.5 * (xi + 1)) for s in shapes])
@@ -62,18 +52,18 @@ def test_twenty_bending_modes_are_orthogonal_to_1e_10() -> None:
 
 
 ALL_SHAPES = [
-    clamped_free_bending(3),
-    clamped_pinned_bending(3),
-    tip_force_bending(),
-    pinned_pinned_bending(3),
-    fixed_free_axial(3),
-    fixed_fixed_axial(3),
-    tip_force_axial(),
+    beams.clamped_free_bending(3),
+    beams.clamped_pinned_bending(3),
+    beams.tip_force_bending(),
+    beams.pinned_pinned_bending(3),
+    beams.fixed_free_axial(3),
+    beams.fixed_fixed_axial(3),
+    beams.tip_force_axial(),
 ]
 
 
 @pytest.mark.parametrize("shape", ALL_SHAPES)
-def test_slopes_and_strains_are_the_derivatives_of_the_shapes(shape: Shape) -> None:
+def test_slopes_and_strains_are_the_derivatives_of_the_shapes(shape: beams.Shape) -> None:
     """Each energy sees the same shape."""
     inside, h = XI[1:-1], 1e-6
     scale = max(1.0, shape.wave_number)
@@ -86,12 +76,13 @@ def test_slopes_and_strains_are_the_derivatives_of_the_shapes(shape: Shape) -> N
 
 
 @pytest.mark.parametrize(
-    ("static", "held"), [(tip_force_bending, clamped_pinned_bending), (tip_force_axial, fixed_fixed_axial)]
+    ("static", "held"),
+    [(beams.tip_force_bending, beams.clamped_pinned_bending), (beams.tip_force_axial, beams.fixed_fixed_axial)],
 )
 def test_static_shapes_carry_the_whole_compliance_and_no_stiffness_couples_them(static, held) -> None:  # type: ignore[no-untyped-def]
     """Craig and Bampton (1968): stiffness 3 EI/l³ and EA/l at the tip, exactly, and none to the modes with the tip held."""
-    stiffness = integrate_shapes([static(), *(held(k) for k in range(1, 6))]).strain_gram
-    assert stiffness[0, 0] == pytest.approx(3.0 if static is tip_force_bending else 1.0, rel=1e-14)
+    stiffness = beams.integrate_shapes([static(), *(held(k) for k in range(1, 6))]).strain_gram
+    assert stiffness[0, 0] == pytest.approx(3.0 if static is beams.tip_force_bending else 1.0, rel=1e-14)
     np.testing.assert_array_equal(stiffness[~np.eye(6, dtype=bool)], 0.0)
 
 

@@ -8,15 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from flexfmu.cosim.design.effects import search
 from flexfmu.cosim.design.effects.estimator import RICHEST, Estimator, richest, scales, with_set
-from flexfmu.cosim.design.effects.search import (
-    absent_effects,
-    cheapest,
-    choose_effects,
-    effects_of_loads,
-    estimated_errors,
-    poorer,
-)
 from flexfmu.cosim.design.effects.study import costs
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.numeric import numeric_model
@@ -46,7 +39,7 @@ def light() -> Estimator:
 
 
 def choose(scene: Scene, tolerance: float, estimates: Estimator) -> Scene:
-    return choose_effects(scene, plan(scene).joints, tolerance, OF, estimates)
+    return search.choose_effects(scene, plan(scene).joints, tolerance, OF, estimates)
 
 
 def oscillators(steps: int) -> tuple[float, float]:
@@ -105,7 +98,7 @@ def test_effects_go_in_pairs_where_none_may_go_alone() -> None:
             return 1.0
         return 0.1 if effects.distal_axial == effects.distal_bending else 1.0
 
-    chosen = cheapest(scene, with_set(HEAVY, {}), error, error, 0.5).effects
+    chosen = search.cheapest(scene, with_set(HEAVY, {}), error, error, 0.5).effects
     assert (chosen.proximal_bending, chosen.distal_axial, chosen.distal_bending) == (1, 0, 0)
 
 
@@ -117,7 +110,7 @@ def test_bending_of_the_distal_links_is_worth_its_states_where_the_motion_is_fas
     assert choose(LIGHT, 0.02, light).effects.distal_bending >= 1
     assert choose(HEAVY, 0.05, heavy).effects.distal_bending == 0
     names: tuple[MeasureName, ...] = ("peak_torque_1",)
-    assert numeric_model(choose_effects(HEAVY, plan(HEAVY).joints, 0.4, names, estimator(HEAVY, names))).n == 0
+    assert numeric_model(search.choose_effects(HEAVY, plan(HEAVY).joints, 0.4, names, estimator(HEAVY, names))).n == 0
 
 
 @pytest.mark.slow
@@ -130,7 +123,9 @@ def test_the_chosen_set_is_within_half_the_tolerance_and_nothing_more_can_go(hea
         choice = chosen.effects.choice
         assert choice is not None
         assert max(choice.error) <= 0.5 * tolerance
-        assert all(max(estimated_errors(heavy, each.scene).values()) > 0.5 * tolerance for each in poorer(chosen))
+        assert all(
+            max(search.estimated_errors(heavy, each.scene).values()) > 0.5 * tolerance for each in search.poorer(chosen)
+        )
         assert {each.effect for each in choice.effects} == set(RICHEST) - {"quasi_static"}
         assert all(len(each.contribution) == len(OF) for each in choice.effects)
         states.append(numeric_model(chosen).n)
@@ -168,12 +163,12 @@ def test_loads_of_a_robot_that_torques_drive_are_those_along_its_motion() -> Non
     for each in (scene, driven):
         motion = plan(each).joints
         estimates = Estimator(each, motion, ("peak_torque_1",), most=each)
-        shares.append({one.effect: one.contribution for _, one in effects_of_loads(estimates, each, motion)})
-        assert not list(poorer(each))
+        shares.append({one.effect: one.contribution for _, one in search.effects_of_loads(estimates, each, motion)})
+        assert not list(search.poorer(each))
     assert shares[0] == shares[1]
     assert shares[1]["motor_inertia"][0] > 0.1
     assert shares[1]["gravity"][0] > 0.1
-    assert absent_effects(driven) == tuple(key for key in LOADS if key not in shares[1])
+    assert search.absent_effects(driven) == tuple(key for key in LOADS if key not in shares[1])
 
 
 def test_a_set_costs_more_states_operations_and_time_than_none() -> None:
