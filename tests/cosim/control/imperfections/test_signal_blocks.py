@@ -1,4 +1,4 @@
-"""Laws of imperfections of sampled signals against NumPy: limits, quantisation, encoders, noise, jitter, and payload errors; random
+"""Laws of imperfections of sampled signals against NumPy: limits, quantisation, encoders, noise, jitter, and payload errors; known delays; random
 streams against whole-number arithmetic and the published generator."""
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from typing import Any
 import casadi
 import numpy as np
 import pytest
-from blocks import encoder, jitter, noise, quantisation, rate_limit, sampled, saturation
+from blocks import encoder, jitter, looped, noise, quantisation, rate_limit, sampled, saturation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
+import flexfmu
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.imperfections.signal_blocks import (
     JUMP,
@@ -25,11 +26,14 @@ from flexfmu.cosim.control.imperfections.signal_blocks import (
     start_states,
 )
 from flexfmu.cosim.control.sections import with_payload_error
+from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 
 H = 1e-3
 SIX_SIGMA = 6.0
+PID = {"kind": "pid", "proportional": 4e3, "integral": 1e4, "derivative": 40.0, "sample_time": H}
 
 
 def test_limits_for_each_channel_are_parameters() -> None:
@@ -257,3 +261,26 @@ def test_numbers_never_change() -> None:
     assert JUMP == 2**40
     assert start_states("noise/joint1.position") == (510063222, 1608203664)
     assert states("noise/joint1.position", 1) == (100566748, 2131566761)
+
+
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
+def test_references_of_a_known_delay_are_as_late_as_the_measurement() -> None:
+    run = flexfmu.run(looped(PID, {"kind": "delay", "signal": "position", "time": 2e-3, "known": True}))
+    time, joints = run.recording.time, run.plan.joints
+    at_samples = np.flatnonzero(np.abs(time / H - np.round(time / H)) < 1e-9)[20:400]
+    found = run.recording["delay.joint1.reference.position"].values[at_samples]
+    # the right limit of an instant that is there twice
+    last = np.append(np.diff(time[at_samples]) > 0.0, True)
+    expected = joints.evaluate(time[at_samples] - 2e-3, 0)[0, :, 0]
+    np.testing.assert_allclose(found[last], expected[last], atol=1e-12)
+
+
+def test_a_known_delay_is_one_of_a_measurement() -> None:
+    with pytest.raises(SceneError, match='a `known` delay is one of `signal = "position"` or "velocity", got "torque"'):
+        looped(PID, {"kind": "delay", "time": 2e-3, "known": True})
+
+
+def test_margins_are_those_of_large_signals() -> None:
+    plain = scene_margins(looped(PID), poses=1).worst.gain_margin
+    rough = [{"kind": "dead-zone", "half_width": 0.5}, {"kind": "backlash", "gap": 1e-4}]
+    assert scene_margins(looped(PID, *rough), poses=1).worst.gain_margin == pytest.approx(plain, rel=1e-6)
