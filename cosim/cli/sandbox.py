@@ -73,7 +73,7 @@ def run_in_sandbox(folder: Path | None) -> int | None:
     with temporary_folder("sandbox") as temporary:
         command = [sys.executable, "-m", "flexfmu", *sys.argv[1:]]
         writable = [temporary] if folder is None else [str(folder.resolve()), temporary]
-        environment = {**os.environ, WITHIN: "1", "TMPDIR": temporary}
+        environment = {**os.environ, WITHIN: "1", "TMPDIR": temporary, "MPLCONFIGDIR": temporary}
         if bubblewrap is not None:
             bound = [word for path in writable for word in ("--bind", path, path)]
             # a root that keeps its capabilities would mount everything anew
@@ -85,6 +85,7 @@ def run_in_sandbox(folder: Path | None) -> int | None:
         process = subprocess.Popen(
             command,
             env=environment,
+            stdout=sys.stdout,  # what `keep_stdout` has kept; the process's own is standard error
             preexec_fn=lambda: _confine([] if bubblewrap is not None else writable),
             start_new_session=True,
         )

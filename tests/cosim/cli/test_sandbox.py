@@ -124,6 +124,7 @@ def test_a_sandbox_takes_rights_away(scene: Path, tmp_path: Path, kind: str) -> 
             [sys.executable, "-m", "flexfmu", *options], capture_output=True, text=True, timeout=600, env=environment
         )
     assert ran.returncode == 0, ran.stderr
+    assert "Peak torque" in ran.stdout
     told = {line for line in ran.stderr.splitlines() if line.endswith((" done", " refused"))}
     kinds = ("write", "remove", "network", "program", "signal", *["mount"] * confined)
     assert told == {f"{kind} {'refused' if confined else 'done'}" for kind in kinds} | {"memory refused"}
