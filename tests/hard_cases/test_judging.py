@@ -1,4 +1,4 @@
-"""The suite's verdicts can fail: on the wrong numbers, on the other branch, on NaN, and in the command's exit status."""
+"""Every hard case goes well, with the checks of `flexfmu workprec --hard`; and the suite's verdicts can fail: on the wrong numbers, on the other branch, on NaN, and in the command's exit status."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.benchmarks.hard_cases import singularity, suite
+from flexfmu.benchmarks.hard_cases import repetition, singularity, suite
 from flexfmu.benchmarks.hard_cases.case import (
     CLOSURE,
     NOT_FINITE,
@@ -147,3 +147,16 @@ def test_documentation_has_every_case() -> None:
     shown = [(row[0].removeprefix("| "), row[1]) for row in rows[2:]]
     assert shown == [(case.name, case.hard) for case in chain.from_iterable(each() for each in suite.FAMILIES)]
     assert all(row[-1] == "passed |" for row in rows[2:])
+
+
+FULL = [each.name for each in repetition.cases()]
+CASES = [*(each for each in suite.hard_cases() if each.name not in FULL), *repetition.cases(200)]
+"""All families, the repetition shortened."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_case_goes_well(case: HardCase) -> None:
+    """No hard case blows up, lies, or leaves its branch: each is held against solvers of other people or exact invariants."""
+    finding = case.run()
+    assert finding.passed, f"{finding.happened}; {suite.figures(finding)}"
