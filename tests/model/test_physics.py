@@ -1,14 +1,17 @@
-"""Kinematics, equations of motion and energies against closed forms and physical laws; static families against vibrating ones."""
+"""Kinematics, equations of motion and energies against closed forms and physical laws; static families against vibrating ones; NumPy
+against CasADi."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
 
+import casadi
 import numpy as np
 import pytest
 from scipy.optimize import root
 
+from flexfmu.model import vectorised
 from flexfmu.model.beams import scene_shapes
 from flexfmu.model.five_bar import assemble
 from flexfmu.model.kinematics import RigidKinematics
@@ -19,6 +22,7 @@ from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import natural_frequencies, static_equilibrium
+from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.jets import Jet
 
 
@@ -344,3 +348,32 @@ def test_forces_at_the_end_effector_deflect_it_too(scene: Scene) -> None:
     by_q = np.hstack([(ahead - behind) / (2 * step) for ahead, behind in tips])
     expected = by_q @ np.linalg.solve(model.static_stiffness(zeros, u).full(), by_q[1])
     np.testing.assert_allclose((position(1e3) - position(-1e3)) / 2e3, expected, rtol=1e-6)
+
+
+def test_all_operations_are_those_of_casadi(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = casadi.SX.sym("x", 2), casadi.SX.sym("y")
+    a, b = x[0], x[1]
+    results = [
+        casadi.vertcat(a + b, a - b, a * b, a / b, -a, a**2, casadi.sqrt(b), 1 / b, 2 * a, y),
+        casadi.vertcat(casadi.sin(a), casadi.cos(a), casadi.tan(a), casadi.exp(a), casadi.log(b), casadi.tanh(a)),
+        casadi.vertcat(casadi.atan(a), casadi.asin(a / 9), casadi.acos(a / 9), casadi.atan2(a, b), b**y, b**2.5),
+        casadi.vertcat(casadi.fabs(a), casadi.sign(a), casadi.fmin(a, b), casadi.fmax(a, b), casadi.sinh(a), 3.0),
+        casadi.vertcat(casadi.if_else(casadi.logic_and(a < b, a != y), a, b), casadi.cosh(a), a <= b, a == b, a > 0),
+    ]  # fmt: skip
+    function = casadi.Function("f", [x, y], [casadi.densify(casadi.vertcat(*results)), a * b])
+    random = np.random.default_rng(0)
+    points = np.column_stack([random.uniform(-2.0, 2.0, 50), random.uniform(0.1, 3.0, 50)])
+    others = random.uniform(-1.0, 1.0, (50, 1))
+    # in parts of 16 points too
+    for size in (1000, 16):
+        monkeypatch.setattr(vectorised, "CHUNK", size)
+        found = Vectorised(function)([points, others])
+        expected = function.map(50)(points.T, others.T)
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, np.asarray(other).T, rtol=1e-15, atol=1e-15)
+
+
+def test_other_operations_are_refused() -> None:
+    x = casadi.SX.sym("x")
+    with pytest.raises(NotImplementedError, match="f: CasADi's operation"):
+        Vectorised(casadi.Function("f", [x], [casadi.erf(x)]))
