@@ -154,7 +154,9 @@ def test_a_slave_that_ends_the_process_leaves_results(
     """The command ends with status 1, the slave's name and the time, and writes all that was recorded."""
     (tmp_path / "quitter.py").write_text(QUITTER)
     section = {"kind": "python", "source": "quitter:quitter", "folder": str(tmp_path)}
-    monkeypatch.setattr(command, "load_changed", lambda source, changes: robot.replace({"controller": [section]}))
+    monkeypatch.setattr(
+        command.console, "load_changed", lambda source, changes: robot.replace({"controller": [section]})
+    )
     assert command.run("quitter.toml", tmp_path, json=True) == 1
     assert "quitter failed at 0.01 s: it ended its process with exit status 0" in capsys.readouterr().err
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -104,7 +104,7 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
                 yield Improvement(motion, dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return
 
-    monkeypatch.setattr(method, "optimal_motion", optimistic)
+    monkeypatch.setattr(method.optimal_control, "optimal_motion", optimistic)
     monkeypatch.setattr(method, "PAYLOADS", (3, 1))
     judge = Judge(goals, 3)
     found = [judge.assess(each) for each in optimal(goals, [judge.given], 1, _silent)]
