@@ -21,7 +21,7 @@ loop = scene.replace({
 """
 
 SHOWN = {
-    "scene": "table and picture",
+    "scene": "table",
     "flexfmu.reference_motion(scene)": "table and picture",
     "flexfmu.modes(scene, 3)": "table and picture",
     "flexfmu.modes(scene, 3).plot()": "figure",
