@@ -153,11 +153,21 @@ def test_what_fmus_print_is_no_result(make_ssp: MakeSsp, tmp_path: Path, isolate
     assert "a licence of 1000 lines" in done.stderr
 
 
-def hanging(process: int, children: bool, begin: dict[str, float]) -> bool:
-    """Whether a process, or its child, has spent a second of processor time since it was looked at first, which all but an
-    endless call doesn't take; however busy the machine is."""
-    found = Path(f"/proc/{process}/task/{process}/children").read_text().split() if children else [str(process)]
+def hanging(process: int, isolated: bool, begin: dict[str, float]) -> bool:
+    """Whether a process, or the one that its guard has started, has spent a second of processor time since it was looked at first, which
+    all but an endless call doesn't take; however busy the machine is."""
+    found = [str(process)]
+    for _ in range(2 if isolated else 0):  # the guard, and the FMU's process
+        found = [child for each in found for child in children(each)]
     return any(spent(each) - begin.setdefault(each, spent(each)) > 1.0 for each in found)
+
+
+def children(process: str) -> list[str]:
+    """Numbers of the processes that a process has started; none of one that is gone."""
+    try:
+        return Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    except OSError:
+        return []
 
 
 def spent(process: str) -> float:
