@@ -18,6 +18,22 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
+MOTORS = {
+    "motor inertia and friction": {
+        "effects.motor_inertia": 0.05,
+        "effects.joint_friction": {"viscous": 0.3, "coulomb": 2.0, "velocity": 0.1},
+    },
+    "friction that sticks": {
+        "effects.motor_inertia": 0.05,
+        "effects.joint_friction": {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0, "stribeck_velocity": 2.0},
+    },
+    "elastic transmissions": {
+        "effects.motor_inertia": 0.05,
+        "effects.transmission": {"stiffness": 2e4, "damping": 3.0},
+    },
+}
+"""What motors and joints add to the links."""
+
 VARIANTS = {
     "the paper's robot": {},
     "tubes of steel without gravity": {
@@ -50,18 +66,7 @@ VARIANTS = {
         "payload.mass": 0.0,
     },
     "rigid": {"effects.proximal_bending": 0, "effects.distal_axial": 0},
-    "motor inertia and friction": {
-        "effects.motor_inertia": 0.05,
-        "effects.joint_friction": {"viscous": 0.3, "coulomb": 2.0, "velocity": 0.1},
-    },
-    "friction that sticks": {
-        "effects.motor_inertia": 0.05,
-        "effects.joint_friction": {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0, "stribeck_velocity": 2.0},
-    },
-    "elastic transmissions": {
-        "effects.motor_inertia": 0.05,
-        "effects.transmission": {"stiffness": 2e4, "damping": 3.0},
-    },
+    **MOTORS,
 }
 
 
@@ -162,22 +167,7 @@ def drawn(n: int, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return tuple(rng.normal(size=count) * size for count, size in sizes)
 
 
-DRIVES = {
-    "links only": {},
-    "motor inertia and friction": {
-        "effects.motor_inertia": 0.05,
-        "effects.joint_friction": {"viscous": 0.3, "coulomb": 2.0, "velocity": 0.1},
-    },
-    "friction that sticks": {
-        "effects.motor_inertia": 0.05,
-        "effects.joint_friction": {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0, "stribeck_velocity": 2.0},
-    },
-    "elastic transmissions": {
-        "effects.motor_inertia": 0.05,
-        "effects.transmission": {"stiffness": 2e4, "damping": 3.0},
-    },
-    "reactions asked for": {"effects.reactions": True},
-}
+DRIVES = {"links only": {}, **MOTORS, "reactions asked for": {"effects.reactions": True}}
 
 
 @pytest.mark.parametrize("changes", DRIVES.values(), ids=DRIVES.keys())
