@@ -220,7 +220,7 @@ class Results:
         self.finished = np.zeros(len(cases), bool)
         self._cases, self._folder, self._lock = cases, folder, contextlib.ExitStack()
         titles = (f"{name} [{units[name]}]" if units.get(name) else name for name in (*cases.keys, *metrics))
-        self._head = _line(["case", *titles, "message"])
+        self._head = _line(_texts(["case", *titles, "message"]))
         if folder is None:
             return
         self._journal = Journal(folder / JOURNAL)
@@ -292,9 +292,9 @@ class Results:
 
     def _case(self, number: int) -> str:
         """The line of a case."""
-        keys = map(text_of, self._cases.rows[number])
+        keys, message = map(text_of, self._cases.rows[number]), self.messages.get(number, "")
         values = ("" if value != value else repr(value) for value in self.values[number].tolist())
-        return _line([str(number), *keys, *values, self.messages.get(number, "")])
+        return _line([str(number), *_texts(keys), *values, *_texts([message])])
 
     def finish(self) -> None:
         """Write the table of a folder in the order of the cases, and remove the journal."""
@@ -317,10 +317,15 @@ def signal_file(folder: Path, number: int) -> Path:
     return folder / SIGNALS / f"{number:06d}.csv"
 
 
+def _texts(cells: Iterable[str]) -> list[str]:
+    """Cells of texts, which have no line breaks inside and aren't formulas."""
+    return [safe_cell(" ".join(each.splitlines())) for each in cells]
+
+
 def _line(cells: Iterable[str]) -> str:
-    """Cells as a line of CSV without line breaks inside."""
+    """Cells as a line of CSV."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow([safe_cell(" ".join(each.splitlines())) for each in cells])
+    csv.writer(text, lineterminator="\n").writerow(cells)
     return text.getvalue()
 
 
