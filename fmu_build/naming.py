@@ -18,10 +18,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
+
+if TYPE_CHECKING:  # the command line, which knows the names of the conventions, starts without models
+    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
 
 Symbolic = TypeVar("Symbolic", "SymbolicModel", "SymbolicBlock")
 

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from hashlib import sha256
 from io import StringIO
-from mmap import mmap
 from pathlib import Path
 from threading import Thread
 from time import sleep
@@ -234,6 +233,7 @@ def check_room() -> None:
     if sys.platform == "win32":
         return
     import resource
+    from mmap import mmap
 
     stated = os.environ.get("OPENBLAS_NUM_THREADS", "")
     threads = min(int(stated) if stated.isdecimal() else os.cpu_count() or 1, BLAS_THREADS)

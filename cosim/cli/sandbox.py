@@ -14,7 +14,6 @@ import os
 import platform
 import shutil
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -170,13 +169,15 @@ def _refuse_local_sockets(library: ctypes.CDLL) -> None:
     """
     if platform.machine() not in _SOCKET:
         return
+    from socket import AF_UNIX
+
     processor, opening = _SOCKET[platform.machine()]
     load, equal, at_least, end = 0x20, 0x15, 0x35, 0x06
     filters = (  # operation, instructions that are passed over if it holds and if not, value
         *((load, 0, 0, 4), (equal, 0, 8, processor)),
         *((load, 0, 0, 0), (at_least, 6, 0, _FOREIGN)),
         *((equal, 4, 0, _IO_URING), (equal, 0, 2, opening)),
-        *((load, 0, 0, 16), (equal, 1, 0, socket.AF_UNIX)),
+        *((load, 0, 0, 16), (equal, 1, 0, AF_UNIX)),
         *((end, 0, 0, 0x7FFF0000), (end, 0, 0, 0x50000 | errno.EACCES), (end, 0, 0, 0x80000000)),  # allow, refuse, kill
     )
     code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *each) for each in filters))
