@@ -232,8 +232,9 @@ def _right_limits(
     time: RealArray, signals: Iterable[tuple[str, RealArray]]
 ) -> Iterator[tuple[RealArray, str, RealArray]]:
     """Instants, name and values of each signal, at the last of equal instants."""
-    last = np.append(np.diff(time) > 0.0, np.ones(min(time.size, 1), dtype=np.bool_))
-    return ((time[last], name, values[last]) for name, values in signals)
+    for name, values in signals:
+        last = np.append(np.diff(time) > 0.0, np.ones(min(time.size, 1), dtype=np.bool_))
+        yield time[last], name, values[last]
 
 
 class Outcome(Enum):
