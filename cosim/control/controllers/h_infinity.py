@@ -53,6 +53,14 @@ def to_w(system: control.StateSpace, sample_time: float) -> control.StateSpace:
     return control.ss(rate * inverse @ (system.A - one), B, C, D)
 
 
+def to_z(system: control.StateSpace, sample_time: float) -> control.StateSpace:
+    """Return a system of w as a discrete one; the inverse of `to_w`, so B and C share the factor."""
+    import control
+
+    sampled, root = system.sample(sample_time, "tustin"), sqrt(sample_time)
+    return control.ss(sampled.A, sampled.B / root, sampled.C * root, sampled.D, sample_time)
+
+
 def coprime_controller(plant: control.StateSpace, suboptimal: float = SUBOPTIMAL) -> tuple[control.StateSpace, float]:
     """Return the controller that is most robust against perturbations of the plant's normalised coprime factors, and gamma.
 
@@ -129,7 +137,7 @@ def shape_loop(
     n = len(gains)
     weights = control.ss(np.zeros((n, n)), np.diag(corner), np.diag(gains), np.diag(gains))
     controller, gamma = coprime_controller(robot * weights)
-    found = ShapedLoop(weights.sample(h, "tustin"), controller.sample(h, "tustin"), 1.0 / gamma)
+    found = ShapedLoop(to_z(weights, h), to_z(controller, h), 1.0 / gamma)
     radius = float(np.abs(np.linalg.eigvals(closed_loop(plant, found))).max())
     if not radius < 1.0:
         raise InputError(
