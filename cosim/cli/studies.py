@@ -173,6 +173,7 @@ def _study(
     source: str | None, out: Path | None, families: Sequence[str], settings: Sequence[str], as_json: bool, restart: bool
 ) -> int:
     """Measure, write the results, and print them; the exit status."""
+    from flexfmu.benchmarks.peers.compiled_peer import compiled_trials
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
@@ -189,9 +190,8 @@ def _study(
     folder = prepared_folder(out or usual_folder(scene.name, settings) / "workprec")
     journal = WorkJournal(folder.path, "study", about_scene(scene), restart=restart, note=show_note)
     with progress() as show:
-        study = run_study(
-            scene, families or FAMILIES, lambda text: show(text, None), peers=(exudyn_trials,), journal=journal
-        )
+        peers = (compiled_trials, exudyn_trials)
+        study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal)
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))
         show("pictures", None)
