@@ -365,23 +365,25 @@ def scene_name(source: str, settings: Sequence[str] | None) -> str:
     return load_scene(source, dict(map(parse_setting, settings or ()))).name
 
 
-def load_resolved(source: str, settings: Sequence[str] | None = None) -> Scene:
+def load_resolved(source: str, settings: Sequence[str] | None = None, *, keeps_accuracy: bool = False) -> Scene:
     """The scene of `load_changed`, with effects and learning laws chosen where it leaves them open; a note on standard error names them.
+
+    ``keeps_accuracy`` leaves the settings open that ``[accuracy]`` chooses.
 
     Raises:
         SceneError: as for `load_changed`.
         TrajectoryError: effects are to be chosen along a motion that isn't feasible.
     """
     scene = load_changed(source, settings)
-    if scene.effects.select is None and not scene.learners:
+    if (keeps_accuracy and scene.accuracy) or not (scene.is_open or scene.learners):
         return scene
-    from flexfmu.cosim.design.effects.choice import resolved
+    from flexfmu.cosim.design.effects.choice import resolved_with_answer
     from flexfmu.model.choice_text import choice_sentence
 
     with progress() as show:
-        chosen = resolved(scene, show)
-    if scene.effects.select is not None:
-        show_note(choice_sentence(chosen))
+        chosen, answer = resolved_with_answer(scene, show)
+    if scene.is_open:
+        show_note(choice_sentence(chosen) if answer is None else answer.lines()[0])
     return chosen
 
 

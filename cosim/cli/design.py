@@ -70,7 +70,7 @@ def margins(
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
     from flexfmu.cosim.design.margins.scene_margins import margins_data, margins_table, scene_margins, write_margins
 
-    robot = console.load_changed(scene, settings)
+    robot = console.load_resolved(scene, settings)
     if out is not None:
         console.prepared_folder(out)
     masses = () if payload_band is None else band_masses(robot, parse_band(payload_band))

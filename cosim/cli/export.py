@@ -46,7 +46,7 @@ def build(
     robot = console.load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
     with console.progress() as show:
-        if robot.effects.select is not None:
+        if robot.is_open:
             from flexfmu.cosim.design.effects.choice import resolved
 
             robot = resolved(robot, show)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,6 +37,8 @@ def run(
     record_order: Annotated[int | None, typer.Option(min=0, max=2)] = None,
     formats: list[str] | None = None,
     yes: bool = False,
+    accuracy: list[str] | None = None,
+    output: Path | None = None,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -62,6 +64,10 @@ def run(
         formats (--format NAME): Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may
             be repeated. Default: csv.
         yes: Run however large the results are. Default: refuse more than 2 GB, companion included.
+        accuracy (METRIC=VALUE): Largest error of this metric, of model and numerics together: relative, peak_torque_1=1e-3, or
+            absolute, end_position_error='1 um'; may be repeated. Effects, communication step, integrator and tolerance are chosen
+            for it. Default: those of the scene.
+        output (-o, --output FILE.toml): Write the scene with the chosen settings here. Default: nowhere.
     """
     from zipfile import is_zipfile
 
@@ -76,6 +82,7 @@ def run(
         "--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`": not is_ssp
         and stop_time is not None,
         "--ssd goes with an SSP file; a scene is one system": not is_ssp and ssd is not None,
+        "--accuracy and --output go with a scene": is_ssp and (accuracy or output is not None),
         "--output-order goes with an SSP file; in a scene each FMU has its own `output_order`": not is_ssp
         and output_order is not None,
     }
@@ -95,8 +102,9 @@ def run(
     options: RunOptions = {"communication_step": step, "isolate": isolate, "accept_size": yes}
     has_report = not json if report is None else report
     companions = 1 if verify is None else 2 * verify
+    recording = record, record_step, record_order
     return _run_scene(
-        scene, out, options, (record, record_step, record_order), companions, has_report, chosen, settings, json
+        scene, out, options, recording, companions, has_report, chosen, settings, json, (accuracy or (), output)
     )
 
 
@@ -110,11 +118,12 @@ def _run_scene(
     formats: Sequence[str],
     changes: Sequence[str] | None,
     as_json: bool,
+    wanted: tuple[Sequence[str], Path | None],
 ) -> int:
     """Simulate a scene, write, print; the exit status. What was recorded before a failure is written too.
 
     ``recorded`` are names, interval [s] and derivatives of the recorded signals, None for the scene's keys; errors are taken from
-    ``companions`` more precise runs.
+    ``companions`` more precise runs. ``wanted`` is the accuracy of the command line, and where the scene with the chosen settings goes.
     """
     from flexfmu.cosim.engine.formats import check_format
     from flexfmu.cosim.engine.results import EVERYTHING, Selection
@@ -129,13 +138,31 @@ def _run_scene(
     # formats and folder come first: no run is lost because it can't be written
     for name in formats:
         check_format(name)
-    scene = console.load_changed(source, changes)
+    asked, target = wanted
+    console.check_scene_file(target)
+    scene, answer = console.load_changed(source, changes), None
+    if asked:
+        from flexfmu.cosim.experiment.accuracy import asked_of
+
+        scene = scene.replace({"accuracy": asked_of(asked)})
+    if target is not None and not scene.accuracy:
+        raise InputError("--output writes settings that were chosen for an accuracy: add --accuracy METRIC=VALUE")
+    if scene.accuracy and options["communication_step"] is not None:
+        raise InputError("--accuracy chooses the communication step: leave out --step")
     folder = console.prepared_folder(out or console.usual_folder(scene.name, changes))
     with console.progress() as show:
-        if scene.effects.select is not None or scene.learners:
-            from flexfmu.cosim.design.effects.choice import resolved
+        if scene.is_open or scene.learners:
+            from flexfmu.cosim.design.effects.choice import resolved_with_answer
 
-            scene = resolved(scene, show)
+            scene, answer = resolved_with_answer(scene, show)
+        if target is not None and answer is not None:
+            from flexfmu.cosim.design.scene_files import changed_document
+            from flexfmu.cosim.engine.files import write_whole
+            from flexfmu.model.scene.keys import parse_setting
+
+            document = changed_document(source, target, {**dict(map(parse_setting, changes or ())), **answer.changes})
+            document.pop("accuracy", None)
+            write_whole(target, document.as_string())
         show("planning the motion, building the FMU", None)
         (names, every, order), section = recorded, scene.cosimulation
         order = section.record_order if order is None else order
@@ -143,7 +170,7 @@ def _run_scene(
         options |= {"record": record, "progress": partial(show, "simulating")}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LoopWarning)  # which the summary has
-            run = run_scene(scene, **options)
+            run = replace(run_scene(scene, **options), accuracy=answer)
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
         files = console.write_results(folder, run.recording, formats, run.about)

@@ -26,6 +26,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
     """What was chosen, the metrics of a complete run, the FMU's statistics, warnings, and where the files are."""
     health, metrics = summary["health"], summary["metrics"]
     parts: list[Any] = [choice] if choice else []
+    parts += summary["accuracy"]["text"] if "accuracy" in summary else ()
     if health["outcome"] == "completed":
         # what the motors have to do is in summary.json, and here where the scene has motors
         shown = {

@@ -267,14 +267,14 @@ def sweep(
     """
     from flexfmu.cosim.engine.results import Selection
     from flexfmu.cosim.studies.sweep.result import write_files
-    from flexfmu.cosim.studies.sweep.sweep import sweep_scene
+    from flexfmu.cosim.studies.sweep.sweep import ready_to_sweep, sweep_scene
 
     if (
         sandbox
         and (status := run_in_sandbox(out or usual_folder(scene_name(scene, settings), settings, "-sweep"))) is not None
     ):
         return status
-    robot = load_resolved(scene, settings)
+    robot = load_resolved(scene, settings, keeps_accuracy=True)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:
         raise InputError("--record-step goes with --record SIGNAL")
@@ -292,7 +292,7 @@ def sweep(
                 show(f"{finished} of {total} cases", finished / total if total else 1.0)
 
             result = sweep_scene(
-                robot,
+                ready_to_sweep(robot, wanted, show, show_note),
                 wanted,
                 metrics=names,
                 record=selection,

@@ -31,7 +31,9 @@ _RUN_KEYS = {
     "step_control",
     "loop_solver",
 }
-_LOOP = dict.fromkeys(("controller", "shaper", "imperfection", "filter", "disturbance", "motor", "plan"), True)
+_LOOP = dict.fromkeys(
+    ("controller", "shaper", "imperfection", "filter", "disturbance", "motor", "plan", "accuracy"), True
+)
 _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
 """Keys of the scene without influence on the model; all other keys but the strength belong to the cache key."""
 _STRENGTH = "mechanism.material.yield_strength"

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from flexfmu.cosim.experiment.accuracy import AccuracyAnswer
+
 END_EFFECTOR = ("end_effector.position.x", "end_effector.position.y")
 
 
@@ -115,6 +117,7 @@ class Run:
         rests: rest positions after the motion, shared by runs of the same motion; None if there are none to share.
         measure: function from a run, a number of companions and names to its metrics, `flexfmu.measure_run`; None for a run
             that is only recorded.
+        accuracy: how the settings were chosen for the accuracy that was asked for; None where none was.
     """
 
     plan: MotionPlan
@@ -135,6 +138,7 @@ class Run:
     measure: Callable[[Run, int, Collection[str] | None], Mapping[str, Metric]] | None = field(
         default=None, repr=False, compare=False
     )
+    accuracy: AccuracyAnswer | None = field(default=None, repr=False, compare=False)
 
     @property
     def scene(self) -> Scene:
@@ -194,7 +198,8 @@ class Run:
                 f"{self.tolerance:g}, simulated in {self.timing.simulate:.3g} s",
                 f"  slaves: {shorten(', '.join(slave.name for slave in self.slaves) or 'unknown', 69)}",
                 f"  {len(self.recording.columns)} signals at {time.size} instants: .recording, .to_pandas(), .plot(), .write()",
-                "  metrics: .metrics.peak_torque_1, ...",
+                "  metrics: .metrics.peak_torque_1, ..."
+                + ("" if self.accuracy is None else "; chosen settings: .accuracy"),
             ]
         )
 
@@ -203,7 +208,7 @@ class Run:
 
         head, *lines = repr(self).splitlines()[:3]
         facts = "<br>".join(escape(line.strip()) for line in lines)
-        parts = [each._repr_html_() for each in (self.metrics, self.recording)]
+        parts = [each._repr_html_() for each in (self.accuracy, self.metrics, self.recording) if each is not None]
         return f"<p><b>{escape(head)}</b><br>{facts}</p>{''.join(parts)}"
 
 

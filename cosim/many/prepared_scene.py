@@ -152,9 +152,10 @@ class PreparedScene:
             value = options.get(name)
             if value is not None and (isinstance(value, str) or not 0.0 < value < inf):  # type: ignore[operator]
                 raise InputError(f"{name} must be a finite number above 0, got {value!r}")
-        if scene.effects.select is not None:
+        if scene.is_open:
+            what = "numerical settings" if scene.accuracy else "effects"
             raise InputError(
-                f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "
+                f"scene {scene.name} leaves the choice of {what} open: run it with `flexfmu.run`, or choose first, with "
                 f"`flexfmu.cosim.design.effects.choice.resolved(scene)`"
             )
         # plan the motion; make controllers, shapers and imperfections

@@ -68,7 +68,9 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
 def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Return title → rows of the tables below the plots, without empty tables."""
     health, shaping, references = summary["health"], summary.get("shaping"), summary.get("references")
+    answer = summary.get("accuracy", {}).get("text", ())
     tables = {
+        "Accuracy": {str(number): sentence for number, sentence in enumerate(answer, start=1)},
         "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
         "Stress of the links": stress_rows(summary.get("stresses", ())),
         "Shaping": {

@@ -108,6 +108,8 @@ def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
         shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
         references: only with references for the flexible robot: distance of the knots [s], time before and after the end effector's
             motion [s], largest jerk of the joints [rad/s³], largest jump of the motion's jerk [m/s³], and a sentence on it.
+        accuracy: only with ``[accuracy]``: the chosen settings, why, each figure's error by model and numerics, costs beside the
+            scene's own settings, the dearest and those for ten times more, and all of it as sentences.
         effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors, errors beside the run of the richest set
             and of what (``scene`` as it runs, or its ``motion`` alone), and contributions.
         cycles: only for a repeated motion: number, period [s] and duration of a single motion [s].
@@ -125,6 +127,7 @@ def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
         scene["trajectory"].pop(key, None)
     rigid = plan.once.rigid or plan.once
     optional: dict[str, Any] = {
+        "accuracy": None if run.accuracy is None else run.accuracy.as_data(),
         "effect_choice": choice_summary(run.scene),
         "motion": plan.source,
         "shaping": {}

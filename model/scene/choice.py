@@ -1,8 +1,8 @@
-"""Keys for the automatic choice of effects: the request in the scene, and the result, which `flexfmu` writes."""
+"""Keys for the automatic choice of effects and of numerical settings: the requests in the scene, and the result, which `flexfmu` writes."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator
 
@@ -46,6 +46,20 @@ of neglected effects."""
 
 Shares = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
 """A relative change for each metric of the choice, in the same order."""
+
+
+def _asked(value: Any) -> float | str:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f'give a relative error, 1e-3, or an absolute one with its unit, "1 um"; got {value!r}')
+    if not isinstance(value, str) and not 0.0 < value < 1.0:
+        raise ValueError(
+            f'a relative error is above 0 and below 1, got {value!r}; an absolute one is a text with its unit, "1 um"'
+        )
+    return value if isinstance(value, str) else float(value)
+
+
+Accuracy = dict[str, Annotated[float | str, BeforeValidator(_asked)]]
+"""Metric → largest error of a run, of model and numerics together: relative, a number, or absolute, a text with its unit."""
 
 
 class EstimatedEffect(Section):

@@ -12,7 +12,7 @@ from flexfmu.model.scene.errors import SceneError
 
 _INDEX = re.compile(r"\[(\d+)\]")
 
-SECTIONS = ("controller", "shaper", "imperfection", "filter", "disturbance", "motor", "plan")
+SECTIONS = ("controller", "shaper", "imperfection", "filter", "disturbance", "motor", "plan", "accuracy")
 """Sections that a scene may lack: their names never stand for a slave."""
 
 GAINS = {"kp": "proportional", "ki": "integral", "kd": "derivative"}

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from flexfmu.model.scene.assembly import check_start_pose, check_working_mode, end_effector
-from flexfmu.model.scene.choice import LARGEST, integrator_tolerance
+from flexfmu.model.scene.choice import LARGEST, Accuracy, integrator_tolerance
 from flexfmu.model.scene.controllers import ControllerSection, LearningSection
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.disturbances import DisturbanceKind, PayloadChangeSection
@@ -41,6 +41,9 @@ class Scene(Section):
 
     Example:
         ``scene.replace({"payload.mass": 0.1, "trajectory.duration": 0.30})`` is the same scene with two values changed.
+
+    With ``accuracy``, ``{"peak_torque_1": 1e-3, "end_position_error": "1 um"}``, a run chooses effects, communication step,
+    integrator and tolerance such that the errors of these metrics, of model and numerics together, are at most that.
     """
 
     name: Annotated[str, Field(min_length=1, pattern=r"^[\w.+-]*\w[\w.+-]*$")]
@@ -56,6 +59,12 @@ class Scene(Section):
     disturbance: Annotated[tuple[DisturbanceKind, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
     plan: PlanSection | None = None
+    accuracy: Accuracy | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether effects or numerical settings are still to be chosen."""
+        return self.effects.select is not None or bool(self.accuracy)
 
     @property
     def learners(self) -> tuple[LearningSection, ...]:
@@ -103,6 +112,14 @@ class Scene(Section):
             {"tolerance": integrator_tolerance(number), **cosimulation},
         )
         return {**data, "effects": effects, "cosimulation": cosimulation}
+
+    @model_validator(mode="after")
+    def _effects_are_chosen_once(self) -> Self:
+        if self.accuracy and self.effects.select is not None:
+            raise ValueError(
+                "`accuracy` chooses the effects as well: leave out `effects.select`, `effects.tolerance` and `effects.of`"
+            )
+        return self
 
     @model_validator(mode="after")
     def _residual_needs_a_dwell(self) -> Self:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.design.gains.tuner import TuneResult
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
     from flexfmu.cosim.design.plans.planner import PlanResult
+    from flexfmu.cosim.experiment.accuracy import AccuracyAnswer
     from flexfmu.cosim.reports.modes_table import ModesAlongPath
     from flexfmu.cosim.studies.compare.comparison import Comparison
     from flexfmu.cosim.studies.compare.measured import Log
@@ -44,12 +45,17 @@ SceneSource = Scene | Path | str
 
 
 def resolved(scene: Scene) -> Scene:
-    """Return the scene with what it leaves open chosen; CasADi is loaded only for that."""
-    if scene.effects.select is None and not scene.learners:
-        return scene
+    """Return the scene with what it leaves open chosen."""
+    return resolved_with_answer(scene)[0]
+
+
+def resolved_with_answer(scene: Scene) -> tuple[Scene, AccuracyAnswer | None]:
+    """Return the scene with what it leaves open chosen, and the answer to ``[accuracy]``; CasADi is loaded only for that."""
+    if not scene.is_open and not scene.learners:
+        return scene, None
     from flexfmu.cosim.design.effects import choice
 
-    return choice.resolved(scene)
+    return choice.resolved_with_answer(scene)
 
 
 def run(
@@ -63,6 +69,7 @@ def run(
     filters: Iterable[Part] | None = None,
     disturbances: Iterable[Part] | None = None,
     connect: Mapping[str, str] | None = None,
+    accuracy: Mapping[str, float | str] | None = None,
     **options: Unpack[RunOptions],
 ) -> Run:
     """Co-simulate a scene over its motion and the dwell that follows.
@@ -88,6 +95,9 @@ def run(
             robot where controllers or disturbances are given.
         connect: ``slave.input`` → ``slave.output``, where names differ; the robot is ``plant``, its references are those of
             ``trajectory``: ``{"plant.joint1.torque": "motor.y"}``.
+        accuracy: metric → largest error, of model and numerics together: relative, a number, or absolute, a text with its unit,
+            ``{"peak_torque_1": 1e-3, "end_position_error": "1 um"}``; replaces the scene's ``accuracy``. Effects, communication step,
+            integrator and tolerance are chosen for it, and ``run.accuracy`` tells which, why, and what they cost.
         options: ``communication_step`` [s] and relative ``tolerance`` of the FMU's integrator, by default the scene's
             ``cosimulation.step`` and ``tolerance``; ``parameters``, values of FMU parameters that replace the scene's, by name, in SI
             units: ``{"payload.mass": 0.1}``; ``progress``, a function that is called during the run with the simulated fraction, 0
@@ -108,7 +118,8 @@ def run(
         InputError: the FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the slaves
             can't be connected.
         BuildError: the FMU can't be built, for example without a compiler.
-        ResultsError: with ``select = "auto"``, a run that verifies the choice of effects failed.
+        ResultsError: with ``select = "auto"``, a run that verifies the choice of effects failed; with ``accuracy``, no settings
+            have it.
         TypeError: ``scene`` is of another type.
     """
     parts = Parts(
@@ -120,7 +131,7 @@ def run(
         connect=connect,
     )
     if unknown := options.keys() - RunOptions.__optional_keys__:
-        known = sorted(RunOptions.__optional_keys__ | parts.keys())
+        known = sorted(RunOptions.__optional_keys__ | parts.keys() | {"accuracy"})
         raise TypeError(f"run has no argument {min(unknown)!r}; {suggestion(min(unknown), known)}")
     if (record := options.get("record")) is not None and not isinstance(record, Selection):
         options["record"] = Selection(listed(record, "record"))
@@ -129,6 +140,12 @@ def run(
     if (progress := options.get("progress")) is not None and not callable(progress):
         raise InputError(f"progress is a function of the simulated fraction, got {progress!r}")
     robot = with_parts(as_scene(scene), parts)
+    if accuracy is not None:
+        robot = robot.replace({"accuracy": accuracy})
+    if robot.accuracy and (trajectory is not None or fmu is not None or options.get("parameters")):
+        raise InputError(
+            "settings are chosen for the scene's own motion, FMU and parameters: change the scene, or leave out `accuracy`"
+        )
     loop = None
     if trajectory is not None:
         from flexfmu.cosim.experiment.scene_loop import own_loop  # which few runs need
@@ -136,7 +153,9 @@ def run(
         loop = own_loop(robot, trajectory)
     if fmu is not None:
         options["fmu_path"] = Path(fmu)
-    found = run_scene(resolved(robot) if loop is None else loop.motion.scene, loop=loop, **options)
+    ready, answer = resolved_with_answer(robot) if loop is None else (loop.motion.scene, None)
+    found = run_scene(ready, loop=loop, **options)
+    found = found if answer is None else replace(found, accuracy=answer)
     if found.outcome is Outcome.INTERRUPTED and not hasattr(sys, "ps1"):
         raise KeyboardInterrupt(found.message)
     if found.outcome.is_failure and found.outcome is not Outcome.LOOP_UNSTABLE:  # of which `run_scene` has warned
@@ -438,7 +457,7 @@ def margins(
     from flexfmu.cosim.design.gains.robustness import band_masses
     from flexfmu.cosim.design.margins.scene_margins import scene_margins
 
-    robot = with_parts(as_scene(scene), parts)
+    robot = resolved(with_parts(as_scene(scene), parts))
     return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
 
 
@@ -495,13 +514,14 @@ def sweep(
     """
     from flexfmu.cosim.studies.sweep.cases import as_cases
     from flexfmu.cosim.studies.sweep.result import write_files
-    from flexfmu.cosim.studies.sweep.sweep import sweep_scene
+    from flexfmu.cosim.studies.sweep.sweep import ready_to_sweep, sweep_scene
 
     folder = None if out is None else Path(out)
-    robot = resolved(with_parts(as_scene(scene), parts))
+    robot = with_parts(as_scene(scene), parts)
+    varied = as_cases(cases, sample, seed, robot)
     result = sweep_scene(
-        robot,
-        as_cases(cases, sample, seed, robot),
+        ready_to_sweep(robot, varied, note=lambda text: warnings.warn(text, RunWarning, stacklevel=3)),
+        varied,
         metrics=None if metrics is None else listed(metrics, "metrics"),
         record=None if record is None else Selection(listed(record, "record"), step=record_step),
         processes=processes,

@@ -11,20 +11,20 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from math import inf
-from typing import Any, get_args
+from typing import get_args
 
-from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, richest, scales
+from flexfmu.cosim.design.effects.accuracy import MEASURED, accuracy_answer, with_answer
+from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, scales
+from flexfmu.cosim.design.effects.runs import ONCE, alone, followed, with_settled
 from flexfmu.cosim.design.effects.search import SAFETY, choose_effects, one_more, rich_enough
 from flexfmu.cosim.engine.errors import CosimError, LearningWarning, ResultsError
 from flexfmu.cosim.engine.results import EVERYTHING
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
-from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.accuracy import AccuracyAnswer
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.model.enrichment import FOLLOWING
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import (
     DEFAULT_TOLERANCE,
@@ -39,9 +39,6 @@ from flexfmu.model.scene.effects import FamilyName
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
-
-MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
-"""Metrics of a choice where neither scene nor command line names any; the last one needs a dwell."""
 
 
 def requirements(
@@ -87,8 +84,6 @@ ROUNDS = 6
 WITHOUT_ERROR = 1e12
 """Safety factor with which only the richest set is within a tolerance."""
 
-_ONCE = {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
-
 
 @dataclass(frozen=True)
 class Observed:
@@ -99,42 +94,32 @@ class Observed:
 
 
 def resolved(scene: Scene, show: ShowProgress = quiet) -> Scene:
-    """Return the scene with chosen effects if it has ``select = "auto"``, and with settled controllers that learn.
+    """Return the scene with what it leaves open chosen, see `resolved_with_answer`."""
+    return resolved_with_answer(scene, show)[0]
 
-    Controllers that learn: see `flexfmu.cosim.design.learning.settled`.
+
+def resolved_with_answer(scene: Scene, show: ShowProgress = quiet) -> tuple[Scene, AccuracyAnswer | None]:
+    """Return the scene with chosen effects if it has ``select = "auto"``, with chosen settings if it has ``[accuracy]``.
+
+    Controllers that learn are settled, see `flexfmu.cosim.design.learning.settled`. The answer is that to ``[accuracy]``.
 
     Raises:
         BuildError: an FMU for the verification can't be built.
-        InputError: learning can't be settled.
+        InputError: learning can't be settled, or what ``[accuracy]`` asks for is no figure of the scene.
         ResultsError: a run failed.
         SceneError: the tolerance or a metric is impossible.
         TrajectoryError: the motion isn't feasible.
     """
+    answer = None
+    if scene.accuracy:
+        answer = accuracy_answer(scene, show)
+        scene = with_answer(scene, answer)
     if scene.effects.select is not None:
         tolerance, of = requirements(scene)
         scene = choose_verified(scene, followed(scene), tolerance, of, named_metrics(scene), show)[0]
     if scene.learners:
         show("judging what is learned from cycle to cycle", None)
-    return _settled(scene)
-
-
-def _settled(scene: Scene) -> Scene:
-    if not scene.learners:
-        return scene
-    from flexfmu.cosim.design.learning import settled  # and with it the linear loop, which few scenes need
-
-    return settled(scene)
-
-
-def followed(scene: Scene) -> Trajectory:
-    """Return the motion that the motors follow in the estimates: shaped for the richest set, without the way back.
-
-    Raises:
-        TrajectoryError: the motion isn't feasible, or can't be shaped.
-    """
-    if not scene.shaper:
-        return plan(scene).joints
-    return loop_of(_alone(richest(scene), {"shaper": scene.model_dump(exclude_none=True)["shaper"]})).motion.joints
+    return with_settled(scene), answer
 
 
 @one_blas_thread()
@@ -295,10 +280,10 @@ def observe(
         ResultsError: the run failed, or its loop is unstable.
     """
     changes = {"trajectory.references": None} | ({} if tolerance is None else {"cosimulation.integrator_step": 0.0})
-    robot = _alone(scene, changes) if is_alone else scene.replace(changes)
+    robot = alone(scene, changes) if is_alone else scene.replace(changes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LearningWarning)  # it is given once, of the scene with the chosen set
-        robot = _settled(robot)
+        robot = with_settled(robot)
     # the FMU that all scenes with the same set share: payload and motion are its parameters and inputs
     shared = {
         "effects.choice": None,
@@ -307,7 +292,7 @@ def observe(
         "trajectory.dwell": 0.0,
         **({} if robot.disturbance else {"payload.mass": 1.0}),
     }
-    fmu = build_scene(robot.replace({**shared, **_ONCE})).path
+    fmu = build_scene(robot.replace({**shared, **ONCE})).path
     prepared = PreparedScene(robot, fmu_path=fmu, tolerance=tolerance, record=EVERYTHING)
     run = prepared.run()
     if not run.completed or run.health.unstable_loop:
@@ -315,8 +300,3 @@ def observe(
     measured = measure_run(run, companions=0)
     values = {name: measured[name].value for name in of}
     return Observed({name: value for name, value in values.items() if value is not None}, prepared.run)
-
-
-def _alone(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """The scene with changes, its motors following a single motion exactly."""
-    return scene.replace({**FOLLOWING, **_ONCE, **changes})

@@ -11,6 +11,7 @@ that deflect statically are added by the mode acceleration method.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, get_args
@@ -208,6 +209,12 @@ class Estimator:
         """Metrics with the richest set, those that the scales need included."""
         needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
         return self._solution(self.richest.effects, sharp=True).metrics(needed)
+
+    def scaled(self, units: MetricValues) -> Estimator:
+        """Return the same estimates, whose errors are relative to these units [SI]."""
+        other = copy(self)
+        other.__dict__["scales"] = units
+        return other
 
     def metrics(self, effects: Effects, *, sharp: bool = True) -> MetricValues:
         """Return the metrics with a set of effects, in SI units; ``sharp`` adds the Newton iteration."""

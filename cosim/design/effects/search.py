@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import get_args
 
-from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
+from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, richest, with_set
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, MeasureName
@@ -35,13 +35,14 @@ def rich_enough(
     of: tuple[MeasureName, ...],
     named: Collection[MeasureName] = (),
     journal: WorkJournal = NOWHERE,
+    units: MetricValues | None = None,
 ) -> Scene:
     """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
 
     The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the
     number of modes and is left out meanwhile.
 
-    Arguments as for `choose_effects`; `named` and `journal` as for `Estimator`.
+    Arguments as for `choose_effects`; `named` and `journal` as for `Estimator`; `units` for `scaled`.
     """
     most = richest(scene)
     while True:
@@ -49,6 +50,7 @@ def rich_enough(
         grown_most = one_more(most, get_args(FamilyName))
         plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
         estimator = Estimator(scene, motion, of, named, grown, journal)
+        estimator = estimator if units is None else estimator.scaled(units)
         # add the mode with the largest contribution until the rest is negligible
         while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]

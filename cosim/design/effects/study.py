@@ -13,16 +13,9 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.design.effects.choice import (
-    EXACT,
-    Observed,
-    choose_verified,
-    followed,
-    named_metrics,
-    observe,
-    requirements,
-)
+from flexfmu.cosim.design.effects.choice import EXACT, Observed, choose_verified, named_metrics, observe, requirements
 from flexfmu.cosim.design.effects.estimator import Estimator, scales
+from flexfmu.cosim.design.effects.runs import followed
 from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.timing import fastest_in_turns

@@ -13,7 +13,6 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.margins.course import PathLoop, Place, least_places, worst_places
 from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
@@ -138,7 +137,7 @@ def scene_margins(
     """The margins of a scene's loop at equilibria along its path, and at the worst ones.
 
     Args:
-        scene: the scene, driven by torques, with controllers.
+        scene: the scene, its effects chosen, driven by torques, with controllers.
         poses: number of poses, equally spaced along the path; between them the worst values are searched. 1 for the end alone.
         payloads: lightest and heaviest payload [kg]; the worst values are searched between them, too.
         progress: called with the finished fraction, 0 to 1.
@@ -150,7 +149,6 @@ def scene_margins(
     """
     if poses < 1:
         raise InputError(f"the number of poses must be at least 1, got {poses}")
-    scene = resolved(scene)
     loop = loop_of(scene, about_rest=True)
     wired = WiredLoop(scene, loop)
     path = PathLoop(wired, loop.motion)

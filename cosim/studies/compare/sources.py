@@ -142,7 +142,7 @@ def _loaded(source: Source, show: ShowProgress, strict: bool) -> ComparedRun | S
         if path.suffix in READABLE and path.is_file():
             return _read(path, path.resolve().parent.name if path.stem == "results" else path.stem, strict)
         source = load_scene(source)
-    if source.effects.select is not None:
+    if source.is_open:
         source = resolved(source, show)
     return source
 

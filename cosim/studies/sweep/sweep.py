@@ -5,17 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from flexfmu.cosim.design.effects.accuracy import chosen_over
+from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.many.executor import DaskWorkers, Executor, Processes, finished, processors
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, MOTOR_METRICS
 from flexfmu.cosim.metrics.metrics import measuring
 from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.cosim.studies.sweep.result import Results, SweepResult
 from flexfmu.cosim.studies.sweep.work import Job, Row, Share, groups_of, shares_of
+from flexfmu.model.scene.effects import LOADS
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import file_digests
 from flexfmu.model.scene.keys import full_key, location
@@ -24,6 +31,9 @@ from flexfmu.model.scene.schema import Scene
 
 ShowDone = Callable[[int, int], None]
 """Called with the number of finished cases and of all."""
+
+LOADED = ("effects.gravity", *(f"effects.{key}" for key in LOADS if "." not in key))
+"""Keys of effects that belong to the robot."""
 
 CHECKED = 50
 """Number of values of a key that are checked before the sweep begins; of more, the first, the last and some between."""
@@ -103,6 +113,44 @@ def sweep_scene(
                     show(int(found.finished.sum()), len(cases))
         found.finish()
     return SweepResult(scene.name, cases, measure.names, found.values, found.messages, units, found.recordings, folder)
+
+
+CORNER_KEYS = 3
+"""Largest number of keys whose extremes are combined to corners."""
+
+
+def ready_to_sweep(
+    scene: Scene, cases: Cases, show: ShowProgress = quiet, note: Callable[[str], object] = lambda text: None
+) -> Scene:
+    """Return the scene with what it leaves open chosen; for the accuracy that it asks for, at the corners of the sweep too.
+
+    Args:
+        scene: what is swept.
+        cases: what varies.
+        show: called with the current activity and the finished fraction.
+        note: called with a sentence for each corner at which the settings had to be tightened.
+
+    Raises:
+        SceneError: a key that the accuracy chooses is varied.
+        As `flexfmu.cosim.design.effects.choice.resolved_with_answer`.
+    """
+    if not scene.accuracy:
+        return resolved(scene, show)
+    chosen = ("effects.", "cosimulation.step", "cosimulation.tolerance", "cosimulation.integrator", "accuracy")
+    if twice := [key for key in cases.keys if key.startswith(chosen) and not key.startswith(LOADED)]:
+        raise SceneError(f"`accuracy` chooses `{twice[0]}`, which is varied too: leave out one of them")
+    # the cases that reach furthest towards each corner
+    numbers = [
+        place for place in range(len(cases.keys)) if all(isinstance(row[place], int | float) for row in cases.rows)
+    ]
+    numbers = numbers[:CORNER_KEYS]
+    values = np.array([[row[place] for place in numbers] for row in cases.rows], dtype=float).reshape(len(cases), -1)
+    values = (
+        (values - values.min(axis=0)) / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny) if numbers else values
+    )
+    rows = {int(np.argmax(values @ np.array(signs))) for signs in product((-1.0, 1.0), repeat=len(numbers))}
+    corners = {", ".join(f"{key} = {value}" for key, value in cases.changes(row).items()): row for row in sorted(rows)}
+    return chosen_over(scene, {name: scene.replace(cases.changes(row)) for name, row in corners.items()}, show, note)
 
 
 def default_metrics(scene: Scene) -> Collection[str]:

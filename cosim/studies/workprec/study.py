@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
+from flexfmu.cosim.design.effects.runs import is_smooth
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
@@ -103,13 +104,13 @@ def run_study(
     announce("reference")
     _ = subject.reference
     agreement, references = None, "our FMU, Gauss collocation at 1e-12, 0.25 ms steps"
-    if is_differential_equation(scene):
+    if is_smooth(scene):
         announce("second reference")
         second = solver_trials.independent_reference
         agreement = journal.kept(("second reference",), float, lambda: subject.error(second(subject)))
         references += "; SciPy's DOP853 at 1e-11"
     # families in their order, since later ones use the trials of earlier ones; some need one smooth equation
-    has_equations = is_differential_equation(scene)
+    has_equations = is_smooth(scene)
     trials: list[WorkPrecisionTrial] = []
     for name in (each for each in FAMILIES if each in families):
         if name == "integrators":
@@ -138,14 +139,6 @@ def run_study(
             for peer in peers:
                 trials += peer(subject, ours)
     return WorkPrecisionStudy(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
-
-
-def is_differential_equation(scene: Scene) -> bool:
-    """Whether the scene is one smooth equation between breakpoints: motion-driven, elastic, nothing in the loop or sampled."""
-    is_sampled = any(getattr(each, "apply", "sampled") == "sampled" for each in scene.shaper)
-    return scene.cosimulation.drive == "motion" and not (
-        scene.controller or scene.imperfection or scene.filter or is_sampled
-    )
 
 
 ASKED = 1e-5, 1e-3

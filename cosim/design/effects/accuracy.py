@@ -1,0 +1,582 @@
+"""Chooses effects, communication step, integrator and tolerance together, such that figures of a scene have the accuracy that is asked for.
+
+The error of a figure is what a run of the scene as it is, loop included, differs from the richest model by: a set of effects that one
+more mode of every family changes by at most `CONVERGED` of what is allowed, integrated at `EXACT`. It is bounded by three parts: the
+effects that are left out (a run at `EXACT` beside the richest model's), the numerics (the setting beside its own run at `EXACT`, and
+that of the next tighter tolerance, which may not be worse), and what the richest model itself isn't known to. Sets of effects are a
+ladder and, where it has a gap, what the linear estimates of `flexfmu.cosim.design.effects.estimator` choose; runs decide. Tolerances are
+tightened from the loosest on, and left where another setting is cheaper already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+from importlib.metadata import version
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
+from flexfmu.cosim.design.effects.runs import MARGINS, ObservedFigures, SceneRuns, followed, is_smooth, with_settled
+from flexfmu.cosim.design.effects.search import SAFETY, cheapest, one_more, rich_enough
+from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
+from flexfmu.cosim.engine.files import to_json
+from flexfmu.cosim.engine.showing import UNITS, ShowProgress, quiet
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, quantity_of
+from flexfmu.cosim.experiment.timing import fastest_in_turns
+from flexfmu.cosim.many.journal import WorkJournal, about_scene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
+from flexfmu.fmu_build.cache import cache_folder, content_hash, package_fingerprint, read_cached, store
+from flexfmu.model.choice_text import set_text
+from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.choice import MEASURES, MeasureName
+from flexfmu.model.scene.effects import FamilyName
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.trajectory import Trajectory
+
+CONVERGED = 0.1
+"""Largest change of the richest set's figures by one more mode of every family, in units of what is allowed."""
+
+EXACT = 1e-11
+"""Tolerance of runs that show the error of a set of effects; the richest one's is compared with a tenth of it."""
+
+MOST_COORDINATES = 44
+"""Largest number of coordinates of a richest set: more take a minute to build."""
+
+LADDER: Mapping[str, Mapping[str, Any]] = {
+    "rigid": {},
+    "4 coordinates": {"proximal_bending": 1, "distal_axial": 1, "beam": "timoshenko"},
+    "6 coordinates": {"proximal_bending": 1, "distal_bending": 1, "distal_axial": 1, "beam": "timoshenko"},
+    "8 coordinates": {"proximal_bending": 2, "distal_bending": 1, "distal_axial": 1, "beam": "timoshenko"},
+    "12 coordinates": {
+        "proximal_bending": 2, "proximal_axial": 1, "distal_bending": 2, "distal_axial": 1, "beam": "timoshenko",
+    },
+}  # fmt: skip
+"""Sets of effects that are tried in any scene; shear costs nothing in a run."""
+
+HOPELESS = 30.0
+"""Estimated error in units of what is allowed above which a set isn't run."""
+
+SHARE = 0.5
+"""Share of the allowed error for the effects, by which estimates choose them; runs then decide by the sum."""
+
+ROUNDS = 5
+"""Largest number of sets that estimates choose, each for a smaller error."""
+
+TOLERANCES = tuple(each * 10.0**-k for k in range(1, 11) for each in (1.0, 0.3))
+INTEGRATORS = ("automatic", "gauss3", "gauss4")
+"""Integrators that win somewhere; for rigid links nothing is stiff."""
+
+STEPS = (1.0 / 80.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0, 1.0 / 2000.0)
+"""Communication steps as fractions of the motion's duration, where nothing samples."""
+
+HALVINGS = 3
+"""Halvings of the communication step of scenes with a loop: from the scene's own on; slaves without a sample time need them."""
+
+WORTH_TIMING = 1.3
+"""Ratio to the least processor time up to which settings are timed in turns, and beyond which none is tightened."""
+
+FINALISTS = 4
+"""Largest number of settings that are timed in turns."""
+
+TENTH = 0.1
+"""What would come next is for this part of what was asked."""
+
+MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
+"""Usual metrics of a choice of effects; the last one needs a dwell."""
+
+
+@dataclass(frozen=True)
+class SettingTrial:
+    """A tried setting.
+
+    Attributes:
+        scene: with the setting.
+        model, numerics: bounds of the error of each figure by the effects that are left out, and by the numerics.
+        time: processor time of a run [s].
+        share: largest total error in units of what is allowed.
+    """
+
+    scene: Scene
+    model: RealArray
+    numerics: RealArray
+    time: float
+    share: float
+
+    @property
+    def priced(self) -> PricedSettings:
+        """Settings and time, in words."""
+        return PricedSettings(setting_text(self.scene), self.time, self.share)
+
+
+def setting_text(scene: Scene) -> str:
+    """Effects, integrator, tolerance and communication step in words."""
+    section = scene.cosimulation
+    step = "steps chosen from the motion" if section.step is None else f"steps of {section.step:g} s"
+    fixed = f", integrator steps of {section.integrator_step:g} s" if section.integrator_step else ""
+    return f"{set_text(scene)}; {section.integrator} at {section.tolerance:.0e}{fixed}, {step}"
+
+
+def set_size(scene: Scene) -> int:
+    """Number of elastic coordinates of the links that are states."""
+    effects = scene.effects
+    return 2 * sum(int(getattr(effects, key)) for key in get_args(FamilyName) if key not in effects.quasi_static)
+
+
+def with_numerics(scene: Scene, step: float | None, integrator: str, tolerance: float) -> Scene:
+    """The scene with these numerical settings."""
+    return scene.replace(
+        {
+            "cosimulation.step": "auto" if step is None else step,
+            "cosimulation.integrator": integrator,
+            "cosimulation.integrator_step": 0.0,
+            "cosimulation.tolerance": tolerance,
+        }
+    )
+
+
+def check_figures(scene: Scene, asked: Mapping[str, float | str]) -> None:
+    """Check names and values of what is asked for.
+
+    Raises:
+        InputError: there is no such figure of this robot, or an absolute error has another unit or isn't above zero.
+    """
+    known = (*ALL_METRICS, *MARGINS)
+    for name, value in asked.items():
+        if name not in known:
+            near = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+            raise InputError(f"`accuracy` names {name!r}, which is no metric; did you mean {near!r}?")
+        if name in MARGINS and not scene.controller:
+            raise InputError(f"`accuracy.{name}` is a margin of a loop, and scene {scene.name} has no controller")
+        if name.startswith(("residual", "settling")) and not scene.trajectory.dwell:
+            raise InputError(
+                f"`accuracy.{name}` needs a standstill after the motion: give `trajectory.dwell` above 0 s"
+            )
+        if not isinstance(value, str):
+            continue
+        number, unit = quantity_of(value, name)
+        own, shown = definition(name).unit, definition(name).unit
+        if unit not in (own, *UNITS) or UNITS.get(unit, (unit, 1.0))[0] != own:
+            units = ", ".join(each for each, (si, _) in UNITS.items() if si == own) or shown
+            raise InputError(
+                f"`accuracy.{name}` = {value!r} has {f'the unit {unit!r}' if unit else 'no unit'}: it is in {units}; a relative "
+                "error is a number without quotes"
+            )
+        if not 0.0 < number < inf:
+            raise InputError(f"`accuracy.{name}` = {value!r} must be above 0 {unit}")
+
+
+class Chooser:
+    """Searches the cheapest settings of a scene for what is asked.
+
+    Args:
+        scene: with the default settings; its own elastic effects are a set among others.
+        asked: figure → relative error, or text of an absolute one.
+        show: called with the current activity and the finished fraction.
+        journal: where runs are kept.
+
+    Raises:
+        InputError: as for `check_figures`, or a figure has no value.
+        ResultsError: the figures don't converge with the number of modes, or a run of the richest set failed.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        asked: Mapping[str, float | str],
+        show: ShowProgress = quiet,
+        journal: WorkJournal | None = None,
+    ) -> None:
+        check_figures(scene, asked)
+        self.scene, self.asked, self._show = (
+            scene.replace({"accuracy": None, "effects.choice": None}),
+            dict(asked),
+            show,
+        )
+        self._journal = WorkJournal() if journal is None else journal
+        self._runs = SceneRuns(self.asked, show, self._journal)
+        section = scene.cosimulation
+        motion = scene.trajectory.duration
+        self._is_smooth = is_smooth(scene)
+        finest = min(section.communication_step, motion / 2000.0) if self._is_smooth else section.communication_step
+        self._exact_step = finest if self._is_smooth else finest / 2**HALVINGS
+        self.trials: dict[str, SettingTrial] = {}
+        self._converge()
+
+    # The richest model
+
+    def _converge(self) -> None:
+        """Find the richest set, its figures, what is allowed of each, and how well the richest model itself is known."""
+        first = richest(self.scene)
+        found = self._exact(first, "running the richest set")
+        self.allowed = np.array([self._allowed(name, found.values[0][k]) for k, name in enumerate(self.asked)])
+        most = first
+        if self._is_smooth and self._measures:
+            self._show("estimating how many modes matter", None)
+            most = rich_enough(self.scene, self._motion, 1.0, self._measures, units=self._units)
+            found = self._exact(most, "running the richest set")
+        rest, before = np.full(self.allowed.shape, np.inf), most
+        while (rest > CONVERGED * self.allowed).any():
+            finer = one_more(most, get_args(FamilyName))
+            if set_size(finer) > MOST_COORDINATES or finer == most:
+                name = [*self.asked][int(np.argmax(rest / self.allowed))]
+                raise ResultsError(
+                    f"{name} doesn't converge: with {set_size(most)} instead of {set_size(before)} coordinates of the links it still "
+                    f"changes by {rest[[*self.asked].index(name)]:.2g} {definition(name).unit}; ask for more than ten times that"
+                )
+            better = self._exact(finer, "running one more mode of every family")
+            rest, before = better.change(found), most
+            most, found = finer, better
+        self.richest, self.reference = most, found
+        # and how well it is integrated
+        twice = self._observe(
+            with_numerics(most, 0.5 * self._exact_step, "automatic", 0.1 * EXACT),
+            "running the richest set, more precisely",
+        )
+        self.known = rest + twice.change(found)
+
+    def _allowed(self, name: str, value: float) -> float:
+        asked = self.asked[name]
+        if isinstance(asked, str):
+            number, unit = quantity_of(asked, name)
+            if not isfinite(value):
+                raise InputError(f"`accuracy` names {name}, which has no value in scene {self.scene.name}")
+            return number * UNITS.get(unit, (unit, 1.0))[1]
+        if not isfinite(value) or value == 0.0:
+            which = "is 0" if value == 0.0 else "has no value"
+            remedy = "; ask for an absolute error, a text with its unit" if value == 0.0 else ""
+            raise InputError(f"`accuracy` names {name}, which {which} in scene {self.scene.name}{remedy}")
+        return float(asked * abs(value))
+
+    @property
+    def _measures(self) -> tuple[MeasureName, ...]:
+        """Figures that the linear estimates have."""
+        return tuple(name for name in MEASURES if name in self.asked)
+
+    @property
+    def _units(self) -> dict[MeasureName, float]:
+        """What is allowed of these figures [SI]."""
+        allowed = dict(zip(self.asked, self.allowed.tolist(), strict=True))
+        return {name: allowed[name] for name in self._measures}
+
+    def _exact(self, base: Scene, activity: str) -> ObservedFigures:
+        return self._observe(with_numerics(base, self._exact_step, "automatic", EXACT), activity)
+
+    def _observe(self, scene: Scene, activity: str) -> ObservedFigures:
+        return self._runs.observe(scene, activity)
+
+    # Sets of effects
+
+    def _sets(self, target: float) -> Iterator[Scene]:
+        """Yield sets whose model error leaves room for the numerics, in units of ``target`` times what is allowed: few coordinates first."""
+        ladder = [*self.ladder().values()]
+        estimates = self._estimates if self._is_smooth and self._measures else None
+        fitting = list[Scene]()
+        for each in ladder[:-1]:
+            # what estimates call hopeless isn't built
+            hopeless = estimates is not None and max(estimates.errors(each.effects).values()) > HOPELESS * target
+            if not hopeless and self.model_share(each) <= target:
+                fitting.append(each)
+        least = min(map(set_size, fitting), default=set_size(self.richest))
+        if least > 0:
+            fitting += self._estimated(target, least)
+        yield from sorted([*fitting, self.richest], key=set_size)
+
+    def _estimated(self, target: float, most: int) -> Iterator[Scene]:
+        """Yield the set that the estimates choose, where it has fewer coordinates; with ever smaller limits until a run confirms it."""
+        estimates, limit = self._estimates, SHARE / SAFETY * target
+        for _ in range(ROUNDS):
+            self._show("choosing a set of effects", None)
+            found = cheapest(
+                estimates.richest,
+                with_set(self.scene, {}),
+                lambda each: max(estimates.errors(each.effects, sharp=False).values()),
+                lambda each: max(estimates.errors(each.effects).values()),
+                limit,
+            )
+            if set_size(found) >= most:
+                return
+            if (share := self.model_share(found)) <= target:
+                yield found
+                return
+            limit /= max(2.0, min(share / target, 1e3))
+
+    def ladder(self) -> dict[str, Scene]:
+        """Return name → set of effects: the ladder, the scene's own, and the richest."""
+        found = {name: with_set(self.scene, chosen) for name, chosen in LADDER.items()}
+        return found | {"the scene's own": self.scene, "richest": self.richest}
+
+    @cached_property
+    def _motion(self) -> Trajectory:
+        return followed(self.scene)
+
+    @cached_property
+    def _estimates(self) -> Estimator:
+        """Linear estimates, in units of what is allowed; for figures that they don't have, of the usual ones."""
+        names = self._measures or tuple(
+            each for each in MEASURED if self.scene.trajectory.dwell or "residual" not in each
+        )
+        found = Estimator(self.scene, self._motion, names, most=self.richest)
+        ratio = float(np.min(self.allowed / np.abs(np.array(self.reference.values[0]))))
+        usual = {name: ratio * abs(value) for name, value in found.reference.items()}
+        return found.scaled(usual | self._units)
+
+    def model_share(self, base: Scene) -> float:
+        """Return the largest error by the effects that a set leaves out, with what the reference isn't known to, in units of what is allowed."""
+        try:
+            error = self._exact(base, f"running {set_text(base)}").change(self.reference) + self.known
+        except CosimError:
+            return inf
+        return float((error / self.allowed).max())
+
+    # Numerics
+
+    def trial(self, scene: Scene) -> SettingTrial | None:
+        """Return a setting's errors and time; None where it fails."""
+        key = scene.model_dump_json(include={"effects", "cosimulation"})
+        if key not in self.trials:
+            try:
+                exact = self._exact(scene, f"running {set_text(scene)}")
+                found = self._observe(scene, f"running {setting_text(scene)}")
+            except CosimError:
+                return None
+            model, numerics = exact.change(self.reference), found.change(exact)
+            share = float(((model + numerics + self.known) / self.allowed).max())
+            self.trials[key] = SettingTrial(scene, model, numerics, found.time, share)
+        return self.trials[key]
+
+    def missed_by(self, other: Scene) -> float:
+        """Return the largest error of this scene with the settings of another, in units of what is allowed; infinite where its run fails."""
+        changes = {key: getattr(other, key).model_dump(exclude_none=True) for key in ("effects", "cosimulation")}
+        found = self.trial(self.scene.replace(changes | {"cosimulation.step": other.cosimulation.step or "auto"}))
+        return inf if found is None else found.share
+
+    def steps(self) -> tuple[float | None, ...]:
+        """Return the communication steps that are worth a trial [s], the longest first; None for steps chosen from the motion."""
+        own = self.scene.cosimulation.step
+        if not self._is_smooth:
+            return tuple((own or 0.0) / 2**k for k in range(HALVINGS))
+        fractions = (self.scene.trajectory.duration * each for each in STEPS)
+        rounded = {float(f"{each:.1g}") for each in fractions} | ({own} if own else set())
+        return (None, *sorted(rounded, reverse=True))
+
+    def walk(self, base: Scene, target: float, best: float) -> Iterator[SettingTrial]:
+        """Yield, for a set of effects, the loosest setting of each line that is accurate enough and may be cheaper than ``best`` [s]."""
+        is_found = False
+        for step in self.steps():
+            if is_found and not self._is_smooth:
+                return
+            least = inf
+            is_rigid = not set_size(base) and self._is_smooth
+            for integrator in INTEGRATORS[: 1 if is_rigid else None]:
+                for tolerance in TOLERANCES:
+                    found = self.trial(with_numerics(base, step, integrator, tolerance))
+                    least = least if found is None else min(least, found.time)
+                    if found is None or found.time > WORTH_TIMING * best:
+                        break
+                    if found.share > target:
+                        continue
+                    # right by chance, if a tighter tolerance isn't
+                    tighter = self.trial(with_numerics(base, step, integrator, max(0.3 * tolerance, 1e-12)))
+                    if tighter is None or tighter.share > target:
+                        continue
+                    best, is_found = min(best, found.time), True
+                    numerics = np.maximum(found.numerics, tighter.numerics)
+                    yield replace(found, numerics=numerics, share=max(found.share, tighter.share))
+                    break
+            # shorter steps take longer
+            if WORTH_TIMING * best < least < inf:
+                return
+
+    # The answer
+
+    def cheapest(self, target: float = 1.0) -> SettingTrial | None:
+        """Return the cheapest setting whose errors are at most ``target`` times what is allowed; None where there is none."""
+        found, best = list[SettingTrial](), inf
+        for base in self._sets(target):
+            for each in self.walk(base, target, best):
+                found.append(each)
+                best = min(best, each.time)
+        if not found:
+            exact = self.trial(with_numerics(self.richest, self._exact_step, "automatic", EXACT))
+            return exact if exact is not None and exact.share <= target else None
+        # the fastest in turns, since a machine's speed varies
+        self._show("timing the fastest settings", None)
+        found = sorted((each for each in found if each.time <= WORTH_TIMING * best), key=lambda each: each.time)[
+            :FINALISTS
+        ]
+        times = fastest_in_turns([PreparedScene(with_settled(each.scene)).run for each in found])
+        return min(
+            (replace(each, time=time) for each, time in zip(found, times, strict=True)), key=lambda each: each.time
+        )
+
+    def answer(self) -> AccuracyAnswer:
+        """Return the cheapest settings with their errors and costs.
+
+        Raises:
+            ResultsError: no settings are accurate enough.
+        """
+        chosen = self.cheapest()
+        if chosen is None:
+            raise ResultsError(
+                f"no settings of scene {self.scene.name} are accurate enough: the richest model itself, {setting_text(self.richest)}, is known "
+                f"to {float((self.known / self.allowed).max()):.2g} times what was asked; ask for less"
+            )
+        why, default, following = self._why(chosen), self.trial(self.scene), self.cheapest(TENTH)
+        exact = with_numerics(self.richest, self._exact_step, "automatic", EXACT)
+        dearest = PricedSettings(setting_text(exact), self.reference.time, float((self.known / self.allowed).max()))
+        figures = tuple(
+            FigureError(
+                name, definition(name).unit, f"{asked}" if isinstance(asked, str) else f"{asked:g}", *map(float, values)
+            )
+            for (name, asked), *values in zip(
+                self.asked.items(),
+                self.allowed,
+                self.reference.values[0],
+                chosen.model,
+                chosen.numerics,
+                self.known,
+                strict=True,
+            )
+        )
+        return AccuracyAnswer(
+            figures,
+            chosen.priced,
+            None if default is None else default.priced,
+            dearest,
+            None if following is None else following.priced,
+            self._changes(chosen.scene),
+            len(self.trials),
+            why,
+        )
+
+    def _why(self, chosen: SettingTrial) -> str:
+        """What fewer effects and looser tolerances would have missed, in a sentence."""
+        section, effects = chosen.scene.cosimulation, chosen.scene.effects
+        fewer = [
+            (set_size(each), self.model_share(each), set_text(each))
+            for each in self.ladder().values()
+            if set_size(each) < set_size(chosen.scene)
+        ]
+        poor = max((each for each in fewer if 1.0 < each[1] < inf), default=None)
+        looser = [
+            each
+            for each in self.trials.values()
+            if each.scene.effects == effects
+            and (each.scene.cosimulation.step, each.scene.cosimulation.integrator) == (section.step, section.integrator)
+            and each.scene.cosimulation.tolerance > section.tolerance
+            and each.share > 1.0
+        ]
+        loose = min(looser, key=lambda each: each.scene.cosimulation.tolerance, default=None)
+        parts = [f"{poor[2]} would miss by a factor of {poor[1]:.2g}"] if poor else []
+        if loose is not None:
+            parts.append(f"a tolerance of {loose.scene.cosimulation.tolerance:.0e} by a factor of {loose.share:.2g}")
+        return " and ".join(parts) or "neither fewer effects nor looser numerics are cheaper"
+
+    def _changes(self, scene: Scene) -> dict[str, Any]:
+        """Dotted keys of effects and numerics that differ from the scene's own."""
+        found = dict[str, Any]()
+        for key in ("effects", "cosimulation"):
+            own, new = (getattr(each, key).model_dump(mode="json") for each in (self.scene, scene))
+            found |= {f"{key}.{name}": value for name, value in new.items() if value != own[name]}
+        if found.get("cosimulation.step", 0.0) is None:
+            found["cosimulation.step"] = "auto"
+        return found
+
+
+@one_blas_thread()
+def accuracy_answer(scene: Scene, show: ShowProgress = quiet) -> AccuracyAnswer:
+    """Return the cheapest settings that have the accuracy which a scene asks for; from the cache if they were chosen before.
+
+    Raises:
+        InputError: there is no such figure, it has no value, or an absolute error has another unit.
+        ResultsError: no settings are accurate enough.
+        BuildError, TrajectoryError: as for `flexfmu.cosim.many.prepared_scene.run_scene`.
+    """
+    asked = scene.accuracy or {}
+    check_figures(scene, asked)
+    if scene.has_objects:
+        return Chooser(scene, asked, show).answer()
+    parts = (
+        to_json(about_scene(scene)),
+        version("flexfmu"),
+        package_fingerprint(),
+        Path(__file__).read_text(encoding="utf-8"),
+    )
+    digest = content_hash(part.encode() for part in parts)
+    kind = TypeAdapter(AccuracyAnswer)
+    if (known := read_cached(f"{digest}.json")) is not None:
+        with suppress(ValidationError):
+            return kind.validate_json(known)
+    # what an interrupted choice has run already isn't run again
+    folder = cache_folder() / "accuracy" / digest
+    journal = WorkJournal(folder, "choice of settings", {"settings": digest})
+    found = Chooser(scene, asked, show, journal).answer()
+    store(f"{digest}.json", kind.dump_json(found))
+    journal.remove()
+    with suppress(OSError):
+        folder.rmdir()
+    return found
+
+
+def with_answer(scene: Scene, answer: AccuracyAnswer) -> Scene:
+    """Return the scene with the chosen settings, which asks for nothing more."""
+    return scene.replace({**answer.changes, "accuracy": None})
+
+
+def chosen_over(
+    scene: Scene,
+    corners: Mapping[str, Scene],
+    show: ShowProgress = quiet,
+    note: Callable[[str], object] = lambda text: None,
+) -> Scene:
+    """Return the scene with settings that have the accuracy which it asks for at the corners of a sweep too.
+
+    Args:
+        scene: what is swept.
+        corners: what a corner changes, in words → its scene.
+        show: called with the current activity and the finished fraction.
+        note: called with a sentence for each corner at which the settings had to be tightened, or fail.
+
+    Raises:
+        As `accuracy_answer`.
+    """
+    asked, chosen = scene.accuracy or {}, with_answer(scene, accuracy_answer(scene, show))
+    for name, corner in corners.items():
+        judge = Chooser(corner, asked, show)
+        if (missed := judge.missed_by(chosen)) <= 1.0:
+            continue
+        chosen = _tighter(chosen, with_answer(corner, accuracy_answer(corner, show)))
+        after = judge.missed_by(chosen)
+        verdict = "tightened" if after <= 1.0 else f"even tightened they miss it by a factor of {after:.3g}"
+        text = "fail" if missed == inf else f"miss the accuracy by a factor of {missed:.3g}"
+        note(f"at {name} the chosen settings {text}: {verdict} to {setting_text(chosen)}")
+    return chosen
+
+
+def _tighter(first: Scene, second: Scene) -> Scene:
+    """The first scene with all effects of both, and with the tighter numerics."""
+    one, two = first.effects, second.effects
+    steps = [each for each in (first.cosimulation.step, second.cosimulation.step) if each is not None]
+    integrators = {first.cosimulation.integrator, second.cosimulation.integrator}
+    changes: dict[str, Any] = {
+        f"effects.{key}": max(getattr(one, key), getattr(two, key)) for key in get_args(FamilyName)
+    }
+    changes["effects.quasi_static"] = [
+        each for each in one.quasi_static if each in two.quasi_static or not getattr(two, each)
+    ]
+    changes["effects.foreshortening"] = one.foreshortening or two.foreshortening
+    changes["effects.beam"] = "timoshenko" if "timoshenko" in (one.beam, two.beam) else one.beam
+    changes["effects.basis"] = "craig-bampton" if "craig-bampton" in (one.basis, two.basis) else one.basis
+    integrator = integrators.pop() if len(integrators) == 1 else "gauss4"
+    tolerance = min(first.cosimulation.tolerance, second.cosimulation.tolerance)
+    return with_numerics(first.replace(changes), min(steps, default=None), integrator, tolerance)

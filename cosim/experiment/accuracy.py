@@ -1,0 +1,154 @@
+"""Accuracy that a user asks for, and the answer: the settings that have it, the errors of the figures, and what they cost."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import Any
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.showing import shown_unit
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
+"""Number and unit of an absolute error: ``1 um``, ``0.5deg``."""
+
+
+def asked_of(options: Sequence[str]) -> dict[str, float | str]:
+    """Return metric → error from ``METRIC=VALUE``, a number for a relative error, text with a unit for an absolute one.
+
+    Raises:
+        InputError: one has another form.
+    """
+    found: dict[str, float | str] = {}
+    for text in options:
+        name, _, value = (part.strip() for part in text.partition("="))
+        if not name or not value:
+            raise ValueError(
+                f"--accuracy takes METRIC=VALUE, peak_torque_1=1e-3 or end_position_error='1 um', got {text!r}"
+            )
+        number, unit = quantity_of(value, name)
+        found[name] = value if unit else number
+    return found
+
+
+def quantity_of(text: str, name: str) -> tuple[float, str]:
+    """Return number and unit, empty where there is none.
+
+    Raises:
+        InputError: it is neither.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        raise InputError(
+            f"the accuracy of {name} is a relative error, 1e-3, or an absolute one with its unit, '1 um'; got {text!r}"
+        )
+    return float(match[1]), match[2]
+
+
+@dataclass(frozen=True)
+class FigureError:
+    """Error of a figure with the chosen settings, beside the richest model.
+
+    Attributes:
+        name, unit: of the metric.
+        asked: as it was asked for.
+        allowed: largest error in the SI unit.
+        value: of the richest model.
+        model: error by the effects that are left out.
+        numerics: error by integration, communication steps and interpolation.
+        reference: error of the richest model itself: change by one more mode of every family, and its numerics.
+    """
+
+    name: str
+    unit: str
+    asked: str
+    allowed: float
+    value: float
+    model: float
+    numerics: float
+    reference: float
+
+    @property
+    def total(self) -> float:
+        """Bound of the error in the SI unit."""
+        return self.model + self.numerics + self.reference
+
+    def __str__(self) -> str:
+        unit, scale = shown_unit(self.unit), 1.0 / abs(self.value) if self.value else 0.0
+        relative = f", {self.total * scale:.1e} of {abs(self.value):.4g}" if scale else ""
+        return (
+            f"{self.name}: error at most {self.total:.2g} {unit}{relative} (asked {self.asked}; model {self.model:.1e}, "
+            f"numerics {self.numerics:.1e}, richest model known to {self.reference:.1e})"
+        )
+
+
+@dataclass(frozen=True)
+class PricedSettings:
+    """Settings of a run and their processor time.
+
+    Attributes:
+        text: effects, integrator, tolerance and communication step in words.
+        time: processor time of a run [s].
+        share: bound of the largest error in units of what was asked.
+    """
+
+    text: str
+    time: float
+    share: float
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.time:.3g} ms with {self.text}"
+
+
+@dataclass(frozen=True)
+class AccuracyAnswer:
+    """The cheapest settings that have an accuracy.
+
+    Attributes:
+        figures: the figures that were asked for.
+        chosen: the settings.
+        default: those of the scene; None where they fail.
+        dearest: the richest model, to which errors are relative, as it was integrated for that.
+        following: the cheapest settings for ten times more; None where none are known.
+        changes: dotted key of the scene → chosen value.
+        trials: number of settings that were tried.
+        why: what decided, in a sentence.
+    """
+
+    figures: tuple[FigureError, ...]
+    chosen: PricedSettings
+    default: PricedSettings | None
+    dearest: PricedSettings
+    following: PricedSettings | None
+    changes: Mapping[str, Any]
+    trials: int
+    why: str
+
+    def lines(self) -> list[str]:
+        """Return the answer in sentences."""
+        chosen, default, dearest = self.chosen, self.default, self.dearest
+        found = [f"accuracy: {chosen}, the cheapest of {self.trials} settings; {self.why}", *map(str, self.figures)]
+        if default is None:
+            found.append("the scene's own settings fail")
+        else:
+            error = "it has" if default.share <= 1.0 else f"it misses by a factor of {default.share:.3g}"
+            found.append(
+                f"beside it: {default}, the scene's own, whose error, at most {default.share:.2g} of what was asked, {error}"
+            )
+        found.append(f"dearest: {dearest}")
+        more = "no settings are known; it needs more modes" if self.following is None else str(self.following)
+        return [*found, f"ten times more accurate: {more}"]
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the answer as plain data in SI units."""
+        figures = [{**asdict(each), "total": each.total} for each in self.figures]
+        return {**asdict(self), "changes": dict(self.changes), "figures": figures, "text": self.lines()}
+
+    def __repr__(self) -> str:
+        """Return the answer, a line each."""
+        return "\n".join(self.lines())
+
+    def _repr_html_(self) -> str:
+        return f"<p>{'<br>'.join(map(escape, self.lines()))}</p>"
