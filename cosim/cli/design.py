@@ -4,7 +4,7 @@ worth; gains and other keys of a scene, chosen by runs; input shapers, designed 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -42,7 +42,7 @@ def modes(
     with console.progress() as show:
         show("frequencies along the path", None)
         found = modes_along_path(plan(robot), poses, lambda fraction: show("frequencies along the path", fraction))
-    data = {"scene": robot.name, "poses": [pose.to_dict() for pose in found]}
+    data = {"scene": robot.name, "poses": [asdict(pose) for pose in found]}
     console.print_result(json, data, *modes_table(robot.name, found))
     return 0
 

@@ -20,7 +20,7 @@ import json
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
@@ -317,12 +317,24 @@ def write_mcap(path: Path, time: RealArray, columns: Mapping[str, Column], about
         for part, signals in channels.items():
             fields = valid_names(_field(name, part) for name in signals)
             names = [fields[_field(name, part)] for name in signals]
-            schema = writer.register_schema(f"flexfmu.{part}", "jsonschema", _mcap_schema(names, signals))
+            properties = {
+                field: {
+                    "type": "string" if each.texts is not None else ["number", "null"],
+                    "title": name,
+                    "description": each.unit,
+                }
+                for field, (name, each) in zip(names, signals.items(), strict=True)
+            }
+            content = json.dumps({"type": "object", "properties": properties}).encode()
+            schema = writer.register_schema(f"flexfmu.{part}", "jsonschema", content)
             identifiers.append(writer.register_channel(f"/{part}", "json", schema))
             tables.append((names, [column.listed() for column in signals.values()]))
         # all parts at each instant, in the order of time; some thousand instants at once, which takes little memory
         for begin in range(0, time.size, PIECE):
-            pieces = [_mcap_rows(columns, slice(begin, begin + PIECE)) for _, columns in tables]
+            piece, pieces = slice(begin, begin + PIECE), []
+            for _, listed in tables:
+                cut = (each[piece] if isinstance(each, list) else each[piece].tolist() for each in listed)
+                pieces.append([*zip(*cut, strict=True)])
             for i, stamp in enumerate(stamps[begin : begin + PIECE]):
                 for identifier, (names, _), rows in zip(identifiers, tables, pieces, strict=True):
                     data = to_json(dict(zip(names, rows[i], strict=True)), inf_nan_mode="null")
@@ -333,12 +345,6 @@ def write_mcap(path: Path, time: RealArray, columns: Mapping[str, Column], about
     return path
 
 
-def _mcap_rows(columns: Sequence[RealArray | list[str]], piece: slice) -> list[tuple[float | str, ...]]:
-    """Return the values of some signals at each instant of a piece."""
-    cut = [each[piece] if isinstance(each, list) else each[piece].tolist() for each in columns]
-    return list(zip(*cut, strict=True))
-
-
 def _part(name: str) -> str:
     """Return the part that a signal belongs to: ``link11`` for ``der(link11.bending[1],2)``."""
     return name.removeprefix("der(").partition(".")[0]
@@ -347,19 +353,6 @@ def _part(name: str) -> str:
 def _field(name: str, part: str) -> str:
     """Return a signal's name within its part."""
     return name.replace(f"{part}.", "", 1)
-
-
-def _mcap_schema(names: list[str], signals: Mapping[str, Column]) -> bytes:
-    """Return the JSON Schema of a part's messages."""
-    properties = {
-        field: {
-            "type": "string" if column.texts is not None else ["number", "null"],
-            "title": name,
-            "description": column.unit,
-        }
-        for field, (name, column) in zip(names, signals.items(), strict=True)
-    }
-    return json.dumps({"type": "object", "properties": properties}).encode()
 
 
 def write_parquet(path: Path, time: RealArray, columns: Mapping[str, Column], about: Mapping[str, str]) -> Path:

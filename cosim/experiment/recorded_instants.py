@@ -76,24 +76,6 @@ WORTHWHILE = 0.5
 """A step is halved once more if the last halving has reduced its error to this fraction."""
 
 
-def _first_points(motion: Trajectory, edges: RealArray, tolerance: float) -> RealArray:
-    """Points between breakpoints for a motion and the tolerance of its run, (N,) [s]."""
-    finer = (tolerance / USUAL) ** (1.0 / ORDER)
-    longest, growth = LONGEST * motion.duration * finer, 1.0 + GROWTH * finer
-    pieces = [begin + _graded(end - begin, longest, growth) for begin, end in pairwise(edges)]
-    return _halved_for_references(motion, np.append(np.concatenate(pieces), edges[-1]), tolerance)
-
-
-def _halved_for_references(motion: Trajectory, points: RealArray, tolerance: float) -> RealArray:
-    """The points, and more of them where the references deviate from their polynomials."""
-    for _ in range(HALVINGS):
-        coarse = _reference_error(motion, points) > REFERENCES * tolerance
-        if not coarse.any():
-            break
-        points = np.sort(np.append(points, _middles(points)[coarse]))
-    return points
-
-
 def _graded(width: float, longest: float, growth: float) -> RealArray:
     """Points of an interval from 0, the end left out: steps that grow from `SHORTEST` to the longest."""
     count = int(np.ceil(np.log(1.0 / SHORTEST) / np.log(growth)))
@@ -137,8 +119,21 @@ class ChosenSteps:
     def __init__(self, motion: Trajectory, stop: float, tolerance: float) -> None:
         self._motion, self._allowed = motion, (1.0 - INTEGRATION) * tolerance
         self._edges = merge([*(each for each in motion.breakpoints if 0.0 <= each < stop), 0.0, stop], 0.0)
-        self._enter(_first_points(motion, self._edges, tolerance))
+        # first points: steps that grow from each breakpoint
+        finer = (tolerance / USUAL) ** (1.0 / ORDER)
+        longest, growth = LONGEST * motion.duration * finer, 1.0 + GROWTH * finer
+        pieces = [begin + _graded(end - begin, longest, growth) for begin, end in pairwise(self._edges)]
+        self._enter(self._halved(np.append(np.concatenate(pieces), self._edges[-1]), tolerance))
         self._runs = 0
+
+    def _halved(self, points: RealArray, tolerance: float) -> RealArray:
+        """The points, and more of them where the references deviate from their polynomials."""
+        for _ in range(HALVINGS):
+            coarse = _reference_error(self._motion, points) > REFERENCES * tolerance
+            if not coarse.any():
+                break
+            points = np.sort(np.append(points, _middles(points)[coarse]))
+        return points
 
     def _enter(self, points: RealArray) -> None:
         self.points, self._before = points, np.full(points.size - 1, np.inf)
@@ -157,8 +152,7 @@ class ChosenSteps:
         error = self._estimate.of(recording)
         self._runs += 1
         if self._runs == 1:
-            points = self._spread(error)
-            self._enter(_halved_for_references(self._motion, points, 2.0 * self._allowed))
+            self._enter(self._halved(self._spread(error), 2.0 * self._allowed))
             return True
         # halving once more doesn't help where the error has stayed
         coarse = (error > self._allowed) & (error < WORTHWHILE * self._before)

@@ -316,17 +316,23 @@ def _address(array: NDArray[Any]) -> int:
 def _matrices(m: int) -> tuple[RealArray, RealArray]:
     """Matrices from the terms to the control points (2 m, 2 m), and to the highest derivative at the start (2 m,)."""
     terms = ends_matrix(m)
-    return np.ascontiguousarray(control_matrix(m) @ terms), np.ascontiguousarray((highest_matrix(m) @ terms)[0])
+    row = [_signed_binomial(k + 1, m - k) for k in range(m)], [_signed_binomial(k, m - k - 1) for k in range(m)]
+    highest = math.factorial(m) * np.array([[*row[0], *row[1]]]) @ two_point_matrix(m) @ terms
+    return np.ascontiguousarray(control_matrix(m) @ terms), np.ascontiguousarray(highest[0])
 
 
 @cache
 def _quadrature(m: int, order: int) -> tuple[RealArray, ...]:
     """Weights, values, shape and last of ``metrics_quadrature``."""
-    points, weights = gauss_legendre(2 * m + 1)
-    theta = tuple(points.tolist())
+    # Gauss-Legendre on [0, 1], exact to degree 4 m + 1
+    points, weights = np.polynomial.legendre.leggauss(2 * m + 1)
+    theta = tuple((0.5 * (points + 1.0)).tolist())
     values = value_matrix(m, theta, order) @ ends_matrix(m)
     last = (value_matrix(m, tuple(SAMPLES.tolist()), order) @ ends_matrix(m))[:, [m - 1, 2 * m - 1]]
-    return weights, np.ascontiguousarray(values.T), node_polynomial(m, theta, order), np.ascontiguousarray(last)
+    # shape of the interpolation error: the derivative of (theta (theta - 1))^m / (2 m)!
+    polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
+    shape = (polynomial.deriv(order) if order else polynomial)(np.array(theta)) / math.factorial(2 * m)
+    return 0.5 * weights, np.ascontiguousarray(values.T), np.asarray(shape), np.ascontiguousarray(last)
 
 
 def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
@@ -335,13 +341,6 @@ def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
     binomial = np.array([math.comb(degree, int(i)) for i in order], dtype=float)
     column = np.asarray(theta, dtype=float)[:, np.newaxis]
     return np.asarray(binomial * column**order * (1.0 - column) ** (degree - order))
-
-
-@cache
-def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
-    """Return points and weights of Gauss-Legendre quadrature on [0, 1], exact to degree 2 count - 1."""
-    points, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 * (points + 1.0), 0.5 * weights
 
 
 def largest_magnitude(control: RealArray) -> float:
@@ -399,14 +398,6 @@ def two_point_matrix(m: int) -> RealArray:
 
 
 @cache
-def highest_matrix(m: int) -> RealArray:
-    """Matrix (2, 2 m) from the ends to the derivative of order m over theta at the start and at the end."""
-    row = [_signed_binomial(k + 1, m - k) for k in range(m)], [_signed_binomial(k, m - k - 1) for k in range(m)]
-    both = np.array([[*row[0], *row[1]], [*row[1], *row[0]]]) * [[1.0], [(-1.0) ** m]]
-    return np.asarray(math.factorial(m) * both @ two_point_matrix(m))
-
-
-@cache
 def value_matrix(m: int, theta: tuple[float, ...], order: int) -> RealArray:
     """Matrix (k, 2 m) from the ends to the derivative over theta of this order at k normalised times."""
     degree = 2 * m - 1 - order
@@ -431,14 +422,6 @@ def contributions(start: RealArray, end: RealArray) -> RealArray:
     pairs = (start, start), (start, end), (end, end)
     products = np.stack([np.einsum("knc,knc->kn", one[1:], other[1:]) for one, other in pairs], axis=1)
     return np.asarray((_contribution_weights(len(start)) @ products).max(axis=1))
-
-
-@cache
-def node_polynomial(m: int, theta: tuple[float, ...], order: int) -> RealArray:
-    """Derivative of (theta (theta - 1))^m / (2 m)! at normalised times (k,): the interpolation error's shape."""
-    polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
-    shape = polynomial.deriv(order) if order else polynomial
-    return np.asarray(shape(np.array(theta)) / math.factorial(2 * m))
 
 
 def _signed_binomial(n: int, k: int) -> float:

@@ -107,14 +107,6 @@ class Axis:
         return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in ticks.tolist()]
 
 
-def to_scale(x: Axis, y: Axis) -> tuple[Axis, Axis]:
-    """Return axes of the same scale, as large as these ones allow, in the middle of their top."""
-    across, down = x.high - x.low, y.high - y.low
-    scale = min((x.end - x.begin) / across, (y.begin - y.end) / down)
-    spare = 0.5 * (x.end - x.begin - scale * across)
-    return (replace(x, begin=x.begin + spare, end=x.end - spare), replace(y, begin=y.end + scale * down))
-
-
 def limits(values: Sequence[RealArray], margin: float, is_log: bool = False) -> tuple[float, float]:
     """Return the smallest and the largest finite value, with a margin in terms of their difference; positive ones on a log axis."""
     finite = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for each in values)])
@@ -237,7 +229,16 @@ def draw_chart(key: str, title: str, size: tuple[float, float], x_label: str, pa
     parts = [f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{name}">']
     for number, (panel, box) in enumerate(zip(panels, boxes, strict=True)):
         parts += box.drawn(panel, f"{key}-{number}", x_label, is_last=number == len(panels) - 1)
-    return "\n".join([*parts, *_legend(panels[0], width), "</svg>"])
+    # legend: lines and texts of the curves with a label, side by side at the right
+    for row, curves in enumerate(_rows(panels[0], width)):
+        x, y = width - PADDING - 4.6, ROW * row
+        for curve in reversed(curves):
+            x -= LETTER * ON_PHONES * len(curve.label)
+            line = stroke(f"M{x - 23.8:.2f} {11.13 + y:.2f}h17", curve.colour, curve.width or 1.4, dashes=curve.dashes)
+            text = text_at(curve.label, x, 14.11 + y, SMALL, "start")
+            parts.append(f'<g class="key" data-label="{escape(curve.label)}">{text}{line}</g>')
+            x -= 40.8
+    return "\n".join([*parts, "</svg>"])
 
 
 @dataclass(frozen=True)
@@ -360,8 +361,14 @@ def _boxes(size: tuple[float, float], panels: Sequence[Panel]) -> Iterator[_Box]
     lines = max(panel.label.count("\n") for panel in panels)
     begin, end = 2 * 8.0 + ROW * lines + FONT * digits + 7.0, width - PADDING
     for panel, axis in zip(panels, verticals, strict=True):
-        horizontal = Axis(low, high, begin, end, 3.0 * FONT, is_log)
-        yield _Box(*(to_scale(horizontal, axis) if panel.is_to_scale else (horizontal, axis)))
+        x, y = Axis(low, high, begin, end, 3.0 * FONT, is_log), axis
+        if panel.is_to_scale:
+            # the same scale, as large as both axes allow, in the middle of their top
+            across, down = x.high - x.low, y.high - y.low
+            scale = min((x.end - x.begin) / across, (y.begin - y.end) / down)
+            spare = 0.5 * (x.end - x.begin - scale * across)
+            x, y = replace(x, begin=x.begin + spare, end=x.end - spare), replace(y, begin=y.end + scale * down)
+        yield _Box(x, y)
 
 
 def _marker(marker: Marker) -> str:
@@ -390,18 +397,6 @@ def _rows(panel: Panel, width: float) -> list[list[Curve]]:
         rows[-1].append(curve)
         used += space
     return rows
-
-
-def _legend(panel: Panel, width: float) -> Iterator[str]:
-    """Yield lines and texts of the curves with a label, side by side at the right."""
-    for row, curves in enumerate(_rows(panel, width)):
-        x, y = width - PADDING - 4.6, ROW * row
-        for curve in reversed(curves):
-            x -= LETTER * ON_PHONES * len(curve.label)
-            line = stroke(f"M{x - 23.8:.2f} {11.13 + y:.2f}h17", curve.colour, curve.width or 1.4, dashes=curve.dashes)
-            text = text_at(curve.label, x, 14.11 + y, SMALL, "start")
-            yield f'<g class="key" data-label="{escape(curve.label)}">{text}{line}</g>'
-            x -= 40.8
 
 
 def line_path(x: RealArray, y: RealArray) -> str:

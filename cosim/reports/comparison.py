@@ -90,22 +90,16 @@ class ComparedRun:
     failure: str = ""
 
 
-def render_comparison(
-    runs: Sequence[ComparedRun], tables: Sequence[Table] = (), plots: Sequence[Plot] = (), title: str = ""
-) -> str:
+def render_comparison(runs: Sequence[ComparedRun], tables: Sequence[Table], plots: Sequence[Plot] = ()) -> str:
     """Return the page that compares runs as HTML.
 
     Args:
         runs: at least one; differences are relative to the first.
-        tables: further tables, below the metrics.
+        tables: of metrics, loops, and what else there is.
         plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
-        title: heading of the page; by default the names of the runs.
     """
     lead = f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
-    metrics = [table for table in [metrics_table(runs), *loop_tables(runs)] if table.rows]
-    return render_page(
-        title or " · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], [*metrics, *tables]
-    )
+    return render_page(" · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], tables)
 
 
 def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:

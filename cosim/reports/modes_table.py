@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from rich.text import Text
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import Rows, few_lines
-from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
@@ -43,10 +42,6 @@ class ModalPose:
     q11: float
     q21: float
     frequencies: tuple[float, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data, as in `flexfmu modes --json`."""
-        return asdict(self) | {"frequencies": list(self.frequencies)}
 
 
 class ModesAlongPath(Rows, list[ModalPose]):
@@ -133,24 +128,16 @@ def modes_along_path(
         raise InputError(
             f"the number of poses must be odd and at least 3, so that the middle of the path is one; got {count}"
         )
-    # rigid poses along the path, and the robot's frequencies at each
-    poses = []
-    fractions = np.linspace(0.0, 1.0, count)
-    for index, (s, (x, y), (q11, q21)) in enumerate(
-        zip(fractions, *_rigid_poses(plan, fractions), strict=True), start=1
-    ):
-        frequencies = tuple(float(f) for f in natural_frequencies(plan.scene, (q11, q21)))
-        poses.append(ModalPose(float(s), float(x), float(y), float(q11), float(q21), frequencies))
-        progress(index / count)
-    return ModesAlongPath(plan.scene.name, poses)
-
-
-def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, RealArray]:
-    """Return positions (N, 2) [m] and unwrapped joint angles (N, 2) [rad] at fractions (N,) of the path's length."""
+    # rigid poses along the path with unwrapped joint angles, and the robot's frequencies at each
+    poses, fractions = [], np.linspace(0.0, 1.0, count)
     positions = positions_along(plan.along_path, fractions)
-    x, y = (Jet(coordinate[np.newaxis]) for coordinate in positions.T)
-    joints = np.stack([joint.value for joint in plan.kinematics.joints(x, y)], axis=-1)
-    return positions, np.unwrap(joints, axis=0)
+    angles = [joint.value for joint in plan.kinematics.joints(*(Jet(each[np.newaxis]) for each in positions.T))]
+    joints = np.unwrap(np.stack(angles, axis=-1), axis=0)
+    for s, (x, y), (q11, q21) in zip(fractions.tolist(), positions.tolist(), joints.tolist(), strict=True):
+        frequencies = tuple(float(f) for f in natural_frequencies(plan.scene, (q11, q21)))
+        poses.append(ModalPose(s, x, y, q11, q21, frequencies))
+        progress(len(poses) / count)
+    return ModesAlongPath(plan.scene.name, poses)
 
 
 def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:

@@ -314,10 +314,20 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     yield Plot("acceleration", "Acceleration error", caption, (_norm(run, moving, "error [m/s²]", 1.0, order=2),))
     # the dwell, if the run reached it
     if end_equilibrium is not None and deviation.within(run.plan.duration, np.inf).start.size:
+        vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
         caption = "Distance from the static equilibrium at the end pose during the dwell, and the settling band."
-        yield Plot("dwell", "Residual vibration", caption, (_dwell(run, end_equilibrium),))
+        limits = run.plan.duration, float(run.recording.time[-1])
+        panel = _norm(run, vibration, "distance [µm]", 1e6)
+        panel = replace(panel, level=1e6 * run.scene.cosimulation.settling_band, limits=limits)
+        yield Plot("dwell", "Residual vibration", caption, (panel,))
+        # spectra of both components, with the natural frequencies
+        time, values = _curve(vibration)
+        found = [(spectrum(time, values[:, axis], run.plan.duration), axis) for axis in (0, 1)]
+        curves = [Curve(each[0], 1e6 * each[1], "xy"[axis], COLOURS[axis]) for each, axis in found if each is not None]
+        frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
+        marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
+        panel = spectrum_panel("amplitude [µm]", curves, marks)
         caption = spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell")
-        panel = _spectrum(run, end_equilibrium)
         caption += " Dashed: natural frequencies, motors locked." if panel.marks else ""
         if panel.curves:
             yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
@@ -357,28 +367,6 @@ def _both(run: Run, label: str, of: str, found: Iterable[tuple[RealArray, RealAr
         if each is not None
     ]
     return Panel(label=label, curves=curves, marks=_marks(run.recording.time, run))
-
-
-def _dwell(run: Run, end_equilibrium: RealArray) -> Panel:
-    """Return the distance from rest during the dwell, with the settling band."""
-    vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
-    limits = run.plan.duration, float(run.recording.time[-1])
-    panel = _norm(run, vibration, "distance [µm]", 1e6)
-    return replace(panel, level=1e6 * run.scene.cosimulation.settling_band, limits=limits)
-
-
-def _spectrum(run: Run, end_equilibrium: RealArray) -> Panel:
-    """Return the spectra of both components of the residual vibration [µm], with the natural frequencies where the motors are locked."""
-    vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
-    time, values = _curve(vibration)
-    curves = []
-    for axis, colour in enumerate(COLOURS):
-        found = spectrum(time, values[:, axis], run.plan.duration)
-        if found is not None:
-            curves.append(Curve(found[0], 1e6 * found[1], "xy"[axis], colour))
-    frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
-    marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
-    return spectrum_panel("amplitude [µm]", curves, marks)
 
 
 def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, order: int = 0) -> Panel:

@@ -369,13 +369,13 @@ def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]
 
 def stress_rows(links: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Return name of a link → its peak stress, where and when it is, and the safety factor."""
-    return {each["link"]: _stress_text(each) for each in links}
-
-
-def _stress_text(link: Mapping[str, Any]) -> str:
-    peak = link["combined"]
-    if peak is None:
-        return "no modes, stress not known"
-    change = "" if link["change"] is None else f", last mode {100.0 * link['change']:.2g} %"
-    safety = "" if link["safety"] is None else f", safety {link['safety']:.3g}"
-    return f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s{change}{safety}"
+    rows = {}
+    for link in links:
+        peak, change, safety = link["combined"], link["change"], link["safety"]
+        text = "no modes, stress not known"
+        if peak is not None:
+            text = f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s"
+            text += "" if change is None else f", last mode {100.0 * change:.2g} %"
+            text += "" if safety is None else f", safety {safety:.3g}"
+        rows[link["link"]] = text
+    return rows

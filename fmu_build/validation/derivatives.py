@@ -79,7 +79,10 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         if not unknowns or not knowns or instance.finished:
             return
         matrix = np.column_stack([instance.directional(unknowns, [known], np.ones(1)) for known in knowns])
-        seeded = [(seed, instance.directional(unknowns, knowns, seed)) for seed in _seeds(len(knowns))]
+        # along all knowns and along every second one, with seeds other than 1
+        places = np.arange(len(knowns))
+        seeds = (seed := 1.5 + np.cos(places), -0.5 * seed, np.where(places % 2, 0.0, -2.5))
+        seeded = [(each, instance.directional(unknowns, knowns, each)) for each in seeds]
         fine, coarse = (
             np.column_stack([slope(instance, unknowns, known, share, states) for known in knowns])
             for share in DIFFERENCES
@@ -88,12 +91,6 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
     same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
     wrong = list(_compare(unknowns, knowns, np.where(same, fine, matrix), fine, coarse))
     yield from wrong or _not_linear(unknowns, knowns, matrix, seeded)
-
-
-def _seeds(knowns: int) -> Iterator[RealArray]:
-    """Yield seeds, shape (knowns,), for all knowns and for every second one, with values other than 1."""
-    seed = 1.5 + np.cos(np.arange(knowns))
-    yield from (seed, -0.5 * seed, np.where(np.arange(knowns) % 2, 0.0, -2.5))
 
 
 def _not_linear(

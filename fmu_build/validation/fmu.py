@@ -187,11 +187,6 @@ class FmuUnderTest:
             and start_value(variable) is not None
         ]
 
-    @property
-    def resource_uri(self) -> str:
-        """File URI of the resources folder."""
-        return (self.folder / "resources").absolute().as_uri()
-
     @contextmanager
     def instance(self, name: str, guid: str | None = None, uri: str | None = None) -> Iterator[Any]:
         """Make an instance and free it at the end; ``guid`` and ``uri`` replace the correct ones.
@@ -215,7 +210,7 @@ class FmuUnderTest:
             name.encode(),
             fmi2.fmi2CoSimulation if is_slave else fmi2.fmi2ModelExchange,
             (guid or self.description.guid).encode(),
-            (uri or self.resource_uri).encode(),
+            (uri or (self.folder / "resources").absolute().as_uri()).encode(),
             byref(library.callbacks),
             fmi2.fmi2False,
             fmi2.fmi2False,

@@ -96,16 +96,12 @@ def parameters_of(function: Callable[..., Any], name: str) -> dict[str, Any]:
                 f"{name} has the argument {key!r} without a default: the arguments are {', '.join(ARGUMENTS)}, and parameters such as "
                 f"{key}=1.0"
             )
-        found[key] = _tunable(argument.default)
+        # a sequence of floats as a tuple; anything else as it is
+        value = argument.default
+        if isinstance(value, (list, tuple, np.ndarray)) and all(isinstance(each, float) for each in value):
+            value = tuple(map(float, value)) if len(value) else value
+        found[key] = float(value) if isinstance(value, float) else value
     return found
-
-
-def _tunable(value: Any) -> Any:
-    """A sequence of floats as a tuple; anything else as it is."""
-    is_sequence = isinstance(value, (list, tuple, np.ndarray)) and len(value) > 0
-    if is_sequence and all(isinstance(each, float) for each in value):
-        return tuple(float(each) for each in value)
-    return float(value) if isinstance(value, float) else value
 
 
 REFERENCE = ".reference."
@@ -280,11 +276,6 @@ class FunctionController:
             raise InputError(f"{self.name} has states and must return two things: outputs, next states{instead}")
         return (self._flat(result[0], len(self.outputs), "outputs"), self._flat(result[1], len(self.states), "states"))
 
-    @property
-    def takes_time(self) -> bool:
-        """Whether the function has the argument ``t``."""
-        return "t" in self._arguments[0]
-
     @cached_property
     def _arguments(self) -> tuple[Collection[str], list[int], list[int]]:
         """Names of the function's arguments, and indices of the inputs that are references and of the others."""
@@ -337,7 +328,7 @@ def function_block(controller: FunctionController) -> SymbolicBlock:
 
 def _traced(controller: FunctionController, symbol: Any, kind: Callable[[Vector], Any]) -> SymbolicBlock:
     """The block from one call with symbols of a kind; its last state counts the samples if the function takes the time."""
-    counter = [0.0] if controller.takes_time else []
+    counter = [0.0] if "t" in inspect.signature(controller.function).parameters else []
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         x = x if counter else casadi.vertcat(x, 0.0)

@@ -79,7 +79,10 @@ class LinearLoop:
     @cached_property
     def period(self) -> Fraction:
         """Common period of all sample times [s]."""
-        return _common([_fraction(each.sample_time) for each in self.blocks])
+        times = [_fraction(each.sample_time) for each in self.blocks]
+        return Fraction(
+            reduce(lcm, (each.numerator for each in times)), reduce(gcd, (each.denominator for each in times))
+        )
 
     @property
     def lifted(self) -> LiftedLoop:
@@ -325,9 +328,3 @@ class LiftedLoop:
 @lru_cache(maxsize=4096)
 def _fraction(time: float) -> Fraction:
     return Fraction(time).limit_denominator(FINEST)
-
-
-def _common(times: Sequence[Fraction]) -> Fraction:
-    """The least common multiple of times."""
-    numerators, denominators = [each.numerator for each in times], [each.denominator for each in times]
-    return Fraction(reduce(lcm, numerators), reduce(gcd, denominators))

@@ -6,7 +6,7 @@ then costs a millisecond. Kinds of corners, time laws and shapers are a motion f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from itertools import product
@@ -335,14 +335,33 @@ class Space:
         # corners
         height = self.lift[0] + (self.lift[1] - self.lift[0]) * lift
         tall = height * (0.3 + 0.7 * tall)
-        width = self._corner_width(family.blend, tall, wide)
-        # time law and shapers
-        values = _law(family.law, [next(numbers) for _ in range(LAWS[family.law])])
-        shapers = tuple(self._shaper(*use, numbers) for use in family.shapers)
+        low, high = NARROWEST * tall, 0.5 * self.width
+        if family.blend == "clothoid":
+            low, high = 1.01 * LOWEST_RATIO * tall, min(high, 0.99 * HIGHEST_RATIO * tall)
+        width = _between((min(low, high), high), wide)
+        # parameters of the time law
+        values: Values = ()
+        own = [next(numbers) for _ in range(LAWS[family.law])]
+        if family.law == "polynomial":
+            values = polynomial([_along((-SHAPE, SHAPE), each) for each in own])
+        elif family.law == "double-s":
+            ramp = 0.2 + 0.3 * own[0]
+            values = (("ramp", ramp), ("jerk_phase", ramp * (0.05 + 0.45 * own[1])))
+        # shapers
+        shapers = list[ShaperChoice]()
+        for kind, mode, place in family.shapers:
+            first, last = self.modes[0], self.modes[mode]
+            if kind == "si":
+                ends = [each.frequency * _along(BAND_ENDS, next(numbers)) for each in (first, last)]
+                level = _between(LEVELS, next(numbers))
+                shapers.append(ShaperChoice(kind, (min(ends), max(ends)), first.ratio, place, level))
+            else:
+                frequency = last.frequency * _along(FREQUENCIES, next(numbers))
+                shapers.append(ShaperChoice(kind, (frequency,), last.ratio, place))
         duration = total - sum(each.sequence.duration for each in shapers)
         if duration < LEAST_TIME * total:
             raise TrajectoryError("shapers take longer than the motion")
-        return Design(family.blend, (tall, width), height, family.law, values, shapers, duration)
+        return Design(family.blend, (tall, width), height, family.law, values, tuple(shapers), duration)
 
     def forward(self, family: MotionFamily, point: RealArray) -> tuple[RealArray, RealArray]:
         """By how much a polynomial's shape is above the smallest allowed (M,), and the slopes by the numbers (M, n)."""
@@ -351,21 +370,6 @@ class Space:
         slopes = np.zeros((len(PLACES), len(point)))
         slopes[:, 4 : 4 + count] = 2.0 * SHAPE * waves
         return 1.0 + slopes @ (np.asarray(point) - 0.5) - SLOWEST, slopes
-
-    def _corner_width(self, blend: str, tall: float, fraction: float) -> float:
-        low, high = NARROWEST * tall, 0.5 * self.width
-        if blend == "clothoid":
-            low, high = 1.01 * LOWEST_RATIO * tall, min(high, 0.99 * HIGHEST_RATIO * tall)
-        return _between((min(low, high), high), fraction)
-
-    def _shaper(self, kind: str, mode: int, place: str, numbers: Iterator[float]) -> ShaperChoice:
-        first, last = self.modes[0], self.modes[mode]
-        if kind == "si":
-            low, high = (first.frequency, last.frequency)
-            low, high = low * _along(BAND_ENDS, next(numbers)), high * _along(BAND_ENDS, next(numbers))
-            level = _between(LEVELS, next(numbers))
-            return ShaperChoice(kind, (min(low, high), max(low, high)), first.ratio, place, level)
-        return ShaperChoice(kind, (last.frequency * _along(FREQUENCIES, next(numbers)),), last.ratio, place)
 
 
 def _along(ends: tuple[float, float], fraction: float) -> float:
@@ -376,16 +380,6 @@ def _along(ends: tuple[float, float], fraction: float) -> float:
 def _between(ends: tuple[float, float], fraction: float) -> float:
     """A number from one end to the other in equal ratios."""
     return exp(log(ends[0]) + (log(ends[1]) - log(ends[0])) * fraction)
-
-
-def _law(kind: str, numbers: Sequence[float]) -> Values:
-    """Parameters of a time law from numbers of 0 to 1."""
-    if kind == "polynomial":
-        return polynomial([_along((-SHAPE, SHAPE), each) for each in numbers])
-    if kind == "double-s":
-        ramp = 0.2 + 0.3 * numbers[0]
-        return (("ramp", ramp), ("jerk_phase", ramp * (0.05 + 0.45 * numbers[1])))
-    return ()
 
 
 def motion_families(shapers: Iterable[tuple[Use, ...]], laws: Iterable[str] = tuple(LAWS)) -> list[MotionFamily]:

@@ -208,7 +208,11 @@ def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:
         )
     motion = plan(scene)
     trace = _trace(motion)
-    return clearance_of_trace(trace, wishes.corridor, _sag(scene, wishes, motion, trace))
+    # how far the heaviest payload sags at the ends of the motion, in any direction [m]
+    heavy = Variation(payload_band(scene, wishes)[1], 1 - wishes.stiffness_band).of(scene)
+    joints = motion.once.joints.evaluate([0.0, motion.once.duration], 0, "left")[0]
+    away = [static_equilibrium(heavy, q).position - end for q, end in zip(joints, trace[[0, -1]], strict=True)]
+    return clearance_of_trace(trace, wishes.corridor, max(float(np.hypot(*each)) for each in away))
 
 
 def _trace(motion: MotionPlan) -> RealArray:
@@ -218,16 +222,6 @@ def _trace(motion: MotionPlan) -> RealArray:
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     even = np.linspace(0.0, length[-1], TRACE)
     return np.column_stack([np.interp(even, length, points[:, k]) for k in range(2)])
-
-
-def _sag(scene: Scene, wishes: PlanSection, motion: MotionPlan, trace: RealArray) -> float:
-    """How far the heaviest payload sags at the ends of the motion, in any direction [m]."""
-    heavy = Variation(payload_band(scene, wishes)[1], 1 - wishes.stiffness_band).of(scene)
-    joints = motion.once.joints.evaluate([0.0, motion.once.duration], 0, "left")[0]
-    ends = trace[[0, -1]]
-    return max(
-        float(np.hypot(*(static_equilibrium(heavy, q).position - end))) for q, end in zip(joints, ends, strict=True)
-    )
 
 
 def checked_goals(scene: Scene) -> Goals:

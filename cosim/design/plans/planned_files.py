@@ -264,7 +264,7 @@ def _front_plot(result: PlanResult) -> Plot:
         "torque\n[N·m]": [each.torque for each in result.table],
         "off path\n[mm]": [1e3 * each.off_path for each in result.table],
     }
-    panels = list[Panel]()
+    panels, names = list[Panel](), {id(result.given): "given", id(result.chosen): "chosen"}
     for label, values in figures.items():
         curves = []
         for group, colour in (("limits kept", PALETTE[0]), ("limits missed", PALETTE[1])):
@@ -273,28 +273,17 @@ def _front_plot(result: PlanResult) -> Plot:
                 x, y = np.array([result.table[k].time for k in places]), np.array([values[k] for k in places])
                 notes = [f"{result.table[k].candidate.label}: {standing(result, result.table[k])}" for k in places]
                 curves.append(Curve(x, y, group, colour, width=0.0, dot="disc", notes=notes))
-        panels.append(
-            Panel(
-                label=label, curves=curves, markers=list(_marked(result, values, named=not panels)), is_function=False,
-                logarithmic="y" if "residual" in label else "", level=_level(result.goals, label),
-            )
-        )  # fmt: skip
+        # discs about the given and the chosen motion, with their names in the first panel
+        markers = [
+            Marker(each.time, value, 11.0, INK, 0.25, text="" if panels else names[id(each)], offset=(9.0, 3.0))
+            for each, value in zip(result.table, values, strict=True)
+            if id(each) in names
+        ]
+        scale, level = ("y", 1e6 * result.goals.wishes.residual) if "residual" in label else ("", None)
+        panel = Panel(label=label, curves=curves, markers=markers, is_function=False, logarithmic=scale, level=level)
+        panels.append(panel)
     caption = "The motions of the table. Dashed: the limit of the residual vibration."
     return Plot("front", "Pareto front", caption, tuple(panels), "total time [s]", 330.0)
-
-
-def _level(goals: Goals, label: str) -> float | None:
-    return 1e6 * goals.wishes.residual if "residual" in label else None
-
-
-def _marked(result: PlanResult, values: Sequence[float], *, named: bool) -> Sequence[Marker]:
-    """Discs about the given and the chosen motion, with their names."""
-    names = {id(result.given): "given", id(result.chosen): "chosen"}
-    return [
-        Marker(each.time, value, 11.0, INK, 0.25, text=names[id(each)] if named else "", offset=(9.0, 3.0))
-        for each, value in zip(result.table, values, strict=True)
-        if id(each) in names
-    ]
 
 
 def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:

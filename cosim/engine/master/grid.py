@@ -165,7 +165,8 @@ class GridRules:
         further = self.points[self.points.searchsorted(first) : self.points.searchsorted(last)]
         regular = self._regular_points(instants, first, last)
         if instants or further.size:
-            regular = _union(regular, further)
+            regular = np.sort(np.concatenate([regular, further]))  # `np.union1d` would load numpy.ma
+            regular = regular[np.diff(regular, prepend=-np.inf) > 0.0]
         # marks, start and stop replace the regular points that coincide with them
         marks = self.inside[self.inside.searchsorted(first) : self.inside.searchsorted(last)]
         ends = [end for end in (self.start, self.stop) if first <= end < last]
@@ -270,12 +271,6 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
         f"{clock.name}: its {what} of {value:.12g} s doesn't fit the communication step of {step:.12g} s, they have no "
         f"common tick; the nearest that fit are {fitting}, or take a communication step of {other:.12g} s"
     )
-
-
-def _union(first: RealArray, second: RealArray) -> RealArray:
-    """All instants of both in ascending order, each once; without numpy's masked arrays, which `np.union1d` loads."""
-    ascending = np.sort(np.concatenate([first, second]))
-    return ascending[np.diff(ascending, prepend=-np.inf) > 0.0]
 
 
 def merge(instants: Iterable[float], near: float) -> RealArray:

@@ -154,7 +154,8 @@ class Recorder:
 
     def rewind(self, count: int) -> None:
         """Delete all instants but the first ``count``: those of a rejected step, or with 0 those of an earlier run."""
-        if count == 0 and (self._is_in_use or len(self._parts) > 1):
+        is_in_use = self._references() > self._own_references  # by a recording, or an array of one
+        if count == 0 and (is_in_use or len(self._parts) > 1):
             self._begin()
             return
         while self._first > count:
@@ -190,11 +191,6 @@ class Recorder:
     def _references(self) -> int:
         """Number of references to the memory, those of its views included."""
         return sum(sys.getrefcount(part) for part in self._parts)
-
-    @property
-    def _is_in_use(self) -> bool:
-        """Whether a recording, or an array of one, refers to the memory."""
-        return self._references() > self._own_references
 
     def populate(self) -> None:
         """Map all shared memory at once, which is faster than page by page; call it in the process that records."""

@@ -41,7 +41,7 @@ from flexfmu.cosim.engine.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.step_control import ControlledSteps, StepDoubling
 from flexfmu.cosim.engine.master.system import Connection, System
-from flexfmu.cosim.engine.results import EVERYTHING, Column, Recording, Selection
+from flexfmu.cosim.engine.results import EVERYTHING, Column, Selection
 from flexfmu.cosim.engine.slave import TEXTS, RealArray, Reports, Slave, Terminates
 
 __all__ = ["Outcome", "Progress", "Simulation", "simulate"]
@@ -428,7 +428,11 @@ class Simulator:
         try:
             error = _failure(lambda: loop.go(tolerance))
             if isinstance(error, SlaveEnded):
-                self._record_end(error)
+                # record the outputs of a slave that ended the run within a step; other slaves would be at another time
+                recorded, end, first, *others = self._recorder.times, error.time, *self._schedule.outputs
+                is_later = end is not None and recorded.size and end > recorded[-1]
+                if end and is_later and not others and not _failure(lambda: first.read(float(recorded[-1]))):
+                    self._recorder.append(end)
         finally:
             # terminate all slaves in any case; the first error counts
             active = self._schedule.active.value
@@ -440,21 +444,23 @@ class Simulator:
             self._schedule.active.value = active
         return error
 
-    def _record_end(self, ended: SlaveEnded) -> None:
-        """Record the outputs of a slave that ended the run within a step.
-
-        Only if it is the single slave: others would be at another time.
-        """
-        recorded = self._recorder.times
-        if len(self._schedule.outputs) > 1 or ended.time is None or not recorded.size or ended.time <= recorded[-1]:
-            return
-        if _failure(lambda: self._schedule.outputs[0].read(float(recorded[-1]))) is None:
-            self._recorder.append(ended.time)
-
     def _result(self, ending: RunEnd) -> Simulation:
         """The result of a run that has ended; warns of remarks of the slaves."""
-        recording = _without_absent(self._recorder.recording(), self._system.slaves)
-        _warn(recording, self._reporting)
+        recording, changed = self._recorder.recording(), dict[str, Column]()
+        # without the output derivatives that FMUs did not provide
+        for slave in self._system.slaves:
+            for output, order in slave.absent.items() if isinstance(slave, FmuSlave) else ():
+                if (column := recording.columns.get(name := f"{slave.name}.{output}")) is not None:
+                    changed[name] = Column(column.unit, column.values, column.first if order > 1 else None, None)
+        recording = recording.with_columns(changed) if changed else recording
+        # differences between what slaves do and what they declare or were asked to do
+        for name, reporting in self._reporting:
+            remarks = list(reporting.remarks)
+            if isinstance(reporting, FmuSlave):
+                absent = [each for each in reporting.absent if f"{name}.{each}" in recording.columns]
+                remarks += reporting.absence(absent)
+            for remark in remarks:
+                warnings.warn(f"{name}: {remark}", SlaveWarning, stacklevel=4)
 
         def values(names: Sequence[str]) -> Iterator[tuple[str, RealArray]]:
             return ((name, recording[name].values) for name in names)
@@ -497,26 +503,6 @@ def _failure(action: Callable[[], None]) -> BaseException | None:
     except (Exception, KeyboardInterrupt, SystemExit) as failure:
         return failure
     return None
-
-
-def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
-    """The recording without the output derivatives that FMUs did not provide."""
-    changed = {}
-    for slave in slaves:
-        for output, order in slave.absent.items() if isinstance(slave, FmuSlave) else ():
-            if (column := recording.columns.get(name := f"{slave.name}.{output}")) is not None:
-                changed[name] = Column(column.unit, column.values, column.first if order > 1 else None, None)
-    return recording.with_columns(changed) if changed else recording
-
-
-def _warn(recording: Recording, slaves: Sequence[tuple[str, Reports]]) -> None:
-    """Warn of differences between what slaves do and what they declare or were asked to do."""
-    for name, slave in slaves:
-        remarks = list(slave.remarks)
-        if isinstance(slave, FmuSlave):
-            remarks += slave.absence([each for each in slave.absent if f"{name}.{each}" in recording.columns])
-        for remark in remarks:
-            warnings.warn(f"{name}: {remark}", SlaveWarning, stacklevel=5)
 
 
 def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *, caller_owned: bool) -> float | None:

@@ -117,7 +117,11 @@ class SspSystem:
             source = columns.get(".".join(origin.node))
             if source is not None:
                 columns.setdefault(name, _mapped(source, origin))
-        is_scene = is_exported_scene(self.system) and all(slave == name for slave, name in owners.items())
+        # an exported scene is our robot as ``plant``, led by our ``trajectory``
+        slaves = {slave.name: slave for slave in self.system.slaves}
+        plant, led = slaves.get(PLANT), isinstance(slaves.get(REFERENCES), TrajectorySlave)
+        is_ours = led and isinstance(plant, FmuSlave) and open_fmu(plant.path).is_ours
+        is_scene = is_ours and all(slave == name for slave, name in owners.items())
         return Recording(recording.time, as_in_scene(self.system, columns) if is_scene else columns)
 
 
@@ -316,14 +320,6 @@ class FoundByBothNames(dict[str, Column]):
 
     def __missing__(self, name: str) -> Column:
         return self._by_file[name]
-
-
-def is_exported_scene(system: System) -> bool:
-    """Return whether a system is an exported scene: our robot as ``plant``, led by our ``trajectory``."""
-    slaves = {slave.name: slave for slave in system.slaves}
-    plant = slaves.get(PLANT)
-    is_ours = isinstance(plant, FmuSlave) and open_fmu(plant.path).is_ours
-    return is_ours and isinstance(slaves.get(REFERENCES), TrajectorySlave)
 
 
 def as_in_scene(system: System, columns: Mapping[str, Column]) -> Mapping[str, Column]:

@@ -77,11 +77,6 @@ class Comparison(Rows):
     runs: tuple[ComparedRun, ...]
     measured: Measured | None = None
 
-    @property
-    def metric_names(self) -> list[str]:
-        """Names of the metrics that a run has, in the usual order."""
-        return [name for name in ALL_METRICS if any(name in run.metrics for run in self.runs)]
-
     def as_data(self) -> dict[str, Any]:
         """Return plain data in SI units, the content of ``comparison.json``.
 
@@ -156,11 +151,8 @@ class Comparison(Rows):
 
     def page(self) -> str:
         """Return the page of the comparison as HTML: metrics, signals over each other, spectra."""
-        if self.measured is None:
-            return render_comparison(self.runs)
-        return render_comparison(
-            self.runs, [difference_table(self.measured)], [*_measured_plots(self.runs, self.measured)]
-        )
+        measured = [] if self.measured is None else [*_measured_plots(self.runs, self.measured)]
+        return render_comparison(self.runs, self.tables(), measured)
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write comparison.html and comparison.json into a folder; return its path.
@@ -175,7 +167,7 @@ class Comparison(Rows):
 
     def __repr__(self) -> str:
         """Return at most five lines: the runs, and the differences of a measurement."""
-        head = f"Comparison of {', '.join(run.name for run in self.runs)}, {len(self.metric_names)} metrics"
+        head = f"Comparison of {', '.join(run.name for run in self.runs)}, {len(metrics_table(self.runs).rows)} metrics"
         if self.measured is None:
             return head
         first = self.measured.differences[self.runs[0].name]

@@ -77,7 +77,11 @@ def sweep_scene(
         raise InputError(f"a sweep needs a whole number of processes from 1 on, got {processes}")
     check_values(scene, cases)
     measure = measuring(default_metrics(scene) if metrics is None else list(dict.fromkeys(metrics)))
-    _check_metrics(scene, cases, measure.names)
+    # the robot has these metrics, unless cases have other drives and motors
+    missing = [name for name in measure.names if name not in default_metrics(scene)]
+    if missing and not any(key.startswith(("cosimulation.drive", "motor")) for key in cases.keys):
+        need = "a scene with `[motor]`" if missing[0] in MOTOR_METRICS else "a robot driven by torques"
+        raise InputError(f"there is no metric {missing[0]!r} of this robot: it needs {need}")
     data = (_changed(scene, cases, 0) or scene).model_dump()
     units = {key: unit_of(location(data, key), Scene) for key in cases.keys}
     units |= {name: ALL_METRICS[name].unit for name in measure.names}
@@ -93,7 +97,7 @@ def sweep_scene(
         "units": units,
     }
 
-    def missing() -> Iterator[Share]:
+    def shares() -> Iterator[Share]:
         for share in shares_of(job.groups, cases, measure, together=record is None):
             if not found.finished[[*share.numbers]].all():
                 yield share
@@ -107,7 +111,7 @@ def sweep_scene(
         if done < len(cases):
             executor: Executor[Share, list[Row]]
             executor = Processes(job.rows, count, job.forget) if dask is None else DaskWorkers(job.rows, dask)
-            with closing(finished(executor, missing(), Share.parts, failed)) as results:
+            with closing(finished(executor, shares(), Share.parts, failed)) as results:
                 for rows in results:
                     found.add(rows)
                     show(int(found.finished.sum()), len(cases))
@@ -158,18 +162,6 @@ def default_metrics(scene: Scene) -> Collection[str]:
     missing = set(LOOP_METRICS) if scene.cosimulation.drive == "motion" else set()
     missing |= set(MOTOR_METRICS) if scene.motor is None else set()
     return [name for name in ALL_METRICS if name not in missing]
-
-
-def _check_metrics(scene: Scene, cases: Cases, names: Collection[str]) -> None:
-    """Check that the robot has the metrics, unless cases have other drives and motors.
-
-    Raises:
-        InputError: it doesn't have one.
-    """
-    missing = [name for name in names if name not in default_metrics(scene)]
-    if missing and not any(key.startswith(("cosimulation.drive", "motor")) for key in cases.keys):
-        need = "a scene with `[motor]`" if missing[0] in MOTOR_METRICS else "a robot driven by torques"
-        raise InputError(f"there is no metric {missing[0]!r} of this robot: it needs {need}")
 
 
 def check_values(scene: Scene, cases: Cases) -> None:

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
-from flexfmu.cosim.reports.comparison import ComparedRun, render_comparison
+from flexfmu.cosim.reports.comparison import ComparedRun
 from flexfmu.cosim.reports.plots import bent_robot, draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
@@ -73,7 +73,7 @@ def folder(run: Run, make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory
     texts = {
         "report": report(run),
         "failed": report(make_run(outcome=Outcome.STEP_FAILED, end=0.2)),
-        "comparison": render_comparison(compared),
+        "comparison": compare_runs(compared).page(),
         "measured": compare_runs(compared, late).page(),
         "workprec": html(WorkPrecisionStudy(run.scene, 0.68, 1e-3, None, "", tuple(trials))),
         "paper": PaperReport().to_html(Path()),

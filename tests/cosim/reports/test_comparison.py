@@ -13,6 +13,7 @@ from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, render_comparison
 from flexfmu.cosim.reports.page import Table
+from flexfmu.cosim.studies.compare.comparison import compare_runs
 
 TIME = np.linspace(0.0, 0.6, 3001)
 
@@ -36,9 +37,8 @@ def test_metrics_stand_beside_each_other_with_differences() -> None:
 
 def test_curves_are_the_recordings() -> None:
     """The values that the page shows are recorded ones, to the 24 bits that it keeps."""
-    text = render_comparison(
-        [compared("slow", 1.0), compared("<fast>", 1.25)], [Table("More", ["", "a"], [["b", "7 %"]])]
-    )
+    runs = [compared("slow", 1.0), compared("<fast>", 1.25)]
+    text = render_comparison(runs, [metrics_table(runs), Table("More", ["", "a"], [["b", "7 %"]])])
     found = dict(re.findall(r'data-xy="([^"]*)" data-label="([^"]*)"', text)[i][::-1] for i in (0, 1))
     assert set(found) == {"slow", "&lt;fast&gt;"}
     for name, amplitude in (("slow", 1.0), ("&lt;fast&gt;", 1.25)):
@@ -53,7 +53,7 @@ def test_curves_are_the_recordings() -> None:
 
 def test_many_runs_stay_below_the_limit_of_a_page() -> None:
     """Of 1.5 MB; each run has fewer points then."""
-    text = render_comparison([compared(f"run {i}", 1.0 + i) for i in range(30)])
+    text = compare_runs([compared(f"run {i}", 1.0 + i) for i in range(30)]).page()
     assert len(text.encode()) < 1.5e6
 
 

@@ -9,18 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from ssp_support.packages import (
-    CONNECTION,
-    NAMESPACES,
-    SSD,
-    binding,
-    connected,
-    inline,
-    of_second,
-    of_system,
-    package,
-    parameter_set,
-)
+from ssp_support import packages
 
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive, SspError
@@ -40,13 +29,13 @@ def refusal(path: Path, **options: float) -> str:
 
 def changed(old: str, new: str) -> str:
     """The description with a change."""
-    assert old in SSD
-    return SSD.replace(old, new)
+    assert old in packages.SSD
+    return packages.SSD.replace(old, new)
 
 
-MAPPED = f'<ssm:ParameterMapping {NAMESPACES} version="1.0"><ssm:MappingEntry source="a" target="rate"><ssc:BooleanMappingTransformation/></ssm:MappingEntry></ssm:ParameterMapping>'
+MAPPED = f'<ssm:ParameterMapping {packages.NAMESPACES} version="1.0"><ssm:MappingEntry source="a" target="rate"><ssc:BooleanMappingTransformation/></ssm:MappingEntry></ssm:ParameterMapping>'
 
-EMPTY = f'<ssd:SystemStructureDescription {NAMESPACES} version="1.0" name="x">{{}}</ssd:SystemStructureDescription>'
+EMPTY = f'<ssd:SystemStructureDescription {packages.NAMESPACES} version="1.0" name="x">{{}}</ssd:SystemStructureDescription>'
 INNER = '<ssd:System name="inner"><ssd:Elements>'
 PASSING = (
     '<ssd:System name="inner"><ssd:Connectors><ssd:Connector name="a" kind="input"/><ssd:Connector name="b" kind="output"/>'
@@ -68,7 +57,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "no components": (EMPTY.format('<ssd:System name="s"/>'), "has no components"),
     "nested system of the same name": (changed("<ssd:Elements>", '<ssd:Elements><ssd:System name="first"/>'), "<Component name='first'>: another element has the same name"),
     "ring of connectors": (
-        changed("<ssd:Elements>", f"<ssd:Elements>{PASSING}").replace(CONNECTION, RING),
+        changed("<ssd:Elements>", f"<ssd:Elements>{PASSING}").replace(packages.CONNECTION, RING),
         "connectors feed each other in a ring: second.u <- inner.b <- inner.a <- inner.b",
     ),
     "dictionary": (
@@ -95,35 +84,35 @@ WRONG: dict[str, tuple[str, str]] = {
     "wrong unit": (changed('<ssc:Real unit="m"/>', '<ssc:Real unit="mm"/>'), "is in mm; in resources/decay.fmu it is in m"),
     "binary": (changed('<ssc:Real unit="m"/>', "<ssc:Binary/>"), "is Binary"),
     "array": (changed("<ssc:Integer/>", '<ssc:Integer/><ssd:Dimension size="3"/>'), "is an array of SSP 2.0"),
-    "unknown element": (connected(startElement="furst"), "names the element 'furst', which doesn't exist; did you mean 'first'?"),
-    "unknown connector": (connected(startConnector="y"), "names the connector 'y', which 'first' doesn't have"),
-    "unknown system connector": (connected(startElement=""), "names the system's connector 'x', which doesn't exist"),
-    "two outputs": (connected(endConnector="x"), "joins output and output"),
-    "types": (connected(endConnector="inverted"), "between 'first.x' and 'second.inverted' feeds Boolean 'second.inverted' from Real 'first.x'"),
-    "table": (connected(TABLE), "has a table that is no line"),
-    "calculated parameter": (connected(endConnector="rate").replace('<ssd:Connector name="inverted" kind="input"/>', '<ssd:Connector name="rate" kind="parameter"/>'), "joins output and parameter; parameters are set before the run"),
-    "factor": (connected('<ssc:LinearTransformation factor="two"/>'), "has factor='two', which must be a number"),
-    "not finite": (connected('<ssc:LinearTransformation offset="INF"/>'), "has offset='INF', which must be finite"),
-    "suppress": (connected("", 'suppressUnitConversion="maybe"'), "must be true or false"),
-    "connected twice": (changed(CONNECTION, CONNECTION * 2), "second.u is connected twice"),
+    "unknown element": (packages.connected(startElement="furst"), "names the element 'furst', which doesn't exist; did you mean 'first'?"),
+    "unknown connector": (packages.connected(startConnector="y"), "names the connector 'y', which 'first' doesn't have"),
+    "unknown system connector": (packages.connected(startElement=""), "names the system's connector 'x', which doesn't exist"),
+    "two outputs": (packages.connected(endConnector="x"), "joins output and output"),
+    "types": (packages.connected(endConnector="inverted"), "between 'first.x' and 'second.inverted' feeds Boolean 'second.inverted' from Real 'first.x'"),
+    "table": (packages.connected(TABLE), "has a table that is no line"),
+    "calculated parameter": (packages.connected(endConnector="rate").replace('<ssd:Connector name="inverted" kind="input"/>', '<ssd:Connector name="rate" kind="parameter"/>'), "joins output and parameter; parameters are set before the run"),
+    "factor": (packages.connected('<ssc:LinearTransformation factor="two"/>'), "has factor='two', which must be a number"),
+    "not finite": (packages.connected('<ssc:LinearTransformation offset="INF"/>'), "has offset='INF', which must be finite"),
+    "suppress": (packages.connected("", 'suppressUnitConversion="maybe"'), "must be true or false"),
+    "connected twice": (changed(packages.CONNECTION, packages.CONNECTION * 2), "second.u is connected twice"),
     "stop time": (changed('stopTime="1"', 'stopTime="soon"'), "has stopTime='soon', which must be a number"),
     "unit factor": (changed('factor="0.001"', 'factor="0"'), "has factor='0'"),
     "unit exponent": (changed('s="1"', 's="half"'), "must be an integer"),
-    "no binding": (of_second(binding()), "has neither a source nor a ParameterSet"),
-    "missing set": (of_second(binding('source="values.ssv"')), "names 'values.ssv', which isn't in decays.ssp"),
-    "set of another kind": (of_second(binding('type="text/csv" source="a.csv"')), "has the type 'text/csv'"),
-    "set in an FMU": (of_second(binding('sourceBase="component" source="a.ssv"')), "from within an FMU"),
-    "no value": (of_second(inline(parameter_set(rate="Real"))), "<Real> of 'second' lacks the attribute 'value'"),
-    "value": (of_second(inline(parameter_set(rate='Real value="fast"'))), "value='fast', which must be a number"),
-    "value not finite": (of_second(inline(parameter_set(rate='Real value="NaN"'))), "must be finite"),
-    "type of a value": (of_second(inline(parameter_set(rate='Boolean value="true"'))), "is Boolean; 'rate' of resources/decay.fmu is Real"),
-    "calculated": (of_second(inline(parameter_set(steps='Integer value="1"'))), "which the FMU calculates"),
-    "unit of a value": (of_system(inline(parameter_set(second__x='Real value="1" unit="s"'))), "s can't be converted to m"),
-    "no item": (of_second(inline(parameter_set(trouble='Integer value="99"'))), "<Component name='second'>: trouble must be one of 1 (none), 2 (fails), "),
-    "no boolean": (of_second(inline(parameter_set(inverted='Boolean value="2"'))), "<Boolean> of 'second' has value='2', which must be true or false"),
-    "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "<Component name='second'>: trouble must be one of none, fails, ends, forgets"),
+    "no binding": (packages.of_second(packages.binding()), "has neither a source nor a ParameterSet"),
+    "missing set": (packages.of_second(packages.binding('source="values.ssv"')), "names 'values.ssv', which isn't in decays.ssp"),
+    "set of another kind": (packages.of_second(packages.binding('type="text/csv" source="a.csv"')), "has the type 'text/csv'"),
+    "set in an FMU": (packages.of_second(packages.binding('sourceBase="component" source="a.ssv"')), "from within an FMU"),
+    "no value": (packages.of_second(packages.inline(packages.parameter_set(rate="Real"))), "<Real> of 'second' lacks the attribute 'value'"),
+    "value": (packages.of_second(packages.inline(packages.parameter_set(rate='Real value="fast"'))), "value='fast', which must be a number"),
+    "value not finite": (packages.of_second(packages.inline(packages.parameter_set(rate='Real value="NaN"'))), "must be finite"),
+    "type of a value": (packages.of_second(packages.inline(packages.parameter_set(rate='Boolean value="true"'))), "is Boolean; 'rate' of resources/decay.fmu is Real"),
+    "calculated": (packages.of_second(packages.inline(packages.parameter_set(steps='Integer value="1"'))), "which the FMU calculates"),
+    "unit of a value": (packages.of_system(packages.inline(packages.parameter_set(second__x='Real value="1" unit="s"'))), "s can't be converted to m"),
+    "no item": (packages.of_second(packages.inline(packages.parameter_set(trouble='Integer value="99"'))), "<Component name='second'>: trouble must be one of 1 (none), 2 (fails), "),
+    "no boolean": (packages.of_second(packages.inline(packages.parameter_set(inverted='Boolean value="2"'))), "<Boolean> of 'second' has value='2', which must be true or false"),
+    "item": (packages.of_second(packages.inline(packages.parameter_set(trouble='Enumeration value="maybe"'))), "<Component name='second'>: trouble must be one of none, fails, ends, forgets"),
     "mapping": (
-        of_second(inline(parameter_set(a='Real value="1"'), mapping=f"<ssd:ParameterMapping>{MAPPED}</ssd:ParameterMapping>")),
+        packages.of_second(packages.inline(packages.parameter_set(a='Real value="1"'), mapping=f"<ssd:ParameterMapping>{MAPPED}</ssd:ParameterMapping>")),
         "parameter 'a' is 1.0, which its mapping doesn't have",
     ),
 }  # fmt: skip
@@ -144,11 +133,11 @@ def test_files_in_one_line(make_ssp: MakeSsp) -> None:
     head, tail = changed('<ssd:Component name="second"', f'{INNER}<ssd:Component name="second"').rsplit(
         "</ssd:Component>", 1
     )
-    nested = f"{head}</ssd:Component></ssd:Elements></ssd:System>{tail}".replace(CONNECTION, "")
+    nested = f"{head}</ssd:Component></ssd:Elements></ssd:System>{tail}".replace(packages.CONNECTION, "")
     for ssd, problem in {
         nested.replace('"u"', '"x"'): "<Component name='second'> of 'inner' has two connectors named 'x'",
         nested.replace('"u" kind="input"', '"u" kind="inlet"'): "<Connector name='u'> of 'inner.second' has the kind",
-        connected(endConnector="v"): "<Connection> between 'first.x' and 'second.v' names the connector 'v'",
+        packages.connected(endConnector="v"): "<Connection> between 'first.x' and 'second.v' names the connector 'v'",
     }.items():
         message = refusal(make_ssp(" ".join(ssd.split("\n"))))
         assert ", line 1: " in message
@@ -161,7 +150,7 @@ def test_files_that_are_none(tmp_path: Path, make_ssp: MakeSsp) -> None:
     text = tmp_path / "text.ssp"
     text.write_text("hello")
     assert "not a zip file" in refusal(text)
-    assert "holds no SystemStructure.ssd" in refusal(package(tmp_path / "empty.ssp", {"a": "b"}))
+    assert "holds no SystemStructure.ssd" in refusal(packages.package(tmp_path / "empty.ssp", {"a": "b"}))
     with pytest.raises(FmuFileError, match="is no FMU: not a zip file"):
         load_ssp(make_ssp(files={"resources/decay.fmu": "hello"}))
     step = r"names no step time, nor does any FMU in it; say it: .* --step SECONDS, load_ssp\(path, step=...\)"
@@ -186,7 +175,7 @@ def test_entities_are_not_read(entities: str, reference: str, make_ssp: MakeSsp,
     """Neither files nor the net are touched, the secret is in no message, and nothing grows."""
     secret = tmp_path / "secret"
     secret.write_text("xyzzy")
-    declared = SSD.replace("?>", f"?><!DOCTYPE r [{entities.replace('{uri}', secret.as_uri())}]>")
+    declared = packages.SSD.replace("?>", f"?><!DOCTYPE r [{entities.replace('{uri}', secret.as_uri())}]>")
     message = refusal(make_ssp(declared.replace("</ssd:Elements>", f"{reference}</ssd:Elements>")))
     assert "xyzzy" not in message
     assert "is no XML" in message or "has a document type declaration" in message
@@ -218,11 +207,11 @@ def test_a_damaged_archive(method: int, tmp_path: Path) -> None:
     """Wherever a byte of the file is wrong, the file is refused, or what is read is right all the same."""
     path = tmp_path / "damaged.ssp"
     with zipfile.ZipFile(path, "w", method) as archive:
-        archive.writestr(DESCRIPTION, SSD)
+        archive.writestr(DESCRIPTION, packages.SSD)
     content, found = path.read_bytes(), []
     for i in range(0, len(content), 5):
         path.write_bytes(content[:i] + bytes([content[i] ^ 0xFF]) + content[i + 1 :])
         with suppress(SspError):
             found.append(SspArchive(path).read(DESCRIPTION))
-    assert set(found) <= {SSD.encode()}
+    assert set(found) <= {packages.SSD.encode()}
     assert len(found) < 0.2 * len(content) / 5
