@@ -1,27 +1,35 @@
-"""What the keys of controllers, imperfections and co-simulation do, and where files of a scene are looked for."""
+"""What the keys of controllers, imperfections and co-simulation do, where files of a scene are looked for, and what the FMU's parameters and
+numbered choices are called in a scene."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
 from blocks import pd
+from fmpy import read_model_description
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.fmu.variables import settable_variables, settings
 from flexfmu.cosim.engine.master.couplings import GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.slave import Slave
-from flexfmu.cosim.experiment.parameters import holding_torques
+from flexfmu.cosim.experiment.parameters import holding_torques, scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import CouplingMethod, coupling_of
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.cosim.metrics.signals import cycle_errors
+from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -186,3 +194,95 @@ def test_modules_are_found_beside_the_scene(tmp_path: Path) -> None:
         assert isinstance(slave, BlockSlave)
         found.append([each.start for each in slave.block.parameters])
     assert found == [[5.0, 10.0], [5.0, 20.0]]
+
+
+DAMPING: dict[str, dict[str, Any]] = {
+    "damping.ratio": {"kind": "modal", "ratio": 0.01},
+    "damping.rate": {"kind": "mass", "rate": 2.0},
+    "damping.time": {"kind": "stiffness", "time": 1e-4},
+}
+"""Parameter → the section that has it."""
+
+
+def complete(damping: str) -> Scene:
+    """A scene in which everything has a value."""
+    changes = {
+        "effects.motor_inertia": 0.1,
+        "effects.joint_friction": {"viscous": 0.2, "coulomb": 0.3},
+        "effects.transmission": {"stiffness": 1e5, "damping": 2.0},
+        "effects.gravity": [0.5, -9.81],
+        "effects.damping": DAMPING[damping],
+        "payload.inertia": 0.01,
+    }
+    return load_scene("barnard2012-6kg").replace(changes)
+
+
+@pytest.mark.parametrize("name", sorted(scene_parameters(complete("damping.ratio"))))
+def test_a_changed_parameter_is_that_of_the_robot(name: str) -> None:
+    """Metrics are taken from the robot that was simulated: each parameter changes its own key and no other."""
+    scene = complete(name if name in DAMPING else "damping.ratio")
+    before = scene_parameters(scene)
+    changed = before | {name: 1.01 * before[name] + 1e-3 * (before[name] == 0.0)}
+    after = scene_parameters(scene_with_parameters(scene, {name: changed[name]}))
+    assert after == (before if name.startswith("start.") else changed)
+
+
+def test_parameters_of_no_robot_are_left_out() -> None:
+    """An FMU has more of them, integrators for example."""
+    scene = complete("damping.ratio")
+    assert scene_with_parameters(scene, {"integrator.fixed_step": 1e-4, "start.x": 0.1}) == scene
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Path:
+    """The FMU of a shipped scene."""
+    return build_scene(load_scene("barnard2012-6kg")).path
+
+
+@pytest.mark.parametrize(("parameters", "numbers"), [
+    ({"initial": "static", "integrator": "automatic"}, [1, 1]),
+    ({"initial": "undeformed", "integrator": "radau3"}, [2, 5]),
+    ({"initial": 2, "integrator": 7}, [2, 7]),
+])  # fmt: skip
+def test_names_stand_for_numbers(shipped: Path, parameters: dict[str, int | str], numbers: list[int]) -> None:
+    """A script says what it means; importers without the names give the numbers."""
+    found = settings(settable_variables(open_fmu(shipped).description), parameters)
+    assert [setting.value for setting in found] == numbers
+    assert {setting.handle.kind for setting in found} == {"Integer"}
+
+
+def items_of(variable: Any) -> dict[str, int]:
+    """Names and numbers of an enumeration."""
+    return {item.name: int(item.value) for item in variable.declaredType.items}
+
+
+def test_choices_are_enumerations_on_request(tmp_path: Path) -> None:
+    """The same numbers behind names that every tool with enumerations shows; fmpy finds nothing wrong."""
+    scene = load_scene("barnard2012-6kg")
+    path = build_scene(scene, enumerations=True, output=tmp_path / "enumerations.fmu").path
+    variables = {each.name: each for each in read_model_description(str(path), validate=True).modelVariables}
+    items = items_of(variables["integrator"])
+    assert (variables["integrator"].type, items["radau3"], items["rk4"]) == ("Enumeration", 5, 7)
+    found = settings(settable_variables(open_fmu(path).description), {"initial": "undeformed", "integrator": 5})
+    assert [setting.value for setting in found] == [2, 5]
+    starts = {"initial": items_of(variables["initial"])["undeformed"]}
+    result = fmpy.simulate_fmu(str(path), stop_time=1e-3, start_values=starts, output=["link11.bending[1]"])
+    assert result["link11.bending[1]"][0] == 0.0
+
+
+def test_wrong_choices_are_refused(shipped: Path, tmp_path: Path) -> None:
+    """Before anything runs, with what would be right; an annotation that somebody spoilt is no reason to set something else."""
+    for parameters, message in (
+        ({"initial": "sttic"}, "initial must be one of static, undeformed, got 'sttic'"),
+        ({"integrator": 8}, "integrator must be at least 1 and at most 7, got 8"),
+        ({"payload.mass": "static"}, "payload.mass is a number, got 'static'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            FmuSlave(shipped, parameters=parameters)
+    folder = open_fmu(shipped).folder
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    text = files["modelDescription.xml"].decode().replace("static=1", "static=one")
+    spoilt = tmp_path / "spoilt.fmu"
+    spoilt.write_bytes(pack(files | {"modelDescription.xml": text.encode()}))
+    with pytest.raises(FmuFileError, match="its Choices are"):
+        FmuSlave(spoilt)

@@ -1,18 +1,30 @@
-"""Torque, speed, power and energy of the motors against closed forms."""
+"""Torque, speed, power and energy of the motors against closed forms; `run.metrics`, and tracking errors cycle by cycle."""
 
 from __future__ import annotations
 
+import json
 import math
+import pickle
 from collections.abc import Callable, Iterable
+from copy import copy, deepcopy
+from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
+import pandas
 import pytest
 
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.metrics.metric_table import DRIVE_METRICS
-from flexfmu.cosim.metrics.metrics import Settings, measure
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.scene_run import Companion, Run
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, DRIVE_METRICS, metric
+from flexfmu.cosim.metrics.metrics import Settings, measure, measure_run
+from flexfmu.cosim.metrics.signals import cycle_errors
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.trajectory import Trajectory
 
 OMEGA = 2.0 * math.pi
@@ -115,3 +127,124 @@ def test_errors_of_one_sign_add_up(sign: float, cycles: int) -> None:
         assert each.value is not None
         assert 0.5 * each.interpolation_error < abs(each.value - value) <= each.interpolation_error < 1e-3, name
     assert found[other_way].value == 0.0
+
+
+MakeRun = Callable[..., Run]
+
+
+@pytest.fixture
+def run(make_run: MakeRun) -> Run:
+    """A run with a companion of half its step, which counts how often it is simulated."""
+    return replace(make_run(), companion=Companion(5e-4, 1e-8, lambda progress: make_run(step=5e-4)))
+
+
+def test_values_and_errors_are_those_of_measure_run(run: Run, make_run: MakeRun) -> None:
+    """Attributes and items are the run's own numbers, with the units of the table and their errors by one companion. Without a
+    value they are NaN; a failed run says why."""
+    for name, measured in measure_run(run).items():
+        number = getattr(run.metrics, name)
+        assert number == run.metrics[name] == measured.own
+        assert (number.unit, number.error) == (COMMON_METRICS[name].unit, measured.own_error)
+    failed = make_run(outcome=Outcome.STEP_FAILED, end=0.2).metrics.peak_torque_1
+    assert math.isnan(failed)
+    assert repr(failed) == "– N·m (step failed at 0.2 s)"
+
+
+def test_one_metric_is_computed_alone(make_run: MakeRun) -> None:
+    """One doesn't wait for all others, and is computed once."""
+    measure = Mock(side_effect=measure_run)
+    run = replace(make_run(), measure=measure)
+    first = run.metrics.peak_torque_1
+    assert run.metrics["peak_torque_1"] is first
+    assert dict(run.metrics)["peak_torque_1"] is first
+    assert [call.args[-1] for call in measure.call_args_list] == [["peak_torque_1"], None]
+
+
+def test_errors_are_estimated_only_when_asked_for(make_run: MakeRun) -> None:
+    """Values cost no simulation; the first error costs one for all."""
+    again = Mock(return_value=make_run(step=5e-4))
+    run = replace(make_run(), companion=Companion(5e-4, 1e-8, again))
+    assert run.metrics.peak_torque_1 > 0.0
+    assert "peak_torque_1" in str(run.metrics)
+    assert not again.called
+    assert all(number.error is not None for number in run.metrics.values())
+    assert again.call_count == 1
+    assert " ± 1e-" in repr(run.metrics)
+    assert make_run().metrics.peak_torque_1.error is None
+
+
+def test_a_metric_is_a_number(run: Run) -> None:
+    """It calculates, is formatted and written like the float that it is; `repr` alone has error and unit."""
+    number = metric("peak_torque_1", 2.5, error=0.1)
+    assert (number * 2, number == 2.5, f"{number:.2f} {number}", json.dumps(number)) == (5.0, True, "2.50 2.5", "2.5")
+    assert repr(number) == "2 ± 1 N·m"
+    assert repr(number.changed(error=None)) == "2.5 N·m"
+    assert number._repr_html_() == "Peak torque, joint 1 (<code>peak_torque_1</code>): 2 ± 1 N·m"
+    for again in (pickle.loads(pickle.dumps(number)), copy(number), deepcopy(number)):
+        assert (again, again.value, again.error) == (2.5, 2.5, 0.1)
+        assert (again.unit, again.name, again.label) == ("N.m", "peak_torque_1", "Peak torque, joint 1")
+    assert (metric("settling_time", None).value, math.isnan(metric("settling_time", None))) == (None, True)
+    assert pandas.DataFrame([run.metrics, run.metrics]).dtypes["peak_torque_1"] == "float64"
+
+
+def test_names(run: Run) -> None:
+    """Completion knows the names, and a misspelt one is told the right one."""
+    assert {"peak_torque_1", "settling_time"} <= set(dir(run.metrics))
+    with pytest.raises(AttributeError, match="no metric 'peak_torqe_1'; did you mean 'peak_torque_1'"):
+        _ = run.metrics.peak_torqe_1
+    with pytest.raises(KeyError, match="did you mean 'settling_time'"):
+        _ = run.metrics["setling_time"]
+    assert not hasattr(run.metrics, "_ipython_display_")
+
+
+def test_reprs_are_short(run: Run) -> None:
+    """At most five lines of at most 80 characters, for all that a run consists of; a notebook shows tables."""
+    for shown in (run, run.recording, run.plan, run.scene, run.metrics, measure_run(run), run.metrics.peak_torque_1):
+        lines = repr(shown).splitlines()
+        assert len(lines) <= 5, lines
+        assert max(map(len, lines)) <= 80, lines
+    assert len(str(run.metrics).splitlines()) == 1 + len(COMMON_METRICS)
+    assert "<td>peak_torque_1</td>" in run._repr_html_()
+    assert "<td>joint1.torque</td>" in run._repr_html_()
+
+
+ERRORS = (1e-3, 2e-4)
+"""Of the joints in the first cycle [rad]; each further cycle halves them."""
+
+
+@pytest.fixture(scope="module")
+def motion() -> MotionPlan:
+    """Three cycles."""
+    return repeated(plan(load_scene("barnard2012-6kg")), 3)
+
+
+def recorded(motion: MotionPlan, until: float) -> Recording:
+    """Joints that lag by a sine with whole waves in each half of a cycle, smaller from cycle to cycle."""
+    assert motion.repetition is not None
+    period = motion.repetition.period
+    time = np.linspace(0.0, until, round(until / period * 4000) + 1)
+    wave = np.sin(8.0 * np.pi * time / period) * 0.5 ** np.floor(time / period)
+    columns = {}
+    for joint, size in enumerate(ERRORS, start=1):
+        columns[f"joint{joint}.reference.position"] = Column("rad", 1.0 + time)
+        columns[f"joint{joint}.position"] = Column("rad", 1.0 + time - size * wave)
+    return Recording(time, columns)
+
+
+def test_each_cycle_has_its_own_error(motion: MotionPlan) -> None:
+    """Root mean square and peak of a sine, halved from cycle to cycle; the last cycle ends with its standstill, which is as
+    long as the others, or with the run."""
+    found = cycle_errors(motion, recorded(motion, motion.stop_time))
+    assert len(found) == 3
+    for cycle, each in enumerate(found):
+        np.testing.assert_allclose(each.rms, np.array(ERRORS) * 0.5**cycle / np.sqrt(2.0), rtol=2e-3)
+        np.testing.assert_allclose(each.largest, np.array(ERRORS) * 0.5**cycle, rtol=1e-5)
+
+
+def test_cycles_that_were_cut_short_do_not_count(motion: MotionPlan) -> None:
+    """A run that failed in its third cycle tells the errors of two, one without joint angles none."""
+    assert motion.repetition is not None
+    recording = recorded(motion, 2.5 * motion.repetition.period)
+    assert len(cycle_errors(motion, recording)) == 2
+    assert cycle_errors(motion, recording.only(lambda name: name != "joint2.position")) == ()
+    assert cycle_errors(motion.once, recording) == ()
