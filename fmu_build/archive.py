@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import lzma
-import os
 import re
-import tempfile
 import zipfile
 import zlib
 from collections import Counter
@@ -14,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
 
+from flexfmu.errors import replacing
 from flexfmu.fmu_build.errors import ArchiveError
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -139,27 +138,15 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         ArchiveError: the folder can't be made or written, or ``path`` is a folder.
     """
-    # a temporary file in the same folder: renaming within one file system is atomic
     try:
         if path.is_dir():
             raise ArchiveError(f"cannot write {path}: it is a folder; give the name of a file")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+            temporary.chmod(_FILE_MODE)
     except OSError as error:
-        raise _cannot_write(path, error) from error
-    try:
-        # remove the temporary file if writing fails
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        os.chmod(temporary, _FILE_MODE)
-        os.replace(temporary, path)
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
-        raise _cannot_write(path, error) from error
-
-
-def _cannot_write(path: Path, error: OSError) -> ArchiveError:
-    return ArchiveError(f"cannot write {path}: {error.strerror}; choose a writable folder with free space")
+        message = f"cannot write {path}: {error.strerror}; choose a writable folder with free space"
+        raise ArchiveError(message) from error
 
 
 def fmu_facts(content: bytes) -> tuple[str, int]:

@@ -8,6 +8,7 @@ This module must be cheap to import: finding a cached FMU must not take more tha
 
 from __future__ import annotations
 
+import atexit
 import os
 import re
 import time
@@ -41,7 +42,7 @@ SLACK = 0.05
 """Part of the limit that is removed beyond need, and stored between two looks at the size."""
 
 IN_USE = 60.0
-"""What was stored or used in this time is about to be loaded, and stays [s]."""
+"""What was stored or used in this time is about to be loaded, and stays [s]; what an ended process has used counts as older."""
 
 _SEAL = ".seal"
 """Ending of the files with the hashes."""
@@ -54,6 +55,9 @@ _HASHED = re.compile(r"\.?[0-9a-f]{64}(\.\S+)?")
 
 _PACKAGES = ("flexfmu.fmu_build", "flexfmu.model")
 _SOURCE_SUFFIXES = {".py", ".c", ".h", ".j2", ".txt"}
+
+_used: set[Path] = set()
+"""Files that this process has stored or read."""
 
 _stand_ins: dict[Path, TemporaryDirectory[str]] = {}
 """Folders that can't be used → temporary folders that replace them until the process ends."""
@@ -99,6 +103,7 @@ def read_cached(name: str) -> bytes | None:
         return None
     with suppress(OSError):  # a folder that can't be written
         os.utime(path)
+        _use(path)
     return content
 
 
@@ -126,10 +131,15 @@ def store(name: str, content: bytes) -> Path:
 
 def _store(folder: Path, name: str, content: bytes) -> Path:
     """Write a file and its seal into a folder, and see to its limit; errors as for `write_atomically`."""
-    make_private(folder)
     path, seal = folder / name, _seal(name, content)
+    make_private(folder)
+    if path.parent != folder:
+        make_private(path.parent)
+        with suppress(OSError):  # one that was made with another mode
+            path.parent.chmod(0o700)
     write_atomically(path, content)
     write_atomically(_seal_of(path), seal)
+    _use(path)
     with suppress(OSError):
         with (folder / _TALLY).open("ab") as tally:
             tally.write(bytes((_taken(len(content)) + BLOCK) // BLOCK))
@@ -187,6 +197,29 @@ def _trim(folder: Path) -> None:
             return
         remove_cached(each)
         excess -= each.size
+
+
+def _use(path: Path) -> None:
+    """Keep a file in the cache until this process ends."""
+    if not _used:
+        atexit.register(_leave)
+    _used.add(path)
+
+
+def _leave() -> None:
+    """At the end of the process hold the limit, but for what it has used, which may go from then on.
+
+    Only after something was stored, or where a variable says what the limit is: a look at all files takes time.
+    """
+    folder = _chosen_folder()
+    with suppress(OSError, SettingError):
+        for age in (0.0, IN_USE):
+            moment = time.time() - age
+            for path in _used:
+                with suppress(OSError):
+                    os.utime(path, (moment, moment))
+            if not age and ((folder / _TALLY).exists() or LIMIT_VARIABLE in os.environ):
+                _trim(folder)
 
 
 def remove_cached(file: Cached) -> None:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flexfmu.errors import read_text
+from flexfmu.errors import read_text, replacing
 from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -228,7 +228,8 @@ def write_table(
     table = np.column_stack([instants, *(values[order, :, axis] for order in range(JERK + 1) for axis in range(2))])
     lines = [",".join(header), *(",".join(map(repr, row)) for row in table.tolist())]
     try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with replacing(Path(path)) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise TrajectoryError(f"cannot write the motion {path}: {error.strerror}") from None
 

@@ -14,7 +14,9 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from errno import EMFILE
 from hashlib import sha256
+from importlib.machinery import PathFinder
 from io import StringIO
 from pathlib import Path
 from threading import Thread
@@ -213,7 +215,6 @@ def prepared_folder(path: Path) -> OutputFolder:
         ResultsError: the folder can't be written, or another command works in it.
     """
     folder = OutputFolder(path)
-    folder.prepare()
     _command.enter_context(folder.claimed())
     return folder
 
@@ -222,6 +223,20 @@ BLAS_ROOM = 100e6, 32e6
 """What NumPy's and SciPy's OpenBLAS each reserve [bytes]: in any case, and for each of at most `BLAS_THREADS` threads."""
 
 BLAS_THREADS = 64
+
+FEWEST_FILES = 5
+"""Files that every command opens at once, besides the standard ones."""
+
+
+def has_descriptors() -> bool:
+    """Whether as many files can be opened as every command needs."""
+    with ExitStack() as stack:
+        try:
+            for _ in range(FEWEST_FILES):
+                stack.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        except OSError as error:
+            return error.errno != EMFILE
+    return True
 
 
 def check_room() -> None:
@@ -325,8 +340,47 @@ def _exit_status(error: Exception) -> int | None:
     return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
 
 
-CODE = (".py", ".c", ".so", ".dylib", ".dll", ".fmu")
-"""Endings of files that a scene may run."""
+def load_named(source: str, changes: Mapping[str, Any] | None = None) -> Scene:
+    """As `flexfmu.model.scene.file.load_scene`; a note names the code that the scene runs from outside its folder, before it runs.
+
+    A scene may come from a stranger, and what it names from anywhere.
+    """
+    from flexfmu.model.scene.file import load_scene
+
+    scene, near = load_scene(source, changes), Path(source).resolve().parent
+    if named := [text for text, place in _code(scene.model_dump()) if near not in Path(place).resolve().parents]:
+        show_note(
+            f"note: the scene runs code from outside its folder: {', '.join(named)} (--sandbox of run, sweep and compare confines it)"
+        )
+    return scene
+
+
+def _code(value: Any) -> Iterator[tuple[str, str]]:
+    """Name and place of each file or module of code that is in a scene's plain data."""
+    if not isinstance(value, Mapping):
+        for each in value if isinstance(value, list | tuple) else ():
+            yield from _code(each)
+        return
+    match value.get("kind"):
+        case "fmu":
+            yield value["path"], value["path"]
+        case "c-function":
+            files = value["source"]
+            yield from ((each, each) for each in ([files] if isinstance(files, str) else files))
+        case "python":
+            # where it is imported from: the file in the folder, or else what Python finds
+            folder, module = value["folder"], value["source"].partition(":")[0]
+            name, file = module.partition(".")[0], os.path.join(folder, f"{module}.py")
+            found = (
+                None
+                if name in sys.builtin_module_names
+                else PathFinder.find_spec(name, [*sys.path, folder, os.getcwd()])
+            )
+            places = [] if found is None else [*(found.submodule_search_locations or [found.origin or ""])]
+            for place in [file] if os.path.isfile(file) else places or [""]:
+                yield f"{value['source']} ({place or 'of Python'})", place or sys.prefix
+    for each in value.values():
+        yield from _code(each)
 
 
 def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
@@ -335,19 +389,10 @@ def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
     Raises:
         SceneError: as for `flexfmu.model.scene.file.load_scene`; a setting has another form.
     """
-    from flexfmu.model.scene.file import basis_hint, file_digests, load_scene
+    from flexfmu.model.scene.file import basis_hint
     from flexfmu.model.scene.keys import parse_setting
 
-    scene = load_scene(source, dict(map(parse_setting, settings or ())))
-    # a scene may come from a stranger, and what it names from anywhere
-    near = Path(source).resolve().parent
-    named = [
-        each for each in file_digests(scene) if Path(each).suffix in CODE and near not in Path(each).resolve().parents
-    ]
-    if named:
-        show_note(
-            f"note: the scene runs code from outside its folder: {', '.join(named)} (--sandbox of run, sweep and compare confines it)"
-        )
+    scene = load_named(source, dict(map(parse_setting, settings or ())))
     if hint := basis_hint(scene):
         _hints.append(f"{hint} ({source})")
     return scene

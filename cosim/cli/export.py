@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flexfmu.cosim.cli import console
-from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import Naming
@@ -210,8 +209,11 @@ def validate(
     from flexfmu.fmu_build.validation.finding import Finding, Severity
     from flexfmu.fmu_build.validation.validate import TIME_LIMIT, validate_fmu
 
-    if sandbox and (status := run_in_sandbox(None)) is not None:
-        return status
+    if sandbox:
+        from flexfmu.cosim.cli.sandbox import run_in_sandbox
+
+        if (status := run_in_sandbox(None)) is not None:
+            return status
     limit, broken = time_limit or TIME_LIMIT, None
     try:
         with console.progress() as show:

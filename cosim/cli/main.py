@@ -45,6 +45,9 @@ def main() -> None:
     gc.disable()  # until the command's modules are loaded, see `end_loading`
     # no search of all installed packages for plugins of pydantic
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    if not console.has_descriptors():
+        console.show_note("too few files can be opened: close some, or raise the limit (ulimit -n)")
+        sys.exit(console.FAILURE)
     console.keep_stdout()
     try:
         with console.orderly_termination():

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flexfmu.cosim.cli import console
-from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, ResultsError
 from flexfmu.cosim.engine.files import RESULTS, file_digest, to_json
 
@@ -95,6 +94,8 @@ def run(
         if folder is None:
             name = Path(scene).stem if is_ssp else console.scene_name(scene, settings)
             folder = console.usual_folder(name, settings)
+        from flexfmu.cosim.cli.sandbox import run_in_sandbox
+
         if (status := run_in_sandbox(folder)) is not None:
             return status
     if is_ssp:

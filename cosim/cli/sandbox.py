@@ -1,7 +1,8 @@
 """Runs a command again with fewer rights: for scenes, SSP files and FMUs of people whose programs one wouldn't run otherwise.
 
-The process may read what its user may read, but writes nowhere but into its folders, has no network, and is limited in memory, files
-and processes. With bubblewrap on the path it also sees no other processes; otherwise Linux' Landlock and name spaces confine it.
+The process may read what its user may read, but writes nowhere but into its folders, has no network, is limited in memory, files and
+processes, and what it has started ends with it. With bubblewrap on the path it also sees no other processes; otherwise Linux' Landlock
+and name spaces confine it, below a guard.
 
 Sources: landlock(7), user_namespaces(7), setrlimit(2), bwrap(1).
 """
@@ -18,12 +19,14 @@ import struct
 import subprocess
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from flexfmu.cosim.cli.console import FAILURE
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.errors import remove_empty
+from flexfmu.fmu_build.guard import guarded
 from flexfmu.fmu_build.temporary import temporary_folder
 
 WITHIN = "FLEXFMU_SANDBOX"
@@ -47,7 +50,7 @@ _SOCKET = {"x86_64": (0xC000003E, 41), "aarch64": (0xC00000B7, 198)}
 _IO_URING, _FOREIGN = 425, 1 << 30
 """System call that does others' work, and the first one of another set of them (x32)."""
 
-_NEW_USER, _NEW_NETWORK = 0x10000000, 0x40000000
+_NEW_USER, _NEW_PROCESSES, _NEW_NETWORK = 0x10000000, 0x20000000, 0x40000000
 _PARENT_DEATH, _NO_NEW_PRIVILEGES, _SET_SECCOMP, _FILTER, _PATH_BENEATH, _PATH = 1, 38, 22, 2, 1, 0x200000
 
 
@@ -67,10 +70,11 @@ def run_in_sandbox(folder: Path | None) -> int | None:
             "--sandbox needs Linux 5.13 with Landlock, or bubblewrap (bwrap) on the path: run what you don't trust in a "
             "container or a virtual machine"
         )
-    if folder is not None:
-        OutputFolder(folder).prepare()
-    with temporary_folder("sandbox") as temporary:
-        command = [sys.executable, "-m", "flexfmu", *sys.argv[1:]]
+    with ExitStack() as stack:
+        if folder is not None:
+            stack.callback(remove_empty, OutputFolder(folder).prepare())
+        temporary = stack.enter_context(temporary_folder("sandbox"))
+        here, command = os.getpid(), [sys.executable, "-m", "flexfmu", *sys.argv[1:]]
         writable = [temporary] if folder is None else [str(folder.resolve()), temporary]
         environment = {**os.environ, WITHIN: "1", "TMPDIR": temporary, "MPLCONFIGDIR": temporary}
         if bubblewrap is not None:
@@ -85,16 +89,15 @@ def run_in_sandbox(folder: Path | None) -> int | None:
             command,
             env=environment,
             stdout=sys.stdout,  # what `keep_stdout` has kept; the process's own is standard error
-            preexec_fn=lambda: _confine([] if bubblewrap is not None else writable),
-            start_new_session=True,
+            preexec_fn=lambda: _confine(here, [] if bubblewrap is not None else writable),
+            start_new_session=bubblewrap is not None,  # a guard begins its own
         )
         try:
-            return process.wait()
+            return status if (status := process.wait()) >= 0 else 128 - status
         except KeyboardInterrupt:
             inner = process.pid
-            with suppress(
-                OSError, IndexError
-            ):  # bubblewrap would end all at once; below it and its first process is ours
+            # a guard passes it on; bubblewrap would end all at once; below it and its first process is ours
+            with suppress(OSError, IndexError):
                 for _ in range(0 if bubblewrap is None else 2):
                     inner = int(Path(f"/proc/{inner}/task/{inner}/children").read_text().split()[0])
             os.kill(inner, signal.SIGTERM)
@@ -110,8 +113,12 @@ def _landlock() -> int:
     return max(0, version)
 
 
-def _confine(writable: Sequence[str]) -> None:
-    """Limit this process, which is about to become another program; folders to write into, none where bubblewrap sees to that.
+def _confine(parent: int, writable: Sequence[str]) -> None:
+    """Limit this process, which is about to become another program, and leave guards above it.
+
+    Args:
+        parent: the process that has forked this one, whose end is that of this one.
+        writable: folders to write into; none where bubblewrap sees to that, and to the end of processes.
 
     Raises:
         OSError: the system refuses.
@@ -143,10 +150,13 @@ def _confine(writable: Sequence[str]) -> None:
 
     # a network of its own, with nothing in it, as the same user; where name spaces are forbidden Landlock still refuses TCP
     user = os.getuid()
-    if library.unshare(_NEW_USER | _NEW_NETWORK) == 0:
+    if library.unshare(_NEW_USER | _NEW_NETWORK | _NEW_PROCESSES) == 0:
         Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
+        guarded(parent)
+        parent = 0  # below here is the first process of a name space, whose end is that of all in it
     elif version < 4:
         raise OSError(ctypes.get_errno(), "this system allows no name spaces")
+    guarded(parent)
     rights = _WRITING[min(version, 3)]
     handled = struct.pack("QQQ", rights, _TCP, _SCOPE)[: 24 if version >= 6 else 16 if version >= 4 else 8]
     rules = call(_CREATE_RULESET, handled, ctypes.c_size_t(len(handled)), 0)

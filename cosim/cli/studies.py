@@ -11,6 +11,7 @@ import typer
 
 from flexfmu.cosim.cli.console import (
     FAILURE,
+    load_named,
     load_resolved,
     prepared_folder,
     print_result,
@@ -22,7 +23,6 @@ from flexfmu.cosim.cli.console import (
     usual_folder,
 )
 from flexfmu.cosim.cli.options import OptionalScene, ProcessesOption
-from flexfmu.cosim.cli.sandbox import run_in_sandbox
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, to_json
 
@@ -74,8 +74,11 @@ def compare(
     from flexfmu.cosim.studies.compare.measured import parse_mapping
     from flexfmu.cosim.studies.compare.sources import compared_runs, given_sources
 
-    if sandbox and (status := run_in_sandbox(out)) is not None:
-        return status
+    if sandbox:
+        from flexfmu.cosim.cli.sandbox import run_in_sandbox
+
+        if (status := run_in_sandbox(out)) is not None:
+            return status
     # what can be wrong is checked before anything is simulated
     meaning = dict(map(parse_mapping, mapping or ()))
     if measured is not None and not measured.is_file():
@@ -83,9 +86,15 @@ def compare(
     if out is not None:
         prepared_folder(out)
     band = None if payload_band is None else parse_band(payload_band)
-    sources = given_sources(runs, variant or (), settings or ())
+    sources = given_sources(runs, variant or (), settings or (), load_named)
     with progress() as show:
         found = compare_runs(compared_runs(sources, show, band, strict=strict), measured, meaning, delay, strict=strict)
+    if not found.tables():
+        names = " and ".join(run.name for run in found.runs)
+        raise InputError(
+            f"there is nothing to compare: {names} have no metrics, which summary.json beside results has, and no common "
+            "signals; give a second run, a scene, or a measurement with --measured"
+        )
     if out is not None:
         found.write(out)
     print_result(json, found.as_data(), *_shown_comparison(found, out))
@@ -269,11 +278,12 @@ def sweep(
     from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import ready_to_sweep, sweep_scene
 
-    if (
-        sandbox
-        and (status := run_in_sandbox(out or usual_folder(scene_name(scene, settings), settings, "-sweep"))) is not None
-    ):
-        return status
+    if sandbox:
+        from flexfmu.cosim.cli.sandbox import run_in_sandbox
+
+        folder = out or usual_folder(scene_name(scene, settings), settings, "-sweep")
+        if (status := run_in_sandbox(folder)) is not None:
+            return status
     robot = load_resolved(scene, settings, keeps_accuracy=True)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:

@@ -2,8 +2,7 @@
 
 The child starts with a copy of all objects of the parent; nothing is loaded again. Its changes don't reach the parent.
 
-Between the two stands a guard, a process that runs nothing foreign. Whatever the child's code starts, in another session or orphaned too,
-descends from the guard (a "child subreaper"), which ends it when the child or the parent has ended, a parent that is killed included.
+Between the two stands a guard, which ends what the child's code has started; see `flexfmu.fmu_build.guard`.
 """
 
 from __future__ import annotations
@@ -18,14 +17,13 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, Never
 
 from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.fmu_build.guard import AVAILABLE, GUARDED, guarded
 
-AVAILABLE = sys.platform == "linux"
-"""Other systems can't fork, or not safely once numerical libraries are loaded."""
+__all__ = ["AVAILABLE", "CALL_LIMIT", "ChildLostError", "in_child", "portable"]
 
 CALL_LIMIT = 60.0
 """Default limit for the duration of one call of a slave [s]."""
@@ -35,11 +33,6 @@ GRACE = 2.0
 
 LOOK = 0.05
 """Interval at which the parent checks the child [s]."""
-
-_PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
-
-_GUARDED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD} if sys.platform == "linux" else set()
-"""Signals that a guard waits for: SIGHUP, from the parent or because that has ended, ends it."""
 
 _END = b"complete"
 """Mark at the end of the data that a child sends."""
@@ -69,16 +62,16 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
     """
     reading, writing = os.pipe()
     # block interrupts until the child has set up its signal handlers
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _GUARDED)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, GUARDED)
     try:
-        parent, guard = os.getpid(), _fork()
-        if guard == 0:
-            _be_guard(action, writing, parent)
+        parent, forked = os.getpid(), _fork()
+        if forked == 0:
+            _be_child(action, writing, parent)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     # receive the result, and end the child in any case
     os.close(writing)
-    supervisor = _Supervisor(guard, reading, look, limit)
+    supervisor = _Supervisor(forked, reading, look, limit)
     try:
         returned, result = pickle.loads(supervisor.received())
     finally:
@@ -91,8 +84,8 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
 class _Supervisor:
     """Receives the result of a child, and has its guard end it if it makes no progress."""
 
-    def __init__(self, guard: int, reading: int, look: Callable[[], object], limit: float) -> None:
-        self._guard, self._reading, self._look, self._limit = guard, reading, look, limit
+    def __init__(self, process: int, reading: int, look: Callable[[], object], limit: float) -> None:
+        self._guard, self._reading, self._look, self._limit = process, reading, look, limit
         self._status: int | None = None
 
     def received(self) -> bytes:
@@ -185,54 +178,11 @@ def _fork() -> int:
         return os.fork()
 
 
-def _follow(parent: int, ending: signal.Signals) -> None:
-    """Begin a session, in which a signal tells when the parent ends; exit if it has ended already."""
-    os.setsid()
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ending)
-    if os.getppid() != parent:
-        os._exit(1)
-
-
-def _be_guard(action: Callable[[], Any], writing: int, parent: int) -> Never:
-    """Run the action in a child; when that or the parent has ended, kill all that descends from it, and exit as the child did."""
-    status = 1 << 8
-    try:
-        # a child that ends is kept until it is asked for, whatever the parent did
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        _follow(parent, signal.SIGHUP)
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
-        guard, child = os.getpid(), _fork()
-        if child == 0:
-            _be_child(action, writing, guard)
-        os.close(writing)
-        # wait for the end of the child or the parent, which passes an interrupt on
-        while (number := signal.sigwait(_GUARDED)) != signal.SIGHUP:
-            if number == signal.SIGTERM:
-                os.kill(child, signal.SIGTERM)
-            elif os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
-                break
-        os.kill(child, signal.SIGKILL)
-        status = os.waitpid(child, 0)[1]
-        # those whose parents die become the guard's own
-        while below := Path("/proc/thread-self/children").read_text(encoding="ascii").split():
-            for each in below:
-                os.kill(int(each), signal.SIGKILL)
-            os.wait()
-    finally:
-        if (code := os.waitstatus_to_exitcode(status)) < 0:
-            with suppress(OSError):  # the action of SIGKILL can't be set
-                signal.signal(-code, signal.SIG_DFL)
-            ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {-code})
-            os.kill(os.getpid(), -code)
-        os._exit(code)
-
-
 def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
-    """Run the action in the child, send its result or exception, and exit without the parent's clean-up."""
+    """Run the action in a child of this process, its guard; send its result or exception, and exit without the parent's clean-up."""
     code = 1
     try:
-        _follow(parent, signal.SIGKILL)
+        guarded(parent)
         # keep the garbage collector off the parent's objects: it would copy their memory pages
         gc.freeze()
         # slaves print to standard error: standard output is for results
@@ -246,7 +196,7 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
         # the parent passes Ctrl-C on as SIGTERM
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _GUARDED)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, GUARDED)
         try:
             sent = pickle.dumps((True, action()))
         except BaseException as error:

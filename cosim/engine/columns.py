@@ -10,7 +10,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError, suggestion
-from flexfmu.cosim.engine.showing import shown_unit
+from flexfmu.cosim.engine.showing import safe_cell, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 
 TWICE = "An instant at which signals jump appears twice: values before the jump first, then those after it."
@@ -60,10 +60,10 @@ class Column:
         return self.texts[code] if 0 <= code < len(self.texts) else ""
 
     def shown(self) -> list[str]:
-        """Return the N values as CSV cells: shortest numbers that read back exactly, or quoted texts (RFC 4180)."""
+        """Return the N values as CSV cells: shortest numbers that read back exactly, or quoted texts (RFC 4180), safe ones."""
         if self.texts is None:
             return [] if self.values.size == 0 else csv_cells(self.values[None]).split(",")
-        known = ['"' + text.replace('"', '""') + '"' for text in self.texts]
+        known = ['"' + safe_cell(text).replace('"', '""') + '"' for text in self.texts]
         return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
 
 

@@ -98,6 +98,10 @@ class ResultsError(CosimError):
     """Results can't be written or read."""
 
 
+class SignalFileError(ResultsError, InputError):
+    """A file of signals can't be read, or has something else."""
+
+
 class SlaveWarning(UserWarning):
     """A slave can be used, but deviates from its description or from the values set."""
 

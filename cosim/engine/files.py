@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.errors import make_folder, remove_empty
+from flexfmu.errors import replacing as replacing_file
 
 try:
     import fcntl
@@ -34,27 +36,35 @@ class OutputFolder:
 
     path: Path
 
-    def prepare(self) -> None:
+    def prepare(self) -> list[Path]:
         """Create the folder and write a trial file, so that a long simulation doesn't fail when it saves its results.
+
+        Returns:
+            the folders that were missing, from the deepest up.
 
         Raises:
             ResultsError: the folder can't be created or written to, with the system's reason.
         """
+        made: list[Path] = []
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
+            made = make_folder(self.path)
             with tempfile.TemporaryFile(dir=self.path) as probe:
                 probe.write(b"\0")
+            return made
         except OSError as error:
+            remove_empty(made)
             raise _cannot_write(self.path, error) from error
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
         """A context in which no other process works in the folder, so that the files of two runs don't mix.
 
+        The folder is prepared, and removed again if nothing was written.
+
         Raises:
-            ResultsError: another process does.
+            ResultsError: another process does, or as for `prepare`.
         """
-        path = self.path / ".lock"
+        made, path = self.prepare(), self.path / ".lock"
         try:
             file = locked(path)
             # a file that its last owner has removed in the meantime locks nothing
@@ -70,6 +80,7 @@ class OutputFolder:
             with contextlib.suppress(OSError):
                 path.unlink()
             file.close()
+            remove_empty(made)
 
     def write(self, name: str, text: str) -> Path:
         """Write a file in the folder and return its path; see `write_whole`."""
@@ -130,21 +141,16 @@ def write_pieces(path: Path, pieces: Iterable[str]) -> Path:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, which it replaces when the context ends without an error; creates the folder if needed.
+    """As `flexfmu.errors.replacing`.
 
     Raises:
         ResultsError: the file can't be written, with the system's reason.
     """
-    temporary = path.parent / f".{path.name}.{os.getpid()}"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        temporary.replace(path)
+        with replacing_file(path) as temporary:
+            yield temporary
     except OSError as error:
         raise _cannot_write(path, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _cannot_write(path: Path, error: OSError) -> ResultsError:

@@ -30,7 +30,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from flexfmu.cosim.engine.columns import TWICE, Column, coded, csv_cells
-from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
+from flexfmu.cosim.engine.errors import InputError, ResultsError, SignalFileError, extra
 from flexfmu.cosim.engine.files import replacing, write_pieces
 from flexfmu.cosim.engine.showing import cell_text, safe_cell
 from flexfmu.cosim.engine.slave import RealArray
@@ -75,17 +75,17 @@ def read_csv(path: Path) -> tuple[RealArray, dict[str, Column]]:
         head, _, body = read_text(path).partition("\n")
         names = [cell_text(name.strip().strip('"')).replace(";", ",") for name in head.split(",")]
         if not body.strip():
-            raise ResultsError(f"{path} is no table of signals: it has no rows")
+            raise ValueError("it has no rows")
         # numpy reads tables of numbers alone many times faster
         table, texts, known = (
             _with_texts(body) if '"' in body else (np.loadtxt(body.splitlines(), delimiter=",", ndmin=2), set(), [])
         )
     except OSError as error:
-        raise ResultsError(f"can't read {path}: {error.strerror}") from error
+        raise SignalFileError(f"can't read {path}: {error.strerror}") from error
     except (ValueError, IndexError, csv.Error) as error:
-        raise ResultsError(f"can't read {path}: {error}") from error
+        raise SignalFileError(f"{path} is no table of signals: {error}") from error
     if names[0] != "time" or table.shape[1] != len(names):
-        raise ResultsError(f"{path} is no table of signals: its first column must be named time")
+        raise SignalFileError(f"{path} is no table of signals: its first column must be named time")
     columns = {name: Column("", table[:, i], texts=known if i in texts else None) for i, name in enumerate(names) if i}
     return _ascending(table[:, 0], path, 2), columns
 
@@ -94,13 +94,15 @@ def _ascending(time: RealArray, path: Path, first: int) -> RealArray:
     """Return times (N,) [s] as they are; ``first`` is the number of the first one's line or row.
 
     Raises:
-        ResultsError: one isn't finite, or lies before the one above it; the message names its line.
+        SignalFileError: one isn't finite, or lies before the one above it; the message names its line.
     """
     wrong = ~np.isfinite(time) | (np.diff(time, prepend=time[:1]) < 0.0)
     if wrong.any():
         i = int(np.argmax(wrong))
         before = f"comes after {time[i - 1]:.9g} s" if i and np.isfinite(time[i]) else "is no time"
-        raise ResultsError(f"{path}, line {i + first}: {time[i]:.9g} s {before}; times must be finite and not decrease")
+        raise SignalFileError(
+            f"{path}, line {i + first}: {time[i]:.9g} s {before}; times must be finite and not decrease"
+        )
     return time
 
 
@@ -111,7 +113,7 @@ def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
     texts = {i for i, cell in enumerate(rows[0]) if isinstance(cell, str)}
     codes: dict[str, int] = {}
     table = [
-        [codes.setdefault(cell, len(codes)) if i in texts else float(cell) for i, cell in enumerate(row)]
+        [codes.setdefault(cell_text(cell), len(codes)) if i in texts else float(cell) for i, cell in enumerate(row)]
         for row in rows
     ]
     return np.array(table, dtype=np.float64), texts, [*codes]
@@ -187,7 +189,7 @@ _CHARACTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16-{}", 16: "utf-8", 17: "utf
 """Type of an element of text → encoding, with the file's byte order."""
 
 _MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _CHAR, _NUMERIC, _COMPLEX = 1, 2, 4, range(6, 16), 0x800
+_CELL, _STRUCT, _CHAR, _NUMERIC, _OPAQUE, _COMPLEX = 1, 2, 4, range(6, 16), 17, 0x800
 """Classes of matrices, and the flag of complex ones."""
 
 
@@ -198,19 +200,21 @@ def read_mat(path: Path) -> tuple[RealArray, dict[str, Column]]:
     which believes what a damaged file says of itself, and crashes.
 
     Raises:
-        ResultsError: the file can't be read, or has no vector ``time``.
+        SignalFileError: the file can't be read, or has no vector ``time``.
     """
     try:
         found = dict(_mat_variables(memoryview(read_bytes(path))))
-        time = np.ravel(found.get("time", ())).astype(np.float64)
     except OSError as error:
-        raise ResultsError(f"can't read {path}: {error.strerror}") from error
+        raise SignalFileError(f"can't read {path}: {error.strerror}") from error
     except (ValueError, TypeError, LookupError, struct.error, zlib.error, RecursionError) as error:
-        raise ResultsError(
+        raise SignalFileError(
             f"can't read {path}: it is damaged, or no MAT file of version 5 ({error}); save it in MATLAB with -v7"
         ) from error
-    if not time.size:
-        raise ResultsError(f"{path} is no file of signals: it has no variable `time`")
+    time = np.ravel(found.get("time", ()))
+    if not time.size or time.dtype.kind not in "iuf":
+        problem = "its `time` is no vector of real numbers" if "time" in found else "it has no variable `time`"
+        raise SignalFileError(f"{path} is no file of signals: {problem}")
+    time = time.astype(np.float64)
     _ascending(time, path, 1)
     names, units = (each if isinstance(each := found.get(key), dict) else {} for key in ("names", "units"))
     columns = {}
@@ -262,7 +266,7 @@ def _mat_value(matrix: memoryview, order: str) -> tuple[str, Any]:
     flag = struct.unpack_from(f"{order}I", flags)[0]
     kind = flag & 0xFF
     if kind not in (_CELL, _STRUCT, _CHAR, *_NUMERIC):  # an object, a sparse matrix, nothing
-        return "", None
+        return b"".join(bytes(each[1]) for each in parts[kind != _OPAQUE :][:1]).decode(), None
     (_, shape), (_, name), *rest = parts
     sizes = np.frombuffer(shape, f"{order}i4")
     value: Any = None
@@ -390,7 +394,7 @@ def read_parquet(path: Path) -> tuple[RealArray, dict[str, Column]]:
     """Return times (N,) [s] and signals of a Parquet file; a file of other programs may lack the units.
 
     Raises:
-        ResultsError: the file can't be read, has no column ``time``, or a column is of neither numbers nor texts.
+        SignalFileError: the file can't be read, has no column ``time``, or a column is of neither numbers nor texts.
     """
     import pyarrow
     from pyarrow import parquet
@@ -399,7 +403,7 @@ def read_parquet(path: Path) -> tuple[RealArray, dict[str, Column]]:
         table = parquet.read_table(path)
         names = table.column_names
         if "time" not in names:
-            raise ResultsError(f"{path} is no table of signals: it has no column `time`; columns: {', '.join(names)}")
+            raise ValueError(f"it has no column `time`; columns: {', '.join(names)}")
         columns: dict[str, Column] = {}
         for name in names:
             field, values = table.schema.field(name), table.column(name)
@@ -408,9 +412,9 @@ def read_parquet(path: Path) -> tuple[RealArray, dict[str, Column]]:
             numbers_or_texts = values.to_pylist() if is_text else values.to_numpy().astype(np.float64)
             columns[name] = coded(unit, numbers_or_texts) if is_text else Column(unit, numbers_or_texts)
     except (OSError, TypeError, ValueError, pyarrow.ArrowException) as error:
-        raise ResultsError(f"can't read {path}: {' '.join(str(error).split())}") from error
+        raise SignalFileError(f"{path} is no table of signals: {' '.join(str(error).split())}") from error
     if (time := columns.pop("time")).texts is not None:
-        raise ResultsError(f"{path} is no table of signals: its column `time` has texts")
+        raise SignalFileError(f"{path} is no table of signals: its column `time` has texts")
     return _ascending(time.values, path, 1), columns
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
+from flexfmu.fmu_build.guard import AVAILABLE, guarded
 from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.instance import TRY
@@ -26,6 +27,9 @@ MOST_HANGS = 2
 
 LOOK = 0.02
 """Period at which the end of a worker is polled [s]."""
+
+GRACE = 10.0
+"""Time that a guard may take to end what an FMU has started [s]."""
 
 _INSTANTIATION = "instantiation"
 
@@ -116,7 +120,7 @@ def _run(
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.validation.worker"
         numbers = [repr(call_limit), repr(step_seconds)]
-        command = [sys.executable, "-m", module, str(os.getpid()), str(folder), str(report), *numbers, *jobs]
+        command = [sys.executable, "-m", module, str(folder), str(report), *numbers, *jobs]
         status, last = _end_of(command, Path(home), timeout)
         # a crash may have cut off the last line
         text = report.read_text(encoding="utf-8") if report.exists() else ""
@@ -154,9 +158,10 @@ def _problem(check: str, status: int | None, last: str, hang: str | None, timeou
 
 
 def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | None, str]:
-    """Run a command and kill its process group; return its exit status (None on timeout) and its last line."""
+    """Run a command, and end what it has started; return its exit status (None on timeout) and its last line."""
     (folder / "work").mkdir()
     with (folder / "stdout").open("w+b") as stdout, (folder / "stderr").open("w+b") as stderr:
+        parent = os.getpid()
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -164,12 +169,17 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
             stderr=stderr,
             cwd=folder / "work",
             start_new_session=os.name == "posix",
+            preexec_fn=(lambda: guarded(parent)) if AVAILABLE else None,
         )
         try:
             status = _wait(process, max(timeout, 1.0))
         finally:
-            # kill the whole group, including processes that the FMU has started
-            if os.name == "posix":
+            # end what the FMU has started too, where there is no guard at least what is in the worker's group
+            if AVAILABLE:
+                process.send_signal(signal.SIGHUP)
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(GRACE)
+            elif os.name == "posix":
                 with suppress(ProcessLookupError, PermissionError):
                     os.killpg(process.pid, signal.SIGKILL)
             process.kill()

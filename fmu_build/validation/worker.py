@@ -1,6 +1,6 @@
 """All dynamic checks: runs those of an FMU in a separate process and writes each finding as a line of JSON to a report file.
 
-python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT STEP_SECONDS KIND:CHECK [KIND:CHECK...]
+python -m flexfmu.fmu_build.validation.worker FOLDER REPORT CALL_LIMIT STEP_SECONDS KIND:CHECK [KIND:CHECK...]
 
 Process state that an FMU must not change: locale, rounding, signal handlers, standard streams, files.
 """
@@ -174,10 +174,10 @@ LOOK = 0.1
 
 def main() -> None:
     """Run the checks that the command line names."""
-    parent, folder, report, limit, step_seconds, *jobs = sys.argv[1:]
+    folder, report, limit, step_seconds, *jobs = sys.argv[1:]
     with Path(report).open("a", encoding="utf-8", buffering=1) as file:
         # watchdog thread for FMI calls that hang
-        watched = (file, float(limit), Path(folder).parent, int(parent))
+        watched = (file, float(limit), Path(folder).parent, os.getppid())
         threading.Thread(target=_watch, args=watched, daemon=True).start()
         # the FMU, and the state of the process before the first check
         description = read_model_description(folder, validate=False)

@@ -15,6 +15,9 @@ _INDEX = re.compile(r"\[(\d+)\]")
 SECTIONS = ("controller", "shaper", "imperfection", "filter", "disturbance", "motor", "plan", "accuracy")
 """Sections that a scene may lack: their names never stand for a slave."""
 
+_KEY_LINE = re.compile(r"""^[ \t]*(?:\[\[?[A-Za-z_]|[\w."'-]+[ \t]*=)""", re.MULTILINE)
+"""How a line with a section or a key begins."""
+
 GAINS = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
 """Short name of a gain → its key."""
 
@@ -31,23 +34,26 @@ def parse_setting(text: str) -> tuple[str, Any]:
     return key, parse_value(value, key)
 
 
-DEEPEST = 50
-"""Largest number of tables and arrays within each other: scenes have six."""
+DEEPEST, MOST_KEYS = 50, 5000
+"""Largest number of tables and arrays within each other, and of keys at one depth: scenes have six, and some hundred."""
 
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The content of a TOML file.
 
     Raises:
-        SceneError: it is none, has a number of thousands of digits, or is nested deeper than `DEEPEST`; without the file's name.
+        SceneError: it is none, has a number of thousands of digits, is nested deeper than `DEEPEST`, or has more keys than `MOST_KEYS`; without the file's name.
     """
+    # counted before and after: to read 100,000 keys takes most of a second
+    keys = sum(1 for _ in _KEY_LINE.finditer(text))
     try:
-        data = tomllib.loads(text)
+        data = {} if keys > MOST_KEYS else tomllib.loads(text)
         level: list[Any] = [data]
         for _ in range(DEEPEST):
             tables = [
                 each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)
             ]
+            keys = max(keys, sum(len(each) for each in level if isinstance(each, dict)))
             level = [value for values in tables for value in values]
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not a TOML file: {error}") from error
@@ -55,6 +61,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise SceneError("not a TOML file: a number has thousands of digits; write it as 1e3") from None
     except RecursionError:
         level = [text]
+    if keys > MOST_KEYS:
+        raise SceneError(f"not a scene: it has {keys} keys and sections, and at most {MOST_KEYS} are read")
     if level:
         raise SceneError(f"not a scene: arrays or tables are nested deeper than {DEEPEST} levels")
     return data

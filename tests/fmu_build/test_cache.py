@@ -131,3 +131,19 @@ def test_old_files_without_a_seal_are_counted(cache_folder: Path) -> None:
     assert [each.path.name for each in cached_files()] == [NAMES[0]]
     cache.remove_cached(cached_files()[0])
     assert cached_files() == []
+
+
+def test_the_limit_holds_when_a_process_ends(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for what it has used, and what one that runs may be about to load; folders within are private whatever the umask."""
+    monkeypatch.setenv("FLEXFMU_CACHE_LIMIT", "1")
+    before = os.umask(0)
+    try:
+        for name in NAMES:
+            monkeypatch.setattr(cache, "_used", set())
+            store(f"other/{name}", bytes(400_000))
+            cache._leave()
+            assert sum(each.size for each in cached_files()) <= 1e6
+    finally:
+        os.umask(before)
+    assert {each.path.name for each in cached_files()} == {*NAMES[-2:]}
+    assert stat.S_IMODE((cache_folder / "other").stat().st_mode) == 0o700

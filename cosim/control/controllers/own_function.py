@@ -13,12 +13,14 @@ numbers, and both must agree.
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import traceback
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import casadi
@@ -477,7 +479,8 @@ def described(error: BaseException | None) -> str:
     if isinstance(error, InputError):
         return str(error)
     frames = traceback.extract_tb(error.__traceback__) if error else []
-    own = [each for each in frames if "/casadi/" not in each.filename and "/numpy/" not in each.filename]
+    others = "/casadi/", "/numpy/", "/importlib/", "<frozen ", f"{Path(__file__).parents[2]}{os.sep}"
+    own = [each for each in frames if not any(name in each.filename for name in others)]
     where = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
     lines = [re.sub(r"^\S*\.cpp:\d+: ", "", line) for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {lines[0] if lines else ''}{where}"

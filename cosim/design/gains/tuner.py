@@ -182,7 +182,6 @@ def tune_scene(
     with contextlib.ExitStack() as stack:
         journal = NOWHERE
         if folder is not None:
-            OutputFolder(folder).prepare()
             stack.enter_context(OutputFolder(folder).claimed())
             journal = trial_journal(folder, study, restart=restart, note=note, total=trials or usual_trials(study)[1])
         return tune_study(

@@ -177,7 +177,8 @@ class Comparison(Rows):
     def tables(self) -> list[Table]:
         """Return the tables of the page: metrics, loops, and the differences of a measurement; those that have rows."""
         measured = [] if self.measured is None else [difference_table(self.measured)]
-        return [table for table in (metrics_table(self.runs), *loop_tables(self.runs), *measured) if table.rows]
+        found = [table for table in (metrics_table(self.runs), *loop_tables(self.runs), *measured) if table.rows]
+        return found or [table for run in self.runs[1:] if (table := _signals_table(run, self.runs[0])).rows]
 
     def html_tables(self) -> str:
         """The tables of a notebook."""
@@ -262,19 +263,41 @@ def delay_text(delay: Delay) -> str:
 
 def difference_table(measured: Measured) -> Table:
     """Return RMS, mean and largest difference of each signal from each run."""
-    rows = [
+    note = f"{measured.name} is {delay_text(measured.delay)}. In the last column: RMS relative to the measured range."
+    title = f"{measured.name} minus simulation"
+    return Table(title, DIFFERENCES, _difference_rows(measured.recording, measured.differences), note)
+
+
+DIFFERENCES = ["Signal", "Run", "RMS", "Mean", "Largest", "Range"]
+"""Head of a table of differences."""
+
+
+def _difference_rows(recording: Recording, differences: Mapping[str, Mapping[str, Difference]]) -> list[list[str]]:
+    return [
         [
             signal,
             run,
             *(f"{value:.4g} {unit}".rstrip() for value in (each.root_mean_square, each.mean, each.largest)),
             "–" if each.relative is None else f"{100.0 * each.relative:.3g} %",
         ]
-        for run, signals in measured.differences.items()
+        for run, signals in differences.items()
         for signal, each in signals.items()
-        for unit in [shown_unit(measured.recording[signal].unit)]
+        for unit in [shown_unit(recording[signal].unit)]
     ]
-    note = f"{measured.name} is {delay_text(measured.delay)}. In the last column: RMS relative to the measured range."
-    return Table(f"{measured.name} minus simulation", ["Signal", "Run", "RMS", "Mean", "Largest", "Range"], rows, note)
+
+
+def _signals_table(run: ComparedRun, first: ComparedRun) -> Table:
+    """The differences of signals that two runs have in common, which files without metrics have alone."""
+    found = {}
+    for name in (each for each in run.recording.columns if each in first.recording.columns):
+        if run.recording[name].texts is None and first.recording[name].texts is None:
+            own, other = _sampled(run.recording, name), _sampled(first.recording, name)
+            time = own.time[(own.time >= other.time[0]) & (own.time <= other.time[-1])]
+            if time.size and np.ptp(time) > 0.0:
+                found[name] = Difference(time, own.at(time), other.at(time))
+    note = "In the last column: RMS relative to the signal's range."
+    rows = _difference_rows(run.recording, {first.name: found})
+    return Table(f"{run.name} minus {first.name}", DIFFERENCES, rows, note)
 
 
 def _sampled(recording: Recording, name: str) -> TimedValues:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Union
 
 import numpy as np
 
-from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError, suggestion
+from flexfmu.cosim.engine.errors import DataWarning, InputError, SignalFileError, suggestion
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import UNITS, cell_text
 from flexfmu.cosim.engine.slave import RealArray
@@ -122,11 +122,11 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
         strict: whether a value that is no finite number is an error instead of left out.
 
     Raises:
-        ResultsError: the file can't be read.
+        SignalFileError: the file can't be read.
         InputError: it has no time, no signal, a column or signal doesn't exist, the time decreases, or a unit is unknown.
     """
     source = Path(log) if isinstance(log, str | Path) else "the measurement"
-    found = _table(Path(log)) if isinstance(log, str | Path) else _Log(_in_memory(log))
+    found = _table(Path(log)) if isinstance(log, str | Path) else _in_memory(log)
     table, units = found.table, found.units
     meaning = _meaning(source, table, mapping, signals)
     # the time first, which every signal needs
@@ -151,15 +151,6 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
     return Recording(time, columns)
 
 
-def _in_memory(log: Recording | pandas.DataFrame) -> dict[str, np.ndarray]:
-    """Return the columns of signals in memory by name, the time among them."""
-    if isinstance(log, Recording):
-        return {"time": log.time, **{name: each.values for name, each in log.columns.items()}}
-    columns = {str(name): log[name].to_numpy() for name in log.columns}
-    usual = any(name.lower() in ("time", "t") for name in columns)
-    return columns if usual else {"time": np.asarray(log.index, dtype=np.float64), **columns}
-
-
 @dataclass(frozen=True)
 class _Log:
     """The columns of a log by name without their units, these units, the lines of the rows, and column → lines and cells of what is
@@ -171,14 +162,29 @@ class _Log:
     odd: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
 
 
+def _in_memory(log: Recording | pandas.DataFrame) -> _Log:
+    """Return the columns of signals in memory, the time among them; NaN is a missing value there."""
+    if isinstance(log, Recording):
+        columns = {"time": log.time, **{name: each.values for name, each in log.columns.items()}}
+    else:
+        columns = {str(name): log[name].to_numpy() for name in log.columns}
+        if not any(name.lower() in ("time", "t") for name in columns):
+            columns = {"time": np.asarray(log.index, dtype=np.float64), **columns}
+    real = {name: each for name, each in columns.items() if each.dtype.kind == "f"}
+    odd = {
+        name: [(i + 1, f"{each[i]:g}") for i in np.flatnonzero(np.isinf(each)).tolist()] for name, each in real.items()
+    }
+    return _Log(columns, odd=odd)
+
+
 def _table(path: Path) -> _Log:
     """Return the columns of a file."""
     if path.suffix in (".parquet", ".mat"):
-        return _Log(_in_memory(Recording.read(path)))
+        return _in_memory(Recording.read(path))
     try:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise ResultsError(f"can't read {path}: {getattr(error, 'strerror', None) or error}") from error
+        raise SignalFileError(f"can't read {path}: {getattr(error, 'strerror', None) or error}") from error
     numbered = [each for each in enumerate(text.splitlines(), 1) if each[1].strip() and not each[1].startswith("#")]
     lines = [line for _, line in numbered]
     separator = max(",;\t", key="".join(lines[:1]).count)
@@ -187,7 +193,7 @@ def _table(path: Path) -> _Log:
     has_units = bool(rows) and all(math.isnan(_number_in(cell.replace(",", "."))) for cell in rows[0])
     own = [cell.strip().strip("[]") for cell in rows.pop(0)] if has_units else []
     if not rows or not any(cell.strip() for cell in header):
-        raise ResultsError(f"{path} has no rows: it must have a header and at least one row of numbers")
+        raise SignalFileError(f"{path} has no rows: it must have a header and at least one row of numbers")
     places = [number for number, _ in numbered[-len(rows) :]]
     names, units = list[str](), dict[str, str]()
     for i, cell in enumerate(header):
@@ -198,7 +204,9 @@ def _table(path: Path) -> _Log:
         units[names[-1]] = unit.strip()
     for number, row in zip(places, rows, strict=False):
         if len(row) != len(header):
-            raise ResultsError(f"{path}, line {number}: {len(row)} cells for the {len(header)} columns of the header")
+            raise SignalFileError(
+                f"{path}, line {number}: {len(row)} cells for the {len(header)} columns of the header"
+            )
     # NaN for empty cells and texts
     values = [[_number_in(cell if separator == "," else cell.replace(",", ".")) for cell in row] for row in rows]
     table = np.array(values, dtype=np.float64)

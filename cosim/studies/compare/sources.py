@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, count
 from math import isfinite
@@ -15,7 +15,7 @@ import numpy as np
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, robustness
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
-from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
+from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError, SignalFileError
 from flexfmu.cosim.engine.files import file_digest
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
@@ -88,20 +88,26 @@ def compared_runs(
     return found
 
 
-def given_sources(arguments: Sequence[str], variants: Sequence[str] = (), settings: Sequence[str] = ()) -> list[Source]:
+def given_sources(
+    arguments: Sequence[str],
+    variants: Sequence[str] = (),
+    settings: Sequence[str] = (),
+    load: Callable[[str, Mapping[str, Any]], Scene] = load_scene,
+) -> list[Source]:
     """Return what arguments of the command stand for: scenes by their names and with changes, results as they are.
 
     Args:
         arguments: ``SCENE``, ``NAME=SCENE``, or a folder or file of results.
         variants: ``NAME:KEY=VALUE,KEY=VALUE``, the first scene with changes.
         settings: ``KEY=VALUE``, changes of all scenes.
+        load: loads a scene with changes.
 
     Raises:
         SceneError: there is no such scene, or a key or value is invalid.
         InputError: a variant has another form, or there is no scene to vary.
     """
     changes = dict(map(parse_setting, settings))
-    found = [_given(each, changes) for each in arguments]
+    found = [_given(each, changes, load) for each in arguments]
     first = next((each for each in found if isinstance(each, Scene)), None)
     if first is None and (variants or changes):
         raise InputError("--variant and --set change a scene: give one, not results alone")
@@ -115,15 +121,15 @@ def given_sources(arguments: Sequence[str], variants: Sequence[str] = (), settin
     return found
 
 
-def _given(argument: str, changes: Mapping[str, Any]) -> Source:
+def _given(argument: str, changes: Mapping[str, Any], load: Callable[[str, Mapping[str, Any]], Scene]) -> Source:
     """The scene of an argument, changed; results as they are."""
     path = Path(argument)
     if path.is_dir() or (path.suffix in READABLE and path.is_file()):
         return argument
     name, sign, source = argument.partition("=")
     if not sign or path.exists():
-        return load_scene(argument, changes)
-    return load_scene(source, {**changes, "name": name.strip()})
+        return load(argument, changes)
+    return load(source, {**changes, "name": name.strip()})
 
 
 def _loaded(source: Source, show: ShowProgress, strict: bool) -> ComparedRun | Scene:
@@ -206,9 +212,9 @@ def _read(file: Path, name: str, strict: bool) -> ComparedRun:
     try:
         summary = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     except (OSError, ValueError) as error:
-        raise ResultsError(f"can't read {path}: {error}") from error
+        raise SignalFileError(f"can't read {path}: {error}") from error
     if summary.get("results", {}).get(file.name, digest := file_digest(file)) != digest:
-        raise ResultsError(
+        raise SignalFileError(
             f"{file} isn't of the run that {path.name} beside it describes: run it again, or remove {path.name} to compare "
             "signals alone"
         )

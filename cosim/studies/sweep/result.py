@@ -223,10 +223,10 @@ class Results:
         self._head = _line(_texts(["case", *titles, "message"]))
         if folder is None:
             return
-        self._journal = Journal(folder / JOURNAL)
         self._lock.enter_context(OutputFolder(folder).claimed())
         with contextlib.ExitStack() as after_error:
             after_error.callback(self._lock.close)
+            self._journal = Journal(folder / JOURNAL)
             self._begin(folder, json.loads(json.dumps(manifest or {})), restart)
             after_error.pop_all()
 

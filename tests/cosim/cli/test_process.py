@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import resource
 import shlex
 import signal
 import struct
@@ -14,11 +15,13 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomlkit
 from fmpy.util import read_csv
 
 from flexfmu.cosim.many.prepared_scene import run_scene
@@ -218,3 +221,24 @@ def test_a_pipe_has_neither_styles_nor_the_width_of_a_terminal(frequencies: list
     assert text.count("─\n") + text.count("─ \n") == 1
     assert set(frequencies) <= set(text.split())
     assert text.splitlines()[-1].startswith("The lowest 6 of ")
+
+
+def test_too_few_descriptors_are_one_line() -> None:
+    """Where not even the package's own files can be read."""
+    limit = partial(resource.setrlimit, resource.RLIMIT_NOFILE, (7, 7))
+    done = ran([*FLEXFMU, "run", SCENE], preexec_fn=limit)
+    assert done.returncode == 1
+    assert done.stderr == "flexfmu: too few files can be opened: close some, or raise the limit (ulimit -n)\n"
+
+
+def test_a_command_that_writes_nothing_leaves_no_folder(tmp_path: Path) -> None:
+    """An error of the scene; a user's source is named in it, and no file of ours."""
+    robot = load_scene(SCENE).replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    about = robot.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    scene = tmp_path / "scene.toml"
+    scene.write_text(tomlkit.dumps(about) + '\n[[controller]]\nkind = "python"\nsource = "os:system"\n')
+    done = flexfmu("run", str(scene), "--out", str(tmp_path / "new" / "deep"))
+    assert done.returncode == 2
+    assert "os:system(): TypeError" in done.stderr
+    assert "user_slaves" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]

@@ -7,12 +7,14 @@ import shutil
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
 import tomlkit
 
+from flexfmu.cosim.cli.console import load_named
 from flexfmu.cosim.cli.sandbox import _confine, _landlock
 from flexfmu.model.scene.file import load_scene
 
@@ -66,6 +68,7 @@ def test_a_confined_process_writes_into_its_folder_alone(tmp_path: Path) -> None
     """Also what it starts: neither a file beside the folder nor a datagram, and no more memory than its limit."""
     own, other = tmp_path / "own", tmp_path / "other"
     own.mkdir(), other.mkdir()
+    here = os.getpid()
     code = f"""
 import socket, subprocess
 from pathlib import Path
@@ -84,12 +87,23 @@ print(
     refused(lambda: socket.socket(socket.AF_UNIX)),
     subprocess.run(["touch", {str(other / "y")!r}], stderr=subprocess.DEVNULL).returncode,
 )
+Path({str(own)!r}, "left").write_text("left")
+subprocess.run("exec >&- 2>&-; setsid sh -c 'sleep 600; rm {own}/left' &", shell=True)
 """
     ran = subprocess.run(
-        [sys.executable, "-c", code], preexec_fn=lambda: _confine([str(own)]), stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", code], preexec_fn=lambda: _confine(here, [str(own)]), stdout=subprocess.PIPE, text=True
     )
     assert ran.stdout == "False True True True True 1\n"
     assert list(other.iterdir()) == []
+    # what it has started in a session of its own has ended
+    assert str(own / "left").encode() not in b"".join(path.read_bytes() for path in _command_lines())
+
+
+def _command_lines() -> Iterator[Path]:
+    """Files with the command lines of other processes."""
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        if path.parent.name != str(os.getpid()) and path.exists():
+            yield path
 
 
 @pytest.mark.slow
@@ -143,3 +157,15 @@ def test_code_from_outside_the_scenes_folder_is_named(scene: Path, tmp_path: Pat
             [sys.executable, "-m", "flexfmu", "run", str(scene)], capture_output=True, text=True, timeout=600
         )
         assert (f"the scene runs code from outside its folder: {path}" in ran.stderr) is named, ran.stderr
+
+
+def test_modules_from_elsewhere_are_named(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Python's own, built in or not; those beside the scene aren't."""
+    (scene.parent / "package").mkdir()
+    (scene.parent / "package" / "__init__.py").touch()
+    text = scene.read_text()
+    for source, named in (("subprocess:run", "subprocess.py"), ("posix:system", "of Python"), ("package:f", "")):
+        scene.write_text(text.replace("mine:mine", source))
+        load_named(str(scene))
+        told = capsys.readouterr().err
+        assert (f"code from outside its folder: {source} (" in told and named in told) if named else not told

@@ -6,7 +6,10 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Timer
 from time import monotonic, sleep
 from typing import Any
 
@@ -14,6 +17,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.fmu_build.validation.supervisor import _end_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at processes as Linux shows them")
 
@@ -43,10 +47,18 @@ with orderly_termination():
 """
 
 
+LONGEST = 120.0
+"""How long a process may take, so that no test waits for ever for what it prints [s]."""
+
+
 def started(*arguments: str, **options: Any) -> subprocess.Popen[str]:
-    """A Python process whose output is read."""
+    """A Python process whose output is read, and which is killed after `LONGEST`."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, *arguments], text=True, **pipes, **options)
+    process = subprocess.Popen([sys.executable, *arguments], text=True, **pipes, **options)
+    limit = Timer(LONGEST, process.kill)
+    limit.daemon = True
+    limit.start()
+    return process
 
 
 def said(process: subprocess.Popen[str], stream: str = "stdout") -> str:
@@ -126,7 +138,8 @@ def test_signals_end_a_command_in_good_order(number: signal.Signals) -> None:
     """With one line, and the status that shells expect, also where a library swallows the interruption; not under nohup."""
     swallowed = "\n        try: time.sleep(600)\n        except BaseException: pass"
     for ignored in (False, True) if number is signal.SIGHUP else (False,):
-        hold = (lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) if ignored else None
+        # shells ignore SIGQUIT in what runs in their background, these tests for example
+        hold = partial(signal.signal, number, signal.SIG_IGN if ignored else signal.SIG_DFL)
         script = ENDING.replace("\n        time.sleep(600)", swallowed) if number is signal.SIGQUIT else ENDING
         process = started("-c", script, preexec_fn=hold)
         assert said(process) == "ready\n"
@@ -164,3 +177,12 @@ def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
     with folder.claimed():
         pass
     assert list(folder.path.iterdir()) == []
+
+
+def test_what_an_fmu_under_test_starts_ends_with_its_check() -> None:
+    """Also in a session of its own."""
+    code = "import subprocess; print(subprocess.Popen(['setsid', 'sleep', '600']).pid, flush=True, file=__import__('sys').stderr)"
+    with TemporaryDirectory() as folder:
+        status, last = _end_of([sys.executable, "-c", code], Path(folder), 60.0)
+    assert status == 0
+    assert not is_running(int(last))

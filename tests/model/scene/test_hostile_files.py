@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -48,3 +49,24 @@ def test_drawn_texts_are_one_error(text: str) -> None:
     """Whatever the text is, it is TOML or refused."""
     with suppress(SceneError):
         parse_toml(text)
+
+
+def test_many_faulty_keys_are_not_read() -> None:
+    """A line, before they are parsed or checked."""
+    for text in ("[[controller]]\nkind = 'pd'\n" * 100_000, "".join(f"k{i} = 1\n" for i in range(100_000))):
+        with pytest.raises(SceneError, match=r"not a scene: it has \d+ keys and sections, and at most 5000 are read"):
+            parse_toml(text)
+    with pytest.raises(SceneError, match="it has 10000 keys"):
+        parse_toml(f"a = {{ {', '.join(f'k{i} = 1' for i in range(10_000))} }}")
+
+
+def test_a_pipe_that_nothing_writes_into_is_refused(tmp_path: Path) -> None:
+    """At once; one with a writer is read."""
+    os.mkfifo(path := tmp_path / "pipe.toml")
+    with pytest.raises(SceneError, match="it is a pipe that nothing writes into, no regular file"):
+        load_scene(path)
+    reading, writing = os.pipe()
+    os.write(writing, scene_path("barnard2012-6kg").read_bytes())
+    os.close(writing)
+    assert load_scene(f"/dev/fd/{reading}").name == "barnard2012-6kg"
+    os.close(reading)

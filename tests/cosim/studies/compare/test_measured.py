@@ -6,9 +6,13 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import scipy.io
+from typer.testing import CliRunner
 
 import flexfmu
+from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.studies.compare.measured import Mapped, as_mapped, parse_mapping, read_log
@@ -121,3 +125,38 @@ def test_a_file_of_results_is_looked_at_too(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.recording["joint1.torque"].values, [1.0, np.nan, np.nan, 4.0])
     with pytest.raises(InputError, match="line 3"):
         flexfmu.compare(path, strict=True)
+
+
+def test_infinities_of_a_data_frame_are_told(tmp_path: Path) -> None:
+    """By row, as those of a file; NaN is a missing value there."""
+    frame = pd.DataFrame({"time": [0.0, 1.0, 2.0], "a": [1.0, math.inf, math.nan]})
+    with pytest.warns(DataWarning, match="1 values are no finite numbers .*'inf' in line 2, column 'a'"):
+        read_log(frame, {}, {"a": ""})
+
+
+def test_files_without_metrics_are_compared_by_signals(tmp_path: Path) -> None:
+    """Wrong files are wrong input: exit status 2, and what is wrong."""
+    scipy.io.savemat(tmp_path / "object.mat", {"time": np.array([{"a": 1.0}, {"a": 2.0}], dtype=object)})
+    texts = {
+        "one": "time,a\n0,1\n1,2\n",
+        "bom": "\ufefftime,a\n0,1\n1,4\n",
+        "b": "time,b\n0,1\n1,2\n",
+        "back": "time,a\n1,1\n0,2\n",
+    }
+    for name, text in texts.items():
+        log(tmp_path, text).rename(tmp_path / f"{name}.csv")
+
+    def told(name: str) -> tuple[int, str]:
+        ran = CliRunner().invoke(app, ["compare", str(tmp_path / "one.csv"), str(tmp_path / name)])
+        return ran.exit_code, " ".join(ran.output.split())
+
+    status, text = told("bom.csv")
+    assert status == 0
+    assert "bom minus one" in text
+    assert "1.414" in text
+    for name, problem in {
+        "b.csv": "no metrics", "back.csv": "line 3: 0 s comes after 1 s", "object.mat": "its `time` is no vector of real numbers",
+    }.items():  # fmt: skip
+        status, text = told(name)
+        assert status == 2
+        assert problem in text
