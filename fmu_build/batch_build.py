@@ -15,8 +15,8 @@ from flexfmu.fmu_build.archive import DAMAGED, open_archive
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, BuildError, ModelError
-from flexfmu.fmu_build.sources import Sources, runtime_sources
-from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, find_compiler, native_platform
+from flexfmu.fmu_build.sources import Sources, c_files, runtime_sources
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, find_compiler, native_platform
 
 LANE_FLAGS: Mapping[int, tuple[str, ...]] = {
     8: ("-mavx512f", "-mavx512dq", "-mprefer-vector-width=512"),
@@ -79,7 +79,7 @@ def _compiled(name: str, generated: dict[str, str], runtime: dict[str, str], fla
     file = f"batch/{content_hash(part.encode() for part in parts)}{compiler.platform.suffix}"
     if (found := cached(file)) is not None:
         return found
-    sources, generated_flags = Sources(name, "", "", generated, runtime, {}), ("-std=c99", "-O2", "-w", *flags, *_FIRST)
-    runtime_flags = (*RUNTIME_FLAGS, *flags)
+    sources = Sources(name, "", "", generated, runtime, {}, joined=c_files(runtime))
+    runtime_flags, generated_flags = (*RUNTIME_FLAGS, *flags), (*GENERATED_FLAGS, *flags, *_FIRST)
     library = compile_library(sources, compiler, runtime_flags=runtime_flags, generated_flags=generated_flags)
     return store(file, library)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,8 +15,8 @@ from flexfmu.fmu_build.temporary import temporary_folder
 if TYPE_CHECKING:
     from flexfmu.fmu_build.sources import Sources
 
-_SMALL_FILE, _SMALL_SIZE = "model_small_functions.c", 10_000
-"""Name of the file that holds all small generated files for the compiler, and their length [characters]."""
+_UNIT_SIZE = 100_000
+"""Length of what is compiled as one [characters]; some units can be compiled in parallel."""
 
 
 def compile_library(
@@ -39,16 +39,17 @@ def compile_library(
         CompileError: the compiler or linker fails.
         ArchiveError: the temporary files can't be written.
     """
-    # one job per C file, with flags for generated code or runtime
-    generated = _with_small_ones_joined(sources)
-    texts = generated | sources.runtime
+    # one job per unit, with flags for generated code or runtime
+    # the table with the GUID stays by itself, since another payload changes it alone
+    runtime = _units(sources.runtime, lambda name: name not in sources.joined)
+    generated = _units(sources.generated, lambda name: sources.guid in sources.generated[name])
+    texts = sources.generated | sources.runtime | runtime | generated
     first = toolchain.FIRST_HEADER if toolchain.FIRST_HEADER[-1] in texts else ()
-
-    jobs = []
-    for name in sorted(name for name in texts if name.endswith(".c")):
-        flags = generated_flags if name in generated else runtime_flags
-        lanes = toolchain.LANES_FLAGS if name == toolchain.SOLVER_LANES else ()
-        jobs.append(toolchain.CompileJob(name, (*flags, *lanes, *first)))
+    jobs = [
+        toolchain.CompileJob(name, (*flags, *first))
+        for units, flags in ((runtime, runtime_flags), (generated, generated_flags))
+        for name in units
+    ]
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
     with _work_folder() as folder:
         for file, text in texts.items():
@@ -83,18 +84,24 @@ def _stand_ins(sources: Sources, compiler: toolchain.Compiler, folder: Path) -> 
     return (*sources.libraries, "-Wl,-rpath,$ORIGIN") if sources.libraries else ()
 
 
-def _with_small_ones_joined(sources: Sources) -> dict[str, str]:
-    """The generated files with the small ones in one: to start the compiler and read the headers takes longer than to compile these.
+def _units(texts: Mapping[str, str], separate: Callable[[str], bool]) -> dict[str, str]:
+    """What the compiler gets, name → text: C files that include others, since to start it and read the headers takes longer than most.
 
-    The table with the GUID stays by itself, since another payload changes it alone; and so does everything without a GUID.
+    What is ``separate`` stays by itself, and so does what includes C files already.
     """
-    small = [
-        name
-        for name, text in sorted(sources.generated.items())
-        if name.endswith(".c") and len(text) < _SMALL_SIZE and sources.guid not in text
-    ]
-    others = {name: text for name, text in sources.generated.items() if name not in small}
-    return others | ({_SMALL_FILE: "\n".join(sources.generated[name] for name in small)} if small else {})
+    units: dict[str, str] = {}
+    unit, size = "", _UNIT_SIZE
+    for name, text in sorted(texts.items()):
+        if name.endswith(".h"):
+            continue
+        if separate(name) or '.c"\n' in text:
+            units[name] = text
+            continue
+        if size + len(text) > _UNIT_SIZE:
+            unit, size = f"unit_of_{name}", 0
+        units[unit] = units.get(unit, "") + f'#include "{name}"\n'
+        size += len(text)
+    return units
 
 
 @contextmanager

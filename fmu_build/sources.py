@@ -65,6 +65,7 @@ class Sources:
         documentation: path below the FMU's root → text.
         icon: PNG file; may be empty.
         libraries: shared libraries that the FMU's own one needs beside it, name → library.
+        joined: C files of ``runtime`` that may be compiled as one, since none has a name that another defines for itself.
     """
 
     model_identifier: str
@@ -75,6 +76,7 @@ class Sources:
     documentation: dict[str, str]
     icon: bytes = b""
     libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
+    joined: tuple[str, ...] = ()
 
     def archive_files(self) -> dict[str, bytes]:
         """Path below the FMU's root → content, without binaries."""
@@ -122,6 +124,7 @@ def generate_sources(
         raise ModelError(
             f"the C file {taken[0]!r} has the name of a file of every FMU; rename it, to my_{taken[0]} for example"
         )
+    joined = c_files(runtime)
     runtime |= content.c_files
     names = c_files((*blank, *runtime))
     # the hash of these texts, spelt {8-4-4-4-12}
@@ -137,6 +140,7 @@ def generate_sources(
         documentation(content, naming, experiment),
         (files(__package__) / "templates" / f"{icon}.png").read_bytes(),
         content.libraries,
+        joined,
     )
 
 

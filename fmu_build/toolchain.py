@@ -110,9 +110,6 @@ RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 GENERATED_FLAGS = ("-std=c99", "-O2", "-w")
 """Flags for generated code, without warnings, since they would concern CasADi."""
 
-SOLVER_LANES, LANES_FLAGS = "lanes_collocation.c", ("-O3",)
-"""The file of the runtime that gains from loops in vector registers, and its further flags."""
-
 COMMON_FLAGS = (
     "-fvisibility=hidden",  # export only the FMI functions
     "-ffp-contract=off",  # the same rounding on every machine
@@ -165,7 +162,7 @@ class Compiler:
         return f"{self.command} {self.executable} {facts.st_mtime_ns} {facts.st_size}"
 
     def compile(self, jobs: Iterable[CompileJob], folder: Path) -> None:
-        """Compile all jobs in parallel, the largest source first.
+        """Compile all jobs in parallel.
 
         Args:
             jobs: C files to compile.
@@ -176,9 +173,8 @@ class Compiler:
         """
         from concurrent.futures import ThreadPoolExecutor
 
-        ordered = sorted(jobs, key=lambda job: (folder / job.source).stat().st_size, reverse=True)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for _ in pool.map(lambda job: self._compile_one(job, folder), ordered):
+            for _ in pool.map(lambda job: self._compile_one(job, folder), jobs):
                 pass
 
     def link(self, objects: Iterable[str], library: str, folder: Path) -> None:

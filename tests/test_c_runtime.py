@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without t
 
 from object_files import COMPILER, object_files, program, run
 
-from flexfmu.fmu_build.sources import c_files, runtime_sources
+from flexfmu.fmu_build.sources import RuntimeKind, c_files, runtime_sources
 from flexfmu.fmu_build.toolchain import fmi_header_folder
 
 RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
@@ -51,6 +51,14 @@ def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_c(plain: Path, name: str) -> None:
     """Each test in C states beside its source what it protects."""
     run(plain, name)
+
+
+@pytest.mark.parametrize("kind", ["plant", "block", "trajectory", "batch", "elementary"])
+def test_files_compile_as_one(kind: RuntimeKind, tmp_path: Path) -> None:
+    """The build reads many files as one unit: a name that two of them define for themselves would break it."""
+    joined = [name for name in c_files(runtime_sources(kind)) if not name.startswith("lanes_collocation")]
+    (tmp_path / "all.c").write_text("".join(f'#include "{name}"\n' for name in joined))
+    object_files(tmp_path, [tmp_path / "all.c"], *FLAGS, *INCLUDES, "-O1")
 
 
 def test_lists_all_tests(plain: Path) -> None:

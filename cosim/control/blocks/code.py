@@ -157,8 +157,9 @@ def library(
         c_files: further C files and headers, (name, text) each.
         libraries: shared libraries that these call, (name, library) each; they are stored beside the compiled one.
     """
-    runtime = runtime_sources("elementary") | dict(c_files)
-    sources = Sources(name, "", "", {f"{name}.c": code}, runtime, {}, libraries=dict(libraries))
+    own = runtime_sources("elementary")
+    texts = own | dict(c_files)
+    sources = Sources(name, "", "", {f"{name}.c": code}, texts, {}, libraries=dict(libraries), joined=tuple(own))
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
     for beside, each in libraries:

@@ -48,7 +48,7 @@ static size_t lane_numbers(const flex_model *model) {
 }
 
 // bytes before the plant, whose alignment is that of all pieces
-static size_t take(flex_batch *whole, const flex_batch_task *task, flex_arena *arena) {
+static size_t take_whole(flex_batch *whole, const flex_batch_task *task, flex_arena *arena) {
   whole->kept = flex_take_reals(arena, lane_numbers(&flex_the_model));
   whole->recording = flex_take_reals(arena, (size_t)flex_batch_instants(task) * (size_t)(task->order + 1) * (size_t)task->n_recorded);
   whole->motion = flex_take_reals(arena, task->finds_peaks ? (size_t)(flex_batch_instants(task) * 3 * flex_the_model.n) : 0);
@@ -60,7 +60,7 @@ static size_t take(flex_batch *whole, const flex_batch_task *task, flex_arena *a
 size_t flex_batch_size(const flex_batch_task *task) {
   flex_batch whole;
   flex_arena arena = {NULL, 0};
-  return take(&whole, task, &arena) + flex_plant_size(&flex_the_model) + sizeof(real);
+  return take_whole(&whole, task, &arena) + flex_plant_size(&flex_the_model) + sizeof(real);
 }
 
 // pieces of the caller's memory, from its first aligned byte on
@@ -68,7 +68,7 @@ flex_batch flex_batch_create(const flex_batch_task *task, void *memory) {
   flex_batch whole = {task, NULL, NULL, NULL, NULL, NULL, flex_real(1.0), NULL};
   char *first = memory;
   flex_arena arena = {first + (sizeof(real) - (uintptr_t)first % sizeof(real)) % sizeof(real), 0};
-  size_t used = take(&whole, task, &arena);
+  size_t used = take_whole(&whole, task, &arena);
   whole.plant = flex_plant_create(&flex_the_model, arena.block + used);
   return whole;
 }

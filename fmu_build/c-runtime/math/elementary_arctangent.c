@@ -4,15 +4,15 @@
 #include "elementary_arctangent_constants.h"
 #include "elementary_pairs.h"
 
-#define STEPS 64.0
+#define SLOPES 64.0
 #define NEGLIGIBLE 0x1p-60 /* slopes whose angle is the slope itself */
 
 static const flex_pair pi = {PI_HI, PI_LO};
 
 /* atan(y / x), 0 <= y <= x */
 static flex_pair octant_angle(flex_pair y, flex_pair x) {
-  int j = (int)(y.hi / x.hi * STEPS + 0.5);
-  flex_pair slope = {j / STEPS, 0.0};
+  int j = (int)(y.hi / x.hi * SLOPES + 0.5);
+  flex_pair slope = {j / SLOPES, 0.0};
   flex_pair across = flex_pair_difference(y, flex_pair_product(slope, x));
   flex_pair along = flex_pair_sum(x, flex_pair_product(slope, y));
   flex_pair t = flex_pair_ratio(across, along);

@@ -4,7 +4,7 @@
 #include "elementary_exponential.h"
 #include "elementary_logarithm_constants.h"
 
-#define STEPS 128.0
+#define NEAREST 128.0
 #define ROOT_OF_TWO 0x1.6a09e667f3bcdp+0
 #define SMALL 0x1p-960
 #define LARGE 0x1p960
@@ -40,9 +40,9 @@ flex_pair flex_pair_log(flex_pair x) {
   hi *= unit;
   lo *= unit;
   // table and polynomial
-  int j = (int)(hi * STEPS + 0.5) - (int)STEPS;
+  int j = (int)(hi * NEAREST + 0.5) - (int)NEAREST;
   double r;
-  flex_pair rest = reduced_log(hi, lo, 1.0 + j / STEPS, &r);
+  flex_pair rest = reduced_log(hi, lo, 1.0 + j / NEAREST, &r);
   const double *entry = logarithms[j - FIRST_LOGARITHM];
   flex_pair sum = flex_fast_sum(k * LN2_HI + entry[0], r), more = flex_exact_sum(sum.hi, rest.hi);
   return flex_fast_sum(more.hi, more.lo + (sum.lo + (rest.lo + (entry[1] + k * LN2_LO))));

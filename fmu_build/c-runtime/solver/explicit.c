@@ -47,7 +47,7 @@ static real weighted(const flex_integrator *integrator, const double *weights, c
 }
 
 // one step, its stages included
-static flex_outcome take(flex_integrator *integrator, double t, double h, double *margin) {
+static flex_outcome take_step(flex_integrator *integrator, double t, double h, double *margin) {
   const flex_explicit_tableau *tableau = integrator->method->runge_kutta;
   int n = integrator->n;
   flex_outcome outcome = solve_stages(integrator, t, h);
@@ -103,7 +103,7 @@ static double embedded_error(flex_integrator *integrator, double h) {
 }
 
 // after a full step: the way again in two steps of half the size, which are kept; error: theirs
-static flex_outcome take_halves(flex_integrator *integrator, double t, double h, double *error, double *margin) {
+static flex_outcome take_explicit_halves(flex_integrator *integrator, double t, double h, double *error, double *margin) {
   size_t size = (size_t)integrator->n * sizeof(real);
   memcpy(integrator->full_y, integrator->y, size);
   memcpy(integrator->full_v, integrator->v, size);
@@ -111,7 +111,7 @@ static flex_outcome take_halves(flex_integrator *integrator, double t, double h,
 
   // from the saved start again
   for (int half = 0; half < 2; half++) {
-    flex_outcome outcome = take(integrator, t + half * 0.5 * h, 0.5 * h, margin);
+    flex_outcome outcome = take_step(integrator, t + half * 0.5 * h, 0.5 * h, margin);
     if (outcome != FLEX_DONE) return outcome;
   }
 
@@ -132,12 +132,12 @@ flex_outcome flex_explicit_step(flex_integrator *integrator, double t, double h,
 
   // the step and its error
   flex_step_save(integrator);
-  flex_outcome outcome = take(integrator, t, h, value);
+  flex_outcome outcome = take_step(integrator, t, h, value);
   if (outcome == FLEX_DONE && *integrator->fixed_step == 0.0) {
     if (integrator->method->runge_kutta->is_embedded)
       error = embedded_error(integrator, h);
     else
-      outcome = take_halves(integrator, t, h, &error, value);
+      outcome = take_explicit_halves(integrator, t, h, &error, value);
   }
   // a motion that an unstable method blows up may pass a singularity, which isn't the mechanism's fault
   if (outcome == FLEX_TOO_SINGULAR && *integrator->fixed_step > 0.0 && !(speed(integrator, h) < UNSTABLE))

@@ -1,5 +1,11 @@
 /* The collocation methods once more, compiled for processors with registers of four doubles (lanes.h). The operations are those of
  * the files below, in the same order, so that the bits are the same; `flex_integrator_use` chooses between the two. */
+#if defined(__GNUC__) && !defined(__clang__)
+/* as fast as -O3, compiled in half its time; vzeroupper needs `expensive-optimizations` */
+#pragma GCC optimize("O1", "expensive-optimizations", "tree-vectorize", "vect-cost-model=dynamic", "inline-functions", \
+                     "strict-aliasing", "peel-loops", "unswitch-loops", "tree-vrp")
+#endif
+
 #include "lanes.h"
 #include "real.h"
 

@@ -10,7 +10,7 @@
 #include "linear_algebra.h"
 
 /* iterations: links are nearly linear springs, three are usual */
-#define MAX_ITERATIONS 50
+#define MAX_STATIC_ITERATIONS 50
 
 /* smallest damping factor */
 #define LEAST_DAMPING 1e-4
@@ -19,7 +19,7 @@
 #define CONVERGED 1e-10
 
 /* relative step of the difference quotients: forces are nearly linear, rounding errors of the stiffest links matter more */
-#define DIFFERENCE 1e-4
+#define STATIC_DIFFERENCE 1e-4
 
 void flex_statics_take(flex_statics *statics, int n, flex_arena *arena) {
   size_t size = (size_t)n;
@@ -43,7 +43,7 @@ int flex_statics_forces(flex_statics *statics, flex_equations *equations, const 
 }
 
 // stiffness dr/dy of the free unknowns by differences, factorised
-static int factor_stiffness(flex_statics *statics, flex_equations *equations, const real *weight, real scale,
+static int factor_static_stiffness(flex_statics *statics, flex_equations *equations, const real *weight, real scale,
                             const real *u, real *y) {
   int n = equations->model->n, locked = equations->model->n_locked, free = n - locked, refused = 0;
   const real *before = statics->residual;
@@ -51,7 +51,7 @@ static int factor_stiffness(flex_statics *statics, flex_equations *equations, co
     // one coordinate moves by a part of its own scale
     real *moved = y + locked + i, kept = *moved, share = weight[locked + i];
     real size = flex_if_positive(share, scale / flex_sqrt(share), flex_real(1.0));
-    *moved = kept + DIFFERENCE * flex_larger(size, flex_fabs(kept));
+    *moved = kept + STATIC_DIFFERENCE * flex_larger(size, flex_fabs(kept));
     real step = *moved - kept;
     refused |= flex_residual(equations, y, statics->zero, statics->zero, u, statics->simplified);
     *moved = kept;
@@ -64,7 +64,7 @@ static int factor_stiffness(flex_statics *statics, flex_equations *equations, co
 }
 
 // correction of the present matrix for the residual at a point; locked unknowns stay
-static int correct(flex_statics *statics, flex_equations *equations, const real *u, const real *y, real *correction) {
+static int correct_pose(flex_statics *statics, flex_equations *equations, const real *u, const real *y, real *correction) {
   int n = equations->model->n, locked = equations->model->n_locked;
   int refused = flex_statics_forces(statics, equations, u, y);
   memset(correction, 0, (size_t)locked * sizeof *correction);
@@ -79,7 +79,7 @@ static double damped_step(flex_statics *statics, flex_equations *equations, cons
   int n = equations->model->n;
   for (double damping = 1.0; damping >= LEAST_DAMPING; damping *= 0.5) {
     for (int i = 0; i < n; i++) statics->trial[i] = y[i] - damping * statics->correction[i];
-    if (correct(statics, equations, u, statics->trial, statics->simplified)) continue;
+    if (correct_pose(statics, equations, u, statics->trial, statics->simplified)) continue;
     if (flex_worst(norm(n, weight, statics->simplified), scale) <= (1.0 - 0.25 * damping) * size) return damping;
   }
   return 0.0;
@@ -91,10 +91,10 @@ flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations
   if (n == locked) return FLEX_DONE;
   if (flex_statics_forces(statics, equations, u, y)) return FLEX_NOT_FINITE;
 
-  for (int k = 0; k < MAX_ITERATIONS; k++) {
+  for (int k = 0; k < MAX_STATIC_ITERATIONS; k++) {
     // newton correction with a fresh matrix
     real scale = flex_larger(floor, norm(n - locked, weight + locked, y + locked));
-    if (factor_stiffness(statics, equations, weight, scale, u, y)) return FLEX_NOT_FINITE;
+    if (factor_static_stiffness(statics, equations, weight, scale, u, y)) return FLEX_NOT_FINITE;
     memset(statics->correction, 0, (size_t)locked * sizeof *y);
     memcpy(statics->correction + locked, statics->residual + locked, (size_t)(n - locked) * sizeof *y);
     flex_lu_solve(n - locked, statics->stiffness, statics->pivots, statics->correction + locked);
