@@ -21,7 +21,7 @@ from flexfmu.model.scene.assembly import end_effector
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TableSection, TrajectorySection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.curves import Point, Side
+from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import EndEffectorTrajectory, JointTrajectory, check_margins
@@ -87,22 +87,9 @@ class Tabulated:
     """A trajectory that keeps its one-sided limits at the last instants, for runs with the same ones."""
 
     def __init__(self, trajectory: Trajectory) -> None:
-        self._trajectory = trajectory
+        self._trajectory, self.duration, self.breakpoints = trajectory, trajectory.duration, trajectory.breakpoints
         self._table: tuple[RealArray, NDArray[np.bool_], RealArray] | None = None
-
-    @property
-    def duration(self) -> float:
-        """Duration of the motion [s]."""
-        return self._trajectory.duration
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which a derivative may jump."""
-        return self._trajectory.breakpoints
-
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """See `flexfmu.trajectories.trajectory.Trajectory`."""
-        return self._trajectory.evaluate(time, order, side)
+        self.evaluate = trajectory.evaluate
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`; callers share the result and don't write to it."""

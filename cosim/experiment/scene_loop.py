@@ -344,20 +344,14 @@ class _Builder:
         if len(slaves) > 1:
             for slave in slaves:
                 self._names.chosen(slave.name, slave.name)
-        self._connect(slaves, section.connect)
-        return slaves
-
-    def _connect(self, slaves: Sequence[Slave], connect: Mapping[str, str]) -> None:
-        """Add the connections of a section.
-
-        Targets without the name of another slave are inputs of this section's slaves, the first one's if misspelt.
-        """
+        # targets without the name of another slave are inputs of this section's slaves, the first one's if misspelt
         own = {name: slave.name for slave in reversed(slaves) for name in names_of(slave, "input")}
         heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
-        for target, source in connect.items():
+        for target, source in section.connect.items():
             head, dot, _ = target.partition(".")
             is_own = target in own or not dot or head in heads
             self.connect[f"{own.get(target, slaves[0].name)}.{target}" if is_own else target] = source
+        return slaves
 
     def _built(self, section: Any, motion: MotionPlan, name: str, sample_time: float) -> Any:
         """What a section of a kind of our own describes."""

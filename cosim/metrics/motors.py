@@ -23,7 +23,7 @@ import numpy as np
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.segments import HermiteSegments, bernstein_basis, cut, largest_magnitude
+from flexfmu.cosim.metrics.segments import bernstein_basis, cut, largest_magnitude
 from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.motor import Motor
@@ -280,7 +280,19 @@ def _ratio(motor: Motor, inertia: float) -> float | None:
 
 def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
     """Return what the motor of joint 0 or 1 has to do."""
-    pieces = _at_shaft(_joint_signals(run, joint), motor, run.robot.effects.motor_inertia)
+    # torque, speed and acceleration of the joint; the torque without what the robot's model has of the motor's inertia
+    number = joint + 1
+    place = f"joint{number}" if f"joint{number}.velocity" in run.recording.columns else f"joint{number}.reference"
+    kept = segments(run.recording, [TORQUES[joint], f"{place}.velocity", f"{place}.acceleration"]).consistent
+    control, ratio = kept.control.copy(), motor.gear_ratio
+    control[..., 0] -= run.robot.effects.motor_inertia * control[..., 2]
+    start, duration, control = divided(kept.start, kept.duration, control)
+    # at the shaft; the gear's efficiency by the direction of the power, which is the same throughout a piece
+    middle = np.tensordot(bernstein_basis(np.array([0.5]), len(control) - 1)[0], control, axes=1)
+    power = middle[:, 0] * middle[:, 1]
+    factor = np.where(power > 0.0, 1.0 / motor.gear_efficiency, np.where(power < 0.0, motor.gear_efficiency, 1.0))
+    at_shaft = control[..., 0] * factor / ratio + motor.rotor_inertia * ratio * control[..., 2]
+    pieces = Pieces(start, duration, at_shaft, ratio * control[..., 1])
     (torque, torque_time), (speed, speed_time) = pieces.peak(pieces.torque), pieces.peak(pieces.speed)
     rms = math.sqrt(max(pieces.mean(pieces.square), 0.0))
     margins = (
@@ -296,7 +308,7 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
         loss, mean = resistance * (rms / constant) ** 2, pieces.mean(electrical)
         highest = pieces.highest(electrical)
     return MotorLoad(
-        joint=joint + 1,
+        joint=number,
         motor=motor,
         margins=margins,
         inertia_ratio=_ratio(motor, inertia),
@@ -312,30 +324,3 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
 def _position(run: Run, time: float) -> tuple[float, float]:
     x, y = run.plan.task.evaluate(time, 0)[0, 0].tolist()
     return x, y
-
-
-def _joint_signals(run: Run, joint: int) -> HermiteSegments:
-    """Return torque, speed and acceleration of a joint as three channels."""
-    number, columns = joint + 1, run.recording.columns
-    place = f"joint{number}" if f"joint{number}.velocity" in columns else f"joint{number}.reference"
-    return segments(run.recording, [TORQUES[joint], f"{place}.velocity", f"{place}.acceleration"])
-
-
-def _at_shaft(signals: HermiteSegments, motor: Motor, included: float) -> Pieces:
-    """Return torque and speed of the shaft, from torque, speed and acceleration of the joint.
-
-    Args:
-        signals: of the joint.
-        motor: motor and gear.
-        included: inertia of the motor at the joint that the torque contains [kg.m2].
-    """
-    kept, ratio = signals.consistent, motor.gear_ratio
-    control = kept.control.copy()
-    control[..., 0] -= included * control[..., 2]
-    start, duration, control = divided(kept.start, kept.duration, control)
-    # the gear's efficiency by the direction of the power, which is the same throughout a piece
-    middle = np.tensordot(bernstein_basis(np.array([0.5]), len(control) - 1)[0], control, axes=1)
-    power = middle[:, 0] * middle[:, 1]
-    factor = np.where(power > 0.0, 1.0 / motor.gear_efficiency, np.where(power < 0.0, motor.gear_efficiency, 1.0))
-    torque = control[..., 0] * factor / ratio + motor.rotor_inertia * ratio * control[..., 2]
-    return Pieces(start, duration, torque, ratio * control[..., 1])

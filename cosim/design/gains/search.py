@@ -91,7 +91,11 @@ class Search:
         for each in new:
             self._known[each] = trial = self._journal.kept(each, Trial, lambda: next(runs))
             self.done.append(trial)
-            self._tell()
+            # progress, with the best so far
+            best, goal = min(self.done, key=self.study.rank), self.study.minimise
+            kept = "" if self.study.rank(best)[0] == 0 else ", not within all limits"
+            text = f"{len(self.done)} of {self.total} trials, {goal.name} {goal.shown(goal.of(best.figures))}{kept}"
+            self._show(text, min(1.0, len(self.done) / self.total))
         if spent:
             raise BudgetExceeded
         return [self._known[each] for each in points]
@@ -134,13 +138,6 @@ class Search:
             values = trial.values or tuple(0.0 if each is None else each for each in self.study.given())
             found.append(np.array([each.share_of(one) for each, one in zip(self.study.over, values, strict=True)]))
         return found
-
-    def _tell(self) -> None:
-        goal = self.study.minimise
-        best = min(self.done, key=self.study.rank)
-        kept = "" if self.study.rank(best)[0] == 0 else ", not within all limits"
-        text = f"{len(self.done)} of {self.total} trials, {goal.name} {goal.shown(goal.of(best.figures))}{kept}"
-        self._show(text, min(1.0, len(self.done) / self.total))
 
 
 def _eased(conditions: Sequence[Condition], trial: Trial) -> list[float]:

@@ -117,7 +117,8 @@ class PlanResult(Rows):
         # the chosen one first, so that none like it replaces it
         kept = list[Assessment]()
         for each in sorted(best, key=lambda each: (each is not self.chosen, each.time)):
-            if not any(_are_alike(each, other) for other in kept):
+            pairs = ([(getattr(each, name), getattr(other, name)) for name in FRONT] for other in kept)
+            if not any(all(math.isclose(*pair, rel_tol=ALIKE) for pair in of_both) for of_both in pairs):
                 kept.append(each)
         return tuple(sorted(kept, key=lambda each: each.time))
 
@@ -231,7 +232,15 @@ def plan_scene(
     PreparedScene(scene).check_size(companion=False)
     judge = Judge(goals, SCREENED, journal)
     check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
-    found, failures = [judge.given], list(_notes(scene, goals))
+    found, failures = [judge.given], list[str]()
+    # what is planned otherwise than the scene says
+    start = goals.given.once.joints.evaluate([0.0], 0, "right")[0, 0]
+    away = float(np.hypot(*(static_equilibrium(goals.scene, start).position - goals.trace[0])))
+    if scene.cosimulation.initial == "undeformed" and away > NO_SAG:
+        failures.append(
+            f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
+            f'whatever the motion: planned from rest, `initial = "static"`, which the planned scene has'
+        )
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
 
     def proposed() -> Iterator[Candidate]:
@@ -271,17 +280,6 @@ def plan_scene(
     return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
 
 
-def _notes(scene: Scene, goals: Goals) -> Iterator[str]:
-    """What is planned otherwise than the scene says."""
-    start = goals.given.once.joints.evaluate([0.0], 0, "right")[0, 0]
-    away = float(np.hypot(*(static_equilibrium(goals.scene, start).position - goals.trace[0])))
-    if scene.cosimulation.initial == "undeformed" and away > NO_SAG:
-        yield (
-            f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
-            f'whatever the motion: planned from rest, `initial = "static"`, which the planned scene has'
-        )
-
-
 def _note_failure(failures: list[str], what: str, error: Exception) -> None:
     """Note why a motion or a method failed; a full disk and the like are neither's fault, and end the plan."""
     if isinstance(error.__cause__, OSError):
@@ -295,11 +293,6 @@ def _dominates(one: Assessment, other: Assessment) -> bool:
         return False
     pairs = [(getattr(one, name), getattr(other, name)) for name in FRONT]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
-
-
-def _are_alike(one: Assessment, other: Assessment) -> bool:
-    """Whether two motions have the same figures for all purposes."""
-    return all(math.isclose(getattr(one, name), getattr(other, name), rel_tol=ALIKE) for name in FRONT)
 
 
 def _ranked(found: Sequence[Assessment], goals: Goals) -> list[Assessment]:
