@@ -32,7 +32,8 @@ demo: $(VENV)/bin/python
 	$(call install,--editable ".$(EXTRAS)")
 	$(BIN)/flexfmu paper --out results/paper
 	$(BIN)/flexfmu run barnard2012-6kg --out results/barnard2012-6kg
-	@echo "Open results/paper/report.html and results/barnard2012-6kg/report.html in a browser."
+	$(BIN)/flexfmu workprec barnard2012-6kg --of peak_torque_1,residual_vibration_amplitude --out results/workprec > results/workprec.txt
+	@echo "Open results/paper/report.html, results/barnard2012-6kg/report.html and, for what accuracy costs, results/workprec/workprec.html in a browser."
 
 test: $(VENV)/.test
 	$(install_wheel)

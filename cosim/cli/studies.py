@@ -153,6 +153,7 @@ def workprec(
     scene: OptionalScene = None,
     out: Path | None = None,
     only: list[str] | None = None,
+    of: list[str] | None = None,
     hard: bool = False,
     restart: bool = False,
     settings: list[str] | None = None,
@@ -163,6 +164,9 @@ def workprec(
     Writes workprec.json, workprec.md, workprec.html and pictures. Takes some minutes; every trial is kept at once, and
     whatever ends the command, the same command continues.
 
+    With --of, the accuracy of metrics of the scene as it is, loop included: time over error for sets of effects from rigid links to the
+    richest, and the cheapest setting for errors of 1e-2 to 1e-10.
+
     With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
     hard-cases.json and hard-cases.md.
 
@@ -170,23 +174,41 @@ def workprec(
         out (DIR): Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases.
         only (FAMILY): integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's
             name; may be repeated. Default: all.
+        of (METRICS): Metrics and margins, separated by commas; may be repeated. Default: the families of --only, of the path alone.
         hard: Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.
         restart: Discard what an interrupted study of another scene has left in the folder. Default: refuse.
     """
+    metrics = [each.strip() for text in of or () for each in text.split(",") if each.strip()]
+    if metrics and (hard or only):
+        raise InputError("--of goes without --only and --hard")
     if hard:
         return _hard_cases(scene, out, only or [], settings or [], json)
-    return _study(scene, out, only or [], settings or [], json, restart)
+    return _study(scene, out, only or [], list(dict.fromkeys(metrics)), settings or [], json, restart)
 
 
 def _study(
-    source: str | None, out: Path | None, families: Sequence[str], settings: Sequence[str], as_json: bool, restart: bool
+    source: str | None,
+    out: Path | None,
+    families: Sequence[str],
+    metrics: Sequence[str],
+    settings: Sequence[str],
+    as_json: bool,
+    restart: bool,
 ) -> int:
     """Measure, write the results, and print them; the exit status."""
     from flexfmu.benchmarks.peers.compiled_peer import compiled_trials
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
-    from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
+    from flexfmu.cosim.studies.workprec.study import (
+        FAMILIES,
+        data,
+        markdown,
+        notes,
+        run_metric_study,
+        run_study,
+        terminal_table,
+    )
 
     # usage
     if source is None:
@@ -197,10 +219,14 @@ def _study(
     # measure, and write each file as soon as it is known
     scene = load_resolved(source, settings)
     folder = prepared_folder(out or usual_folder(scene.name, settings) / "workprec")
-    journal = WorkJournal(folder.path, "study", about_scene(scene), restart=restart, note=show_note)
+    about = about_scene(scene) | ({"of": list(metrics)} if metrics else {})
+    journal = WorkJournal(folder.path, "study", about, restart=restart, note=show_note)
     with progress() as show:
-        peers = (compiled_trials, exudyn_trials)
-        study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal)
+        if metrics:
+            study = run_metric_study(scene, metrics, show, journal)
+        else:
+            peers = (compiled_trials, exudyn_trials)
+            study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal)
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))
         show("pictures", None)

@@ -220,9 +220,10 @@ class Chooser:
         found = self._exact(first, "running the richest set")
         self.allowed = np.array([self._allowed(name, found.values[0][k]) for k, name in enumerate(self.asked)])
         most = first
-        if self._is_smooth and self._measures:
+        if self._is_smooth:
             self._show("estimating how many modes matter", None)
-            most = rich_enough(self.scene, self._motion, 1.0, self._measures, units=self._units)
+            units = self._units(Estimator(self.scene, self._motion, self._measures), found)
+            most = rich_enough(self.scene, self._motion, 1.0, self._measures, units=units)
             found = self._exact(most, "running the richest set")
         rest, before = np.full(self.allowed.shape, np.inf), most
         while (rest > CONVERGED * self.allowed).any():
@@ -259,14 +260,19 @@ class Chooser:
 
     @property
     def _measures(self) -> tuple[MeasureName, ...]:
-        """Figures that the linear estimates have."""
-        return tuple(name for name in MEASURES if name in self.asked)
+        """Figures that the linear estimates have, of those asked for; in place of others the usual ones."""
+        has_dwell = self.scene.trajectory.dwell > 0.0
+        own = tuple(name for name in MEASURES if name in self.asked)
+        if len(own) == len(self.asked):
+            return own
+        usual = (name for name in MEASURED if has_dwell or not name.startswith("residual"))
+        return tuple(dict.fromkeys((*own, *usual)))
 
-    @property
-    def _units(self) -> dict[MeasureName, float]:
-        """What is allowed of these figures [SI]."""
+    def _units(self, estimates: Estimator, found: ObservedFigures) -> dict[MeasureName, float]:
+        """What is allowed of these figures [SI]; of the usual ones the smallest relative error that is asked for."""
+        ratio = float(np.min(self.allowed / np.abs(np.array(found.values[0]))))
         allowed = dict(zip(self.asked, self.allowed.tolist(), strict=True))
-        return {name: allowed[name] for name in self._measures}
+        return {name: allowed.get(name, ratio * abs(value)) for name, value in estimates.reference.items()}
 
     def _exact(self, base: Scene, activity: str) -> ObservedFigures:
         return self._observe(with_numerics(base, self._exact_step, "automatic", EXACT), activity)
@@ -279,11 +285,11 @@ class Chooser:
     def _sets(self, target: float) -> Iterator[Scene]:
         """Yield sets whose model error leaves room for the numerics, in units of ``target`` times what is allowed: few coordinates first."""
         ladder = [*self.ladder().values()]
-        estimates = self._estimates if self._is_smooth and self._measures else None
+        own = [name for name in self._measures if name in self.asked] if self._is_smooth else []
         fitting = list[Scene]()
         for each in ladder[:-1]:
             # what estimates call hopeless isn't built
-            hopeless = estimates is not None and max(estimates.errors(each.effects).values()) > HOPELESS * target
+            hopeless = any(self._estimates.errors(each.effects)[name] > HOPELESS * target for name in own)
             if not hopeless and self.model_share(each) <= target:
                 fitting.append(each)
         least = min(map(set_size, fitting), default=set_size(self.richest))
@@ -294,6 +300,8 @@ class Chooser:
     def _estimated(self, target: float, most: int) -> Iterator[Scene]:
         """Yield the set that the estimates choose, where it has fewer coordinates; with ever smaller limits until a run confirms it."""
         estimates, limit = self._estimates, SHARE / SAFETY * target
+        if not (self._is_smooth and self.asked.keys() <= {*MEASURES}):
+            limit *= HOPELESS  # of another system, or of other figures
         for _ in range(ROUNDS):
             self._show("choosing a set of effects", None)
             found = cheapest(
@@ -322,21 +330,24 @@ class Chooser:
     @cached_property
     def _estimates(self) -> Estimator:
         """Linear estimates, in units of what is allowed; for figures that they don't have, of the usual ones."""
-        names = self._measures or tuple(
-            each for each in MEASURED if self.scene.trajectory.dwell or "residual" not in each
-        )
-        found = Estimator(self.scene, self._motion, names, most=self.richest)
-        ratio = float(np.min(self.allowed / np.abs(np.array(self.reference.values[0]))))
-        usual = {name: ratio * abs(value) for name, value in found.reference.items()}
-        return found.scaled(usual | self._units)
+        found = Estimator(self.scene, self._motion, self._measures, most=self.richest)
+        return found.scaled(self._units(found, self.reference))
 
     def model_share(self, base: Scene) -> float:
         """Return the largest error by the effects that a set leaves out, with what the reference isn't known to, in units of what is allowed."""
         try:
-            error = self._exact(base, f"running {set_text(base)}").change(self.reference) + self.known
+            return float(((self.model_errors(base) + self.known) / self.allowed).max())
         except CosimError:
             return inf
-        return float((error / self.allowed).max())
+
+    def model_errors(self, base: Scene) -> RealArray:
+        """Return the error of each figure by the effects that a set leaves out [SI]; errors as for `SceneRuns.observe`."""
+        return self._exact(base, f"running {set_text(base)}").change(self.reference)
+
+    def errors(self, scene: Scene) -> tuple[RealArray, float]:
+        """Return a setting's error of each figure beside the richest model [SI], and its time [s]; errors as for `SceneRuns.observe`."""
+        found = self._observe(scene, "")
+        return found.change(self.reference), found.time
 
     # Numerics
 

@@ -14,11 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel
 from flexfmu.cosim.reports.figure_style import PlainNumbers, draw, save
 from flexfmu.cosim.reports.page import Plot, render_page
-from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
-from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
+from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, sentence
+from flexfmu.cosim.studies.workprec.trial import WorkCurve, WorkPrecisionTrial
 
 FONT_SIZE = 5.5
 """Of labels, which the ends of a line have; the page shows all settings."""
@@ -50,7 +51,7 @@ def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
     Raises:
         ResultsError: the folder can't be written.
     """
-    names = [name for name in FAMILIES if study.family(name)]
+    names = list(study.families)
     # a picture of each, and all diagrams beside each other
     for name in names:
         save(partial(_picture, study, [name], 6.6), folder / f"workprec-{name}")
@@ -75,10 +76,25 @@ def _points(trials: Sequence[WorkPrecisionTrial]) -> RealArray:
     return np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in trials]).reshape(-1, 2)
 
 
+FRONT = "cheapest of all"
+"""Line of the settings that none beats in both error and time, in studies of metrics."""
+
+
 def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[WorkPrecisionTrial]]:
-    """Line → its trials."""
+    """Line → its trials; of a study of metrics the settings of each set of effects that none of it beats, its failures, and the front."""
     trials = study.family(name)
-    return {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
+    lines = {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
+    if not study.basis:
+        return lines
+    fronts = {line: [*WorkCurve.of(each).trials, *(one for one in each if one.failed)] for line, each in lines.items()}
+    return fronts | {FRONT: list(WorkCurve.of(trials).trials)}
+
+
+def _title(study: WorkPrecisionStudy, name: str) -> tuple[str, str]:
+    """Title of a diagram, and label of its horizontal axis."""
+    if not study.basis:
+        return TITLES[name], "error, relative to the largest elastic deviation"
+    return f"{definition(name).label}: time over error, by set of effects", "relative error, beside the richest model"
 
 
 def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
@@ -92,14 +108,19 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
         points = _points(good)
         label = line + (f" ({failed} failed)" if failed else "")
         axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
-        for place in {0, len(good) - 1} if good else ():
+        if line == FRONT:
+            axes.lines[-1].set(color="black", linewidth=0.9, markersize=2.0)
+        for place in {0, len(good) - 1} if good and (not study.basis or line == FRONT) else ():
             label_style: dict[str, Any] = {"fontsize": FONT_SIZE, "color": DARKER * colour[:3]}
             axes.annotate(good[place].label, points[place], (3.0, 3.0), textcoords="offset points", **label_style)
+        if (floor := study.floors.get((name, line), 0.0)) > FLOOR:
+            axes.axvline(floor, color=colour, linestyle=":", linewidth=0.8)
         if failed:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     # axes, and real time at the right
-    axes.set(xscale="log", yscale="log", xlabel="error, relative to the largest elastic deviation", ylabel="time [ms]")
-    axes.set_title(TITLES[name], fontsize=10)
+    title, label = _title(study, name)
+    axes.set(xscale="log", yscale="log", xlabel=label, ylabel="time [ms]")
+    axes.set_title(title, fontsize=10)
     axes.legend(fontsize=6.5)
 
     def inverse(value: Any) -> Any:
@@ -114,7 +135,7 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
 
 def html(study: WorkPrecisionStudy) -> str:
     """Return the page: a diagram for each family, in which every point shows its setting, error, time and work."""
-    plots = [_plot(study, name) for name in FAMILIES if study.family(name)]
+    plots = [_plot(study, name) for name in study.families]
     return render_page(f"Work and precision: {study.scene.name}", sentence(study), plots)
 
 
@@ -133,6 +154,8 @@ def _plot(study: WorkPrecisionStudy, name: str) -> Plot:
             place, notes = np.ones(len(failed)), [f"{each.label} failed: {each.note}" for each in failed]
             times = 1e3 * study.duration * place
             curves.append(Curve(place, times, f"{line}, failed", colour, width=0.0, dot="cross", notes=notes))
-    label = "error, relative to the largest elastic deviation"
-    panel = Panel(label="time [ms]", curves=curves, logarithmic="xy", is_function=False)
-    return Plot(f"workprec-{name}", TITLES[name], "Lower left is better.", (panel,), label, PLOT_HEIGHT)
+    title, label = _title(study, name)
+    marks = [(floor, line) for (metric, line), floor in study.floors.items() if metric == name and floor > FLOOR]
+    panel = Panel(label="time [ms]", curves=curves, logarithmic="xy", is_function=False, marks=marks)
+    text = "Lower left is better." + (" Dashed: the error of a set of effects itself." if marks else "")
+    return Plot(f"workprec-{name}", title, text, (panel,), label, PLOT_HEIGHT)

@@ -8,13 +8,18 @@ interpolation of logarithms.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 from rich.table import Column, Table
 
+from flexfmu.cosim.design.effects.accuracy import Chooser, set_size, setting_text, with_numerics
 from flexfmu.cosim.design.effects.runs import is_smooth
+from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
@@ -32,6 +37,7 @@ from flexfmu.cosim.studies.workprec.trial import (
     integrator_settings,
     subject_of,
 )
+from flexfmu.model.choice_text import set_text
 from flexfmu.model.scene.schema import Scene
 
 STEP = 1e-3
@@ -55,6 +61,8 @@ class WorkPrecisionStudy:
         agreement: relative difference of two independent references; None where there is only one.
         references: how they were made.
         trials: every measured point.
+        floors: metric and set of effects → error of the set itself, which no integrator goes below; of a study of metrics.
+        basis: what errors are relative to, where that isn't the scale.
     """
 
     scene: Scene
@@ -63,6 +71,13 @@ class WorkPrecisionStudy:
     agreement: float | None
     references: str
     trials: tuple[WorkPrecisionTrial, ...]
+    floors: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    basis: str = ""
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """The questions that were asked, in their order: of `FAMILIES`, or metrics."""
+        return tuple(dict.fromkeys(each.family for each in self.trials))
 
     def family(self, name: str) -> tuple[WorkPrecisionTrial, ...]:
         """The trials of one family."""
@@ -141,6 +156,99 @@ def run_study(
     return WorkPrecisionStudy(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
 
 
+STUDIED = 1e-2
+"""Accuracy of the metrics of a study: their modes converge to a tenth of it; more precise errors are beside that richest model."""
+
+REACHED = 1.02
+"""Ratio to the error of a set of effects below which tighter tolerances change nothing."""
+
+STUDIED_TOLERANCES = tuple(10.0**-k for k in range(1, 11))
+
+
+def run_metric_study(
+    scene: Scene, metrics: Sequence[str], show: ShowProgress = quiet, journal: WorkJournal = NOWHERE
+) -> WorkPrecisionStudy:
+    """Measure what accuracy of metrics costs, with each set of effects of the ladder, over tolerances, communication steps and integrators.
+
+    Errors are beside the richest model at 1e-11, the largest with the scene's payload and 1 % around it, of the scene as it is, loop included.
+
+    Args:
+        scene: the scene, its effects chosen.
+        metrics: names of metrics or of margins.
+        show: called with the current activity and the finished fraction.
+        journal: where runs are kept, also from an earlier call for the same scene and metrics.
+
+    Raises:
+        InputError, ResultsError: as for `flexfmu.cosim.design.effects.accuracy.Chooser`.
+    """
+    chooser = Chooser(scene, dict.fromkeys(metrics, STUDIED), show, journal)
+    values = np.abs(np.array(chooser.reference.values[0]))
+    smooth = is_smooth(scene)
+    lines = [
+        (step, integrator)
+        for step in (chooser.steps() if smooth else chooser.steps()[:2])
+        for integrator in ("automatic", "gauss4")[: None if smooth else 1]
+    ]
+    trials, floors, ladder = list[WorkPrecisionTrial](), dict[tuple[str, str], float](), chooser.ladder()
+    for place, (name, base) in enumerate(ladder.items()):
+        line, floor = f"{name} ({set_size(base)})" if "coord" not in name else name, np.full(values.shape, np.inf)
+        with suppress(CosimError):
+            floor = chooser.model_errors(base) / values
+            floors |= {(each, line): float(error) for each, error in zip(metrics, floor, strict=True) if error}
+        for number, (step, integrator) in enumerate(lines):
+            for tolerance in STUDIED_TOLERANCES:
+                show(f"{line}: {integrator} at {tolerance:.0e}", (place + number / len(lines)) / len(ladder))
+                setting = with_numerics(base, step, integrator, tolerance)
+                label = setting_text(setting).partition("; ")[2]
+                try:
+                    errors, time = chooser.errors(setting)
+                except CosimError as failure:
+                    text = " ".join(str(failure).split())
+                    trials += (WorkPrecisionTrial(each, line, label, None, None, text) for each in metrics)
+                    break
+                # a set that is right beyond its own error is so by chance
+                errors = np.maximum(errors / values, floor)
+                pairs = zip(metrics, errors, strict=True)
+                trials += (WorkPrecisionTrial(each, line, label, float(error), time) for each, error in pairs)
+                if (errors <= REACHED * floor).all():
+                    break
+    known = ", ".join(f"{name} to {error:.1e}" for name, error in zip(metrics, chooser.known / values, strict=True))
+    references = (
+        f"{set_text(chooser.richest)}, at 1e-11; one mode less of every family and half the steps change {known}"
+    )
+    ordered = sorted(trials, key=lambda each: metrics.index(each.family))
+    return WorkPrecisionStudy(
+        scene,
+        scene.trajectory.moving_time + scene.trajectory.dwell,
+        1.0,
+        None,
+        references,
+        tuple(ordered),
+        floors,
+        "metric",
+    )
+
+
+ACCURACIES = tuple(10.0**-k for k in range(2, 11))
+"""Accuracies for which a study of metrics names the cheapest setting."""
+
+
+def accuracy_rows(study: WorkPrecisionStudy) -> list[tuple[str, ...]]:
+    """For each metric and accuracy: the cheapest setting and its time."""
+    rows = list[tuple[str, ...]]()
+    for name in study.families:
+        for error in ACCURACIES:
+            best = cheapest(study.family(name), error)
+            cells = (
+                ("–", "", "not reached") if best is None else (f"{1e3 * (best.time or 0.0):.3g}", best.line, best.label)
+            )
+            rows.append((name, f"{error:.0e}", *cells))
+    return rows
+
+
+ACCURACY_COLUMNS = ("metric", "error", "time ms", "effects", "setting")
+
+
 ASKED = 1e-5, 1e-3
 """Accuracies that the sentence speaks of."""
 
@@ -159,6 +267,14 @@ def cheapest(trials: Iterable[WorkPrecisionTrial], error: float) -> WorkPrecisio
 
 def sentence(study: WorkPrecisionStudy) -> str:
     """The cost of accuracy on this scene in one sentence."""
+    if study.basis:
+        found = [(name, cheapest(study.family(name), 1e-3)) for name in study.families]
+        parts = [
+            f"1e-3 of {name} costs {1e3 * (best.time or 0.0):.2g} ms ({best.line})"
+            for name, best in found
+            if best is not None
+        ]
+        return f"{', '.join(parts) or 'No setting reached 1e-3'}."
     # settings that a user of the FMU may choose from
     ours = [each for each in study.trials if each.family in CHOICES]
     first, second = (cheapest(ours, error) for error in ASKED)
@@ -202,6 +318,14 @@ COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note
 
 def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
+    if study.basis:
+        title = f"{study.scene.name}: the cheapest setting for an error of each metric"
+        table = titled_table(
+            title, *ACCURACY_COLUMNS[:2], Column("time ms", justify="right"), *ACCURACY_COLUMNS[3:], stacks=True
+        )
+        for cells in accuracy_rows(study):
+            table.add_row(*cells)
+        return table
     title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the largest elastic deviation"
     numbers = [Column(each, justify="right") for each in COLUMNS[3:6]]
     table = titled_table(title, *COLUMNS[:3], *numbers, *COLUMNS[6:])
@@ -223,6 +347,9 @@ def notes(study: WorkPrecisionStudy) -> list[str]:
     found = [sentence(study)]
     agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
     found.append(f"References: {study.references}{agreement}.")
+    if study.basis:
+        failed = {(each.line, each.note) for each in study.trials if each.failed}
+        return [*found, *(f"{line} fails: {note}" for line, note in sorted(failed))]
     compared = advantages(study)
     for error in sorted({error for error, _ in compared.values()}):
         ratios = [f"{line} {ratio:.0f} times" for line, (at, ratio) in compared.items() if at == error]
@@ -234,7 +361,10 @@ def markdown(study: WorkPrecisionStudy) -> str:
     """Table and notes."""
     rule = [":--", ":--", ":--", "--:", "--:", "--:", ":--"]
     table = markdown_table(COLUMNS, rule, [row(study, trial) for trial in study.trials])
-    return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), table]) + "\n"
+    tables = [table]
+    if study.basis:
+        tables.insert(0, markdown_table(ACCURACY_COLUMNS, [":--", "--:", "--:", ":--", ":--"], accuracy_rows(study)))
+    return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), *tables]) + "\n"
 
 
 def data(study: WorkPrecisionStudy) -> dict[str, Any]:
@@ -249,5 +379,11 @@ def data(study: WorkPrecisionStudy) -> dict[str, Any]:
         "advantages": {line: ratio for line, (_, ratio) in advantages(study).items()},
         "advantage_errors": {line: error for line, (error, _) in advantages(study).items()},
         "trials": [vars(trial) for trial in study.trials],
+        "floors": [{"metric": name, "line": line, "error": error} for (name, line), error in study.floors.items()],
+        **(
+            {"accuracies": [dict(zip(ACCURACY_COLUMNS, row, strict=True)) for row in accuracy_rows(study)]}
+            if study.basis
+            else {}
+        ),
         "versions": versions(),
     }

@@ -316,3 +316,33 @@ def test_the_solvers_read_the_same_numbers() -> None:
     time = 0.3 * part.begin + 0.7 * part.end
     exact = motion.joints.evaluate(time, 2)[:, 0].ravel()
     np.testing.assert_allclose(function(time, part.numbers).full().ravel(), exact, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_study_of_metrics_has_floors_and_a_front() -> None:
+    """No setting beats its own set of effects, richer sets reach further, and the cheapest of all gets dearer with the accuracy."""
+    study = studys.run_metric_study(SCENE, ["peak_torque_1"])
+    trials = study.family("peak_torque_1")
+    for (_, line), floor in study.floors.items():
+        assert all(each.error >= floor for each in trials if each.line == line and each.error is not None)
+    rigid, four = (study.floors["peak_torque_1", line] for line in ("rigid (0)", "4 coordinates"))
+    assert rigid > 10.0 * four > 0.0
+    times = [float(row[2]) for row in studys.accuracy_rows(study) if row[2] != "–"]
+    assert len(times) >= 6
+    assert times == sorted(times)
+    # a picture and a page of it
+    figure = draw(6.5, 4.8)
+    draw_family(figure.subplots(), study, "peak_torque_1")
+    assert "cheapest of all" in html(study)
+    assert "peak_torque_1" in studys.sentence(study)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [(["--of", "torque"], "did you mean"), (["--of", "peak_torque_1", "--hard"], "--of goes without")],
+)
+def test_wrong_metrics_of_a_study_are_one_line(tmp_path: Path, options: list[str], message: str) -> None:
+    """Unknown metrics, and options that don't go together."""
+    result = CliRunner().invoke(app, ["workprec", "barnard2012-6kg", "--out", str(tmp_path), *options])
+    assert result.exit_code == 2
+    assert message in result.stderr
