@@ -32,7 +32,8 @@ def set_text(scene: Scene) -> str:
         if getattr(effects, key)
     ]
     found += ["shear and rotary inertia"] if effects.beam == "timoshenko" else []
-    found += ["foreshortening"] if effects.foreshortening else []
+    if effects.foreshortening:
+        found.append("geometrically exact bending" if effects.foreshortening == "exact" else "foreshortening")
     return ", ".join(found) or "rigid links"
 
 

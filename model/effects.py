@@ -16,7 +16,7 @@ import numpy as np
 
 from flexfmu.model.beams import LinkGroup
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import Family, Robot
+from flexfmu.model.robot import Family, Robot, Shortening
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote
 
@@ -91,8 +91,8 @@ class Effect(ABC):
         """Stiffness of each transmission [N m/rad] if the effect makes them elastic; None if it doesn't."""
         return None
 
-    def shortening(self, family: Family) -> casadi.SX | None:
-        """Matrix S (K, K) [1/m] if deflections q of the family shorten its links by q' S q / 2; None if they don't."""
+    def shortening(self, family: Family) -> Shortening | None:
+        """How deflections of the family shorten its links; None if they don't."""
         return None
 
     def end_effector_mass(self) -> casadi.SX:

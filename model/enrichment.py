@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from flexfmu.model.beams import FAMILIES
 from flexfmu.model.scene.effects import LOADS, MAXIMUM_MODES, Effects
@@ -54,8 +54,7 @@ def enrichments(scene: Scene) -> tuple[Neighbour, ...]:
     # beam theory
     if effects.beam == "euler-bernoulli":
         steps.append(("beam", "with shear and rotary inertia", {"effects.beam": "timoshenko"}))
-    if not effects.foreshortening and (effects.proximal_bending or effects.distal_bending):
-        steps.append(("foreshortening", "with foreshortening", {"effects.foreshortening": True}))
+    steps += _shortenings(effects, 1)
     return tuple(Neighbour(effect, change, scene.replace(values)) for effect, change, values in steps)
 
 
@@ -77,8 +76,7 @@ def reductions(scene: Scene) -> tuple[Neighbour, ...]:
     # beam theory
     if effects.beam == "timoshenko":
         steps.append(("beam", "without shear and rotary inertia", {"effects.beam": "euler-bernoulli"}))
-    if effects.foreshortening and (effects.proximal_bending or effects.distal_bending):
-        steps.append(("foreshortening", "without foreshortening", {"effects.foreshortening": False}))
+    steps += _shortenings(effects, -1)
     # loads of the robot; the mass of the payload stays
     for key in scene.loads:
         full = key if "." in key else f"effects.{key}"
@@ -92,6 +90,22 @@ def _families(effects: Effects) -> Iterator[tuple[str, int, bool]]:
     for group, direction in FAMILIES:
         key = f"{group}_{direction}"
         yield key, getattr(effects, key), key in effects.quasi_static
+
+
+_SHORTENINGS = (
+    (False, "", "without foreshortening"),
+    (True, "with foreshortening", "with foreshortening instead of exact bending"),
+    ("exact", "with geometrically exact bending", ""),
+)
+"""Values of `foreshortening`, with the change in words from a poorer and from a richer one."""
+
+
+def _shortenings(effects: Effects, step: Literal[1, -1]) -> Iterator[tuple[str, str, EffectChanges]]:
+    """The next richer or poorer theory of foreshortening, where there is one and links bend."""
+    following = [value for value, *_ in _SHORTENINGS].index(effects.foreshortening) + step
+    if (effects.proximal_bending or effects.distal_bending) and 0 <= following < len(_SHORTENINGS):
+        value, richer, poorer = _SHORTENINGS[following]
+        yield "foreshortening", richer if step > 0 else poorer, {"effects.foreshortening": value}
 
 
 def _static(effects: Effects, key: str, wanted: bool) -> EffectChanges:

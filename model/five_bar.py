@@ -157,10 +157,10 @@ def assemble(scene: Scene) -> FiveBar:
     # the robot with the coordinates of all effects; some families shorten their link by bending
     families = [family for effect in effects for family in effect.families()]
     shortening = {
-        family.group: matrix
+        family.group: amount
         for effect in effects
         for family in families
-        if (matrix := effect.shortening(family)) is not None
+        if (amount := effect.shortening(family)) is not None
     }
     base = registry.derived("base_half_distance", parameters["base_half_distance"])
     robot = make_robot(families, base, joint_stiffness is not None, shortening)

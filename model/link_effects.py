@@ -16,11 +16,14 @@ Eng. 32 (1991).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Literal
 
 import casadi
 import numpy as np
+from numpy.polynomial import Legendre
 
 from flexfmu.model.beams import (
     Direction,
@@ -34,9 +37,11 @@ from flexfmu.model.beams import (
     shear_coefficient,
 )
 from flexfmu.model.effects import Effect, EffectContext, Output, column, derived_matrix, dot, form
+from flexfmu.model.loads import damping_time
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import ElasticSymbols, Family, Link, Robot
+from flexfmu.model.robot import ElasticSymbols, Family, Link, Robot, Shortening
 from flexfmu.model.symbolic import EffectNote, Variable
+from flexfmu.trajectories.jets import RealArray
 
 
 class LinkInertia(Effect):
@@ -298,16 +303,19 @@ class Foreshortening(Effect):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         chosen = context.scene.effects
-        if chosen.foreshortening and (chosen.proximal_bending or chosen.distal_bending):
+        if chosen.foreshortening is True and (chosen.proximal_bending or chosen.distal_bending):
             yield cls(context)
 
     def __init__(self, context: EffectContext) -> None:
         self._registry, self._properties = context.registry, context.links
 
-    def shortening(self, family: Family) -> casadi.SX | None:
+    def shortening(self, family: Family) -> Shortening | None:
         if family.direction != "bending":
             return None
-        return self._matrix(family, "shortening", np.ones_like, 1.0 / self._properties[family.group].length)
+        matrix = self._matrix(family, "shortening", np.ones_like, 1.0 / self._properties[family.group].length)
+        return Shortening(
+            lambda q: casadi.dot(q, matrix @ q) / 2, lambda q: matrix @ q, lambda q, v: casadi.dot(v, matrix @ v)
+        )
 
     def first_moment(self, robot: Robot) -> casadi.SX:
         parts = (self._shift(part, part.q) * link.direction for link, part in _bending(robot))
@@ -332,6 +340,185 @@ class Foreshortening(Effect):
     def _matrix(self, family: Family, name: str, weight: Evaluate, factor: casadi.SX) -> casadi.SX:
         products = gram(family.shapes, lambda shape: shape.slope, weight)
         return derived_matrix(self._registry, f"{family.group}_{name}", factor * casadi.DM(products))
+
+
+SPARE_NODES = 3
+"""Gauss-Legendre nodes of exact bending in addition to one for each mode, see ``tests/model/test_effects.py``."""
+
+SHIFTS = 2
+"""Number of shapes of the axial displacement due to bending that have kinetic energy of their own."""
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Gauss-Legendre quadrature over 0..1 with N nodes, and integrals of an integral s(xi) = ∫ a from 0 to xi.
+
+    Attributes:
+        places, weights: (N,).
+        moments: (N, N); ∫ s f dxi = a' moments f for the values a and f at the nodes.
+        squares: (`SHIFTS`, N); ∫ s² dxi is the square of the norm of squares a, but for what rarer shapes of s add.
+    """
+
+    places: RealArray
+    weights: RealArray
+    moments: RealArray
+    squares: RealArray
+
+    @staticmethod
+    @cache
+    def of(count: int) -> Nodes:
+        places, weights = (0.5 * each for each in np.polynomial.legendre.leggauss(count))
+        places += 0.5
+        # integrals of the polynomial through all values, from 0 to each node
+        basis = [Legendre.basis(k, domain=[0.0, 1.0]) for k in range(count)]
+        values, integrals = (
+            np.stack([each(places) for each in some], axis=1)
+            for some in (basis, [each.integ(lbnd=0.0) for each in basis])
+        )
+        moments = (weights[:, None] * (integrals @ np.linalg.inv(values))).T
+        sizes, vectors = np.linalg.eigh(moments @ (moments.T / weights[:, None]))
+        squares = np.sqrt(sizes[-SHIFTS:, None]) * vectors.T[-SHIFTS:]
+        return Nodes(places, weights, moments, squares)
+
+    def fields(self, family: Family, name: Literal["value", "slope", "rotation", "strain"]) -> casadi.DM:
+        """A field of the family's shapes at the nodes (N, K)."""
+        return casadi.DM(np.stack([getattr(shape, name)(self.places) for shape in family.shapes], axis=1))
+
+
+class ExactBending(Effect):
+    """Geometrically exact bending of links of constant length, in place of `Foreshortening`.
+
+    Coordinates are those of the linear beam: w(x), the displacement across the undeformed axis at the arc length x. Its derivative is
+    the sine of the axis' angle, so that the axis advances by c = √(1 - w'²) and its curvature is w''/c. The rotation of Timoshenko's
+    sections is the sine of their angle likewise. What the energies have beyond those of the linear beam is integrated over `Nodes`.
+
+    Sources: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct. Mech. 6
+    (1978), in the plane; Simo and Vu-Quoc, On the dynamics of flexible beams under large overall motions, J. Appl. Mech. 53 (1986).
+    """
+
+    note = EffectNote(
+        "geometrically exact bending",
+        "Geometrically exact bending of links of constant length, whose sections turn by any angle below 90°.",
+        "V = ½ ∑ ∫ EI w″²/(1 − w′²) dx, u = ∫ (√(1 − w′²) − 1) dx",
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        chosen = context.scene.effects
+        if chosen.foreshortening == "exact" and (chosen.proximal_bending or chosen.distal_bending):
+            yield cls(context)
+
+    def __init__(self, context: EffectContext) -> None:
+        self._registry, self._properties = context.registry, context.links
+        self._thick, self._damping_time = thick_beams(context), damping_time(context)
+        self._nodes = {
+            group: Nodes.of(SPARE_NODES + getattr(context.scene.effects, f"{group}_bending")) for group in context.links
+        }
+
+    def shortening(self, family: Family) -> Shortening | None:
+        if family.direction != "bending":
+            return None
+        q, v = (casadi.SX.sym(name, len(family.shapes)) for name in ("q", "v"))
+        advance = _advance(self._relative(family, "slope", q))
+        amount = -self._properties[family.group].length * casadi.dot(
+            casadi.DM(self._nodes[family.group].weights), advance
+        )
+        gradient = casadi.gradient(amount, q)
+        curvature = casadi.jtimes(casadi.dot(gradient, v), q, v)
+        return Shortening(
+            lambda other: casadi.substitute(amount, q, other),
+            lambda other: casadi.substitute(gradient, q, other),
+            lambda other, rates: casadi.substitute(curvature, casadi.vertcat(q, v), casadi.vertcat(other, rates)),
+        )
+
+    def first_moment(self, robot: Robot) -> casadi.SX:
+        total = casadi.SX(np.zeros((2, 1)))
+        for link, part in _bending(robot):
+            moments = casadi.DM(self._nodes[link.group].moments)
+            advance = _advance(self._relative(part.family, "slope", part.q))
+            total += self._moment(link) * casadi.dot(casadi.sum2(moments), advance) * link.direction
+        return total
+
+    def kinetic_energy(self, robot: Robot) -> casadi.SX:
+        """The terms with the axial displacement s due to bending in ½ ∫ |V + d/dt ((x + u + s) e + w n)|² dm; and of the sections' turning."""
+        total = casadi.SX(0)
+        for link, part in _bending(robot):
+            turning, family, nodes = link.turning_rate, part.family, self._nodes[link.group]
+            length, moment = self._properties[link.group].length, self._moment(link)
+            advance = _advance(self._relative(family, "slope", part.q))
+            rate = casadi.jtimes(advance, part.q, part.v)
+            # velocity of the nodes without s, along and across the link, as it enters the moments of s
+            moments, base = casadi.DM(nodes.moments), link.base_velocity
+            shapes = moments @ nodes.fields(family, "value")
+            along = casadi.sum2(moments) * casadi.dot(base, link.direction) - turning * (shapes @ part.q)
+            place = length * (moments @ casadi.DM(nodes.places))
+            if (axial := link.family("axial")) is not None:
+                stretch = moments @ nodes.fields(axial.family, "value")
+                along, place = along + stretch @ axial.v, place + stretch @ axial.q
+            across = casadi.sum2(moments) * casadi.dot(base, link.normal) + shapes @ part.v + turning * place
+            total += moment * (casadi.dot(rate, along) + turning * casadi.dot(advance, across))
+            # velocity of s itself
+            own, own_rate = casadi.DM(nodes.squares) @ advance, casadi.DM(nodes.squares) @ rate
+            squares = casadi.dot(own_rate, own_rate) + turning**2 * casadi.dot(own, own)
+            total += 0.5 * self._registry.derived(f"{link.group}_m_l2", moment * length) * squares
+            # rotary inertia: the sections turn faster than the sine of their angle
+            if link.group in self._thick:
+                sine, rate = (self._relative(family, "rotation", each) for each in (part.q, part.v))
+                squares = (turning + rate / _cosine(sine)) ** 2 - (turning + rate) ** 2
+                inertia = self._registry.derived(
+                    f"{link.group}_gyration", moment * length * self._thick[link.group].gyration
+                )
+                total += 0.5 * inertia * casadi.dot(casadi.DM(nodes.weights), squares)
+        return total
+
+    def potential_energy(self, robot: Robot, first_moment: casadi.SX) -> casadi.SX:
+        return self._strain_energy(robot, lambda strain, q, v: strain)
+
+    def dissipation(self, robot: Robot) -> casadi.SX:
+        if self._damping_time is None:
+            return casadi.SX(0)
+        return self._registry.derived("damping_time", self._damping_time) * self._strain_energy(robot, casadi.jtimes)
+
+    def _strain_energy(self, robot: Robot, of: Callable[[casadi.SX, casadi.SX, casadi.SX], casadi.SX]) -> casadi.SX:
+        """Energy of exact strains less that of the linear beam's, or of their rates: ½ ∫ EI κ² + kGA γ² dx."""
+        total = casadi.SX(0)
+        for link, part in _bending(robot):
+            properties, family, group = self._properties[link.group], part.family, link.group
+            length, sine = properties.length, self._relative(family, "rotation", part.q)
+            rigidity = properties.youngs_modulus * properties.second_moment / length
+            strains = [("bending", rigidity, self._relative(family, "strain", part.q))]
+            if group in self._thick:
+                shear = self._relative(family, "slope", part.q) - sine
+                strains.append(("shear", self._thick[group].shear_rigidity * length**2, shear))
+            # a stretched link turns less for the same displacement
+            turning = _cosine(sine)
+            if (axial := link.family("axial")) is not None:
+                turning *= 1.0 + self._relative(axial.family, "strain", axial.q)
+            q, v = (casadi.vertcat(*(getattr(each, kind) for each in link.elastic)) for kind in ("q", "v"))
+            for name, factor, linear in strains:
+                squares = of(linear / turning, q, v) ** 2 - of(linear, q, v) ** 2
+                stiffness = self._registry.derived(f"{group}_{name}_rigidity", factor)
+                total += 0.5 * stiffness * casadi.dot(casadi.DM(self._nodes[group].weights), squares)
+        return total
+
+    def _moment(self, link: Link) -> casadi.SX:
+        """Mass times length [kg m]."""
+        properties = self._properties[link.group]
+        return self._registry.derived(f"{link.group}_m_l", properties.mass * properties.length)
+
+    def _relative(self, family: Family, name: Literal["slope", "rotation", "strain"], q: casadi.SX) -> casadi.SX:
+        """A field over the length, at the nodes (N, 1), for the coordinates q or their rates (K, 1) [m]."""
+        inverse = self._registry.derived(f"{family.group}_inverse_length", 1.0 / self._properties[family.group].length)
+        return self._nodes[family.group].fields(family, name) @ (inverse * q)
+
+
+def _cosine(sine: casadi.SX) -> casadi.SX:
+    return casadi.sqrt(1.0 - sine**2)
+
+
+def _advance(sine: casadi.SX) -> casadi.SX:
+    """Cosine less one, without cancellation."""
+    return -(sine**2) / (1.0 + _cosine(sine))
 
 
 def _bending(robot: Robot) -> Iterator[tuple[Link, ElasticSymbols]]:

@@ -56,20 +56,22 @@ class PayloadInertia(Effect):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         if inertia := context.scene.payload.inertia:
-            yield cls(context.registry, inertia, context.links["distal"].length)
+            yield cls(context, inertia)
 
-    def __init__(self, registry: ParameterRegistry, inertia: float, length: casadi.SX) -> None:
-        """`inertia` in kg m²; `length` is that of the distal links [m]."""
+    def __init__(self, context: EffectContext, inertia: float) -> None:
+        """`inertia` in kg m²."""
         text = "Rotary inertia of the payload about the end effector, turning with link 12"
-        self._inertia = registry.quantity("payload.inertia", "kg.m2", text, inertia, maximum=1e6)
-        self._length = length
+        self._inertia = context.registry.quantity("payload.inertia", "kg.m2", text, inertia, maximum=1e6)
+        self._length, self._exact = context.links["distal"].length, context.scene.effects.foreshortening == "exact"
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         link = robot.links["link12"]
         rate, bending = link.turning_rate, link.family("bending")
         if bending is not None:
-            turning = [float(shape.rotation(np.ones(1))[0]) for shape in bending.family.shapes]
-            rate += dot(casadi.SX(turning), bending.v) / self._length
+            turning = casadi.SX([float(shape.rotation(np.ones(1))[0]) for shape in bending.family.shapes])
+            bent = dot(turning, bending.v) / self._length
+            # with exact bending this is the rate of the angle's sine
+            rate += bent / casadi.sqrt(1.0 - (dot(turning, bending.q) / self._length) ** 2) if self._exact else bent
         return 0.5 * self._inertia * rate**2
 
 
@@ -146,21 +148,20 @@ class ProportionalDamping(StructuralDamping):
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         damping = context.scene.effects.damping
         rate = damping.rate if isinstance(damping, keys.MassDampingSection | keys.RayleighDampingSection) else 0.0
-        time = damping.time if isinstance(damping, keys.StiffnessDampingSection | keys.RayleighDampingSection) else 0.0
-        if rate or time:
-            yield cls(context.registry, rate, time)
+        if rate or damping_time(context) is not None:
+            yield cls(context, rate)
 
-    def __init__(self, registry: ParameterRegistry, rate: float, time: float) -> None:
-        """A factor of zero removes its term; `rate` in 1/s, `time` in s."""
+    def __init__(self, context: EffectContext, rate: float) -> None:
+        """A `rate` [1/s] of zero removes its term, and so does the scene's time of zero."""
         # parameters of the terms that the scene has
-        self._registry, self._has_rate, self._has_time = registry, bool(rate), bool(time)
+        self._registry, self._has_rate = context.registry, bool(rate)
         if rate:
-            self._rate = registry.parameter(_factor("damping.rate", "1/s", "Mass-proportional damping rate", rate, 1e6))
-        if time:
-            text = "Stiffness-proportional damping time"
-            self._time = registry.parameter(_factor("damping.time", "s", text, time, 1e3))
+            text = "Mass-proportional damping rate"
+            self._rate = self._registry.parameter(_factor("damping.rate", "1/s", text, rate, 1e6))
+        self._time = damping_time(context)
         # the note names these terms
-        terms = [(kind, symbol) for kind, symbol, there in (("mass", "αM", rate), ("stiffness", "βK", time)) if there]
+        present = (("mass", "αM", self._has_rate), ("stiffness", "βK", self._time is not None))
+        terms = [(kind, symbol) for kind, symbol, there in present if there]
         self.note = EffectNote(
             " and ".join(kind for kind, _ in terms) + " proportional damping",
             "Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh).",
@@ -171,10 +172,18 @@ class ProportionalDamping(StructuralDamping):
         damping = casadi.SX(*family.stiffness.shape)
         if self._has_rate:
             damping += self._rate * family.mass
-        if self._has_time:
+        if self._time is not None:
             damping += self._time * family.stiffness
         derived = derived_matrix(self._registry, f"{family.group}_{family.direction}_c", damping)
         return 0.5 * form(derived, v, v)
+
+
+def damping_time(context: EffectContext) -> casadi.SX | None:
+    """Parameter of the damping that is proportional to stiffness [s]; None where the scene has no such damping."""
+    damping = context.scene.effects.damping
+    time = damping.time if isinstance(damping, keys.StiffnessDampingSection | keys.RayleighDampingSection) else 0.0
+    text = "Stiffness-proportional damping time"
+    return context.registry.parameter(_factor("damping.time", "s", text, time, 1e3)) if time else None
 
 
 def _factor(name: str, unit: str, text: str, start: float, maximum: float) -> Variable:

@@ -10,8 +10,6 @@ import numpy as np
 
 from flexfmu.model.beams import FAMILIES
 from flexfmu.model.five_bar import assemble
-from flexfmu.model.robot import Robot
-from flexfmu.model.scene.mechanism import LinkSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
@@ -28,7 +26,6 @@ class NumericModel:
         mass_matrix: (q_e, u) → (n, n) [kg].
         motion: (q_e, v_e, a_e, u) → position, velocity, acceleration of the end effector and torques, each (2, 1).
         energy: (q_e, v_e, u) → [kinetic, potential] [J].
-        hardening: q_e → elastic forces (n, 1) [N] of the next order, which the model neglects, see `bending_beyond`.
     """
 
     n: int
@@ -38,7 +35,6 @@ class NumericModel:
     mass_matrix: casadi.Function
     motion: casadi.Function
     energy: casadi.Function
-    hardening: casadi.Function
 
 
 @lru_cache(maxsize=32)
@@ -71,7 +67,6 @@ def numeric_model(scene: Scene) -> NumericModel:
             [five_bar.position, closure.velocity, closure.acceleration, five_bar.forces.motors],
         ),
         energy=function("energy", [m.q_e, m.v_e, u], [energy]),
-        hardening=function("hardening", [m.q_e], [casadi.gradient(bending_beyond(five_bar.robot, scene), m.q_e)]),
     )
 
 
@@ -94,29 +89,3 @@ def inverse_dynamics(scene: Scene) -> casadi.Function:
     return casadi.Function(
         "inverse_dynamics", [motion.q_a, motion.v_a, motion.a_a], [casadi.densify(casadi.cse(torque))]
     )
-
-
-def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
-    """Bending energy of fourth order, which the model neglects: 1/2 ∫ EI w''² w'² dx [J].
-
-    The curvature of an inextensible line is w'' / sqrt(1 - w'²). The other terms of this order (inertia of the
-    shortening, w'⁴ / 8) are far smaller, see ``tests/cosim/metrics/test_large_deflections.py``.
-
-    Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct.
-    Mech. 6 (1978), eq. (14) in the plane.
-    """
-    # slopes and strains at the quadrature nodes, as functions of the elastic coordinates
-    xi, weights = np.polynomial.legendre.leggauss(40)
-    energy = casadi.SX(0)
-    for link, part in robot.elastic:
-        if part.family.direction != "bending":
-            continue
-        geometry: LinkSection = getattr(scene.mechanism, link.group)
-        second = np.pi / 64.0 * (geometry.diameter**4 - geometry.inner_diameter**4)
-        slopes, strains = (
-            casadi.DM(np.stack([field(0.5 * (xi + 1.0)) for field in fields], axis=1)) @ part.q
-            for fields in zip(*((shape.slope, shape.strain) for shape in part.family.shapes), strict=True)
-        )
-        rigidity = scene.mechanism.material.youngs_modulus * second / geometry.length**5
-        energy += 0.5 * rigidity * casadi.dot(casadi.DM(0.5 * weights), (slopes * strains) ** 2)
-    return energy

@@ -7,7 +7,7 @@ Caro (2012). The direction is a unit vector, not an angle: the closed-form assem
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi
@@ -66,6 +66,21 @@ class ElasticSymbols:
 
 
 @dataclass(frozen=True)
+class Shortening:
+    """By how much bending shortens a link at its tip, as functions of the bending coordinates q and rates v (K, 1).
+
+    Attributes:
+        amount: q → s [m].
+        gradient: q → derivative of s by q (K, 1).
+        curvature: (q, v) → second time derivative of s without accelerations [m/s²].
+    """
+
+    amount: Callable[[casadi.SX], casadi.SX]
+    gradient: Callable[[casadi.SX], casadi.SX]
+    curvature: Callable[[casadi.SX, casadi.SX], casadi.SX]
+
+
+@dataclass(frozen=True)
 class Link:
     """Symbols of one link; the base velocity is the number zero where the base point is fixed."""
 
@@ -104,7 +119,7 @@ class Robot:
         links: by name, in the order of q_e.
         position, velocity: of the end effector, (2, 1) [m, m/s].
         twist, twist_rate: (2, 1) [rad, rad/s], or empty where the transmissions are rigid.
-        shortening: for link groups whose bending q makes them shorter by q' S q / 2, the matrix S (K, K) [1/m].
+        shortening: of link groups that bending makes shorter.
     """
 
     links: Mapping[str, Link]
@@ -112,7 +127,7 @@ class Robot:
     velocity: casadi.SX
     twist: casadi.SX
     twist_rate: casadi.SX
-    shortening: Mapping[LinkGroup, casadi.SX]
+    shortening: Mapping[LinkGroup, Shortening]
 
     @property
     def motor_rates(self) -> tuple[casadi.SX, casadi.SX]:
@@ -177,7 +192,7 @@ def make_robot(
     families: Sequence[Family],
     base_half_distance: casadi.SX,
     elastic_joints: bool,
-    shortening: Mapping[LinkGroup, casadi.SX],
+    shortening: Mapping[LinkGroup, Shortening],
 ) -> Robot:
     """Symbols of a robot with these families, and with twists of the transmissions if `elastic_joints`."""
     twists = 2 if elastic_joints else 0
@@ -215,7 +230,7 @@ class TipMap:
 
     def __init__(self, robot: Robot) -> None:
         self._gains: dict[tuple[str, Direction], casadi.DM] = {}
-        self._shortening: dict[str, tuple[int, casadi.SX]] = {}
+        self._shortening: dict[str, tuple[slice, Shortening]] = {}
         # slice of the elastic coordinates of each family
         n = robot.q_e.numel()
         start = 0
@@ -226,7 +241,7 @@ class TipMap:
             self._gains[link.name, part.family.direction] = casadi.sparsify(gain)
             # bending also shortens the link where the scene has foreshortening
             if part.family.direction == "bending" and link.group in robot.shortening:
-                self._shortening[link.name] = start, robot.shortening[link.group]
+                self._shortening[link.name] = slice(start, stop), robot.shortening[link.group]
             start = stop
         self._none = casadi.DM(n, 1)
         self.twist = robot.twist_selection
@@ -234,12 +249,19 @@ class TipMap:
     def gain(self, link: str, direction: Direction, q_e: casadi.SX) -> casadi.DM | casadi.SX:
         """Gradient (n, 1) of the tip displacement by q_e: phi(1) of the link's family, minus that of the shortening."""
         linear = self._gains.get((link, direction), self._none)
-        return linear if direction != "axial" or link not in self._shortening else linear - self._bend(link, q_e)
+        if direction != "axial" or link not in self._shortening:
+            return linear
+        rows, by_bending = self._shortening[link]
+        slope = by_bending.gradient(q_e[rows])
+        return linear - casadi.vertcat(casadi.SX(rows.start, 1), slope, casadi.SX(q_e.numel() - rows.stop, 1))
 
     def displacement(self, link: str, direction: Direction, q_e: casadi.SX) -> casadi.SX:
         """Tip displacement u(1) [m]."""
         linear = self._product(self._gains.get((link, direction), self._none), q_e)
-        return linear if direction == "bending" else linear + self._curvature(link, q_e) / 2
+        if direction != "axial" or link not in self._shortening:
+            return linear
+        rows, by_bending = self._shortening[link]
+        return linear - by_bending.amount(q_e[rows])
 
     def rate(self, link: str, direction: Direction, q_e: casadi.SX, v_e: casadi.SX) -> casadi.SX:
         """Rate of the tip displacement [m/s]."""
@@ -250,17 +272,10 @@ class TipMap:
     ) -> casadi.SX:
         """Second time derivative of the tip displacement [m/s²]."""
         linear = self._product(self.gain(link, direction, q_e), a_e)
-        return linear if direction == "bending" else linear + self._curvature(link, v_e)
+        if direction != "axial" or link not in self._shortening:
+            return linear
+        rows, by_bending = self._shortening[link]
+        return linear - by_bending.curvature(q_e[rows], v_e[rows])
 
     def _product(self, gain: casadi.DM | casadi.SX, coordinates: casadi.SX) -> casadi.SX:
         return casadi.dot(gain, coordinates) if coordinates.numel() else casadi.SX(0)
-
-    def _bend(self, link: str, q_e: casadi.SX) -> casadi.SX:
-        """S q at the rows of the link's bending coordinates, zero elsewhere, shape (n, 1)."""
-        start, matrix = self._shortening[link]
-        stop = start + matrix.shape[0]
-        return casadi.vertcat(casadi.SX(start, 1), matrix @ q_e[start:stop], casadi.SX(q_e.numel() - stop, 1))
-
-    def _curvature(self, link: str, coordinates: casadi.SX) -> casadi.SX:
-        """-c' S c for the link's bending coordinates c; zero without foreshortening."""
-        return -casadi.dot(coordinates, self._bend(link, coordinates)) if link in self._shortening else casadi.SX(0)

@@ -89,7 +89,7 @@ class MotionAgreement:
     peak_torque: float
 
 
-def full_scene(scene: Scene, beam: Beam, foreshortening: bool) -> Scene:
+def full_scene(scene: Scene, beam: Beam, foreshortening: bool | Literal["exact"]) -> Scene:
     """A scene's robot with enough shapes of every family, and damping that other formulations have too."""
     damping = {"kind": "stiffness", "time": DAMPING_TIME}
     changes = {"effects.damping": damping, "effects.beam": beam, "effects.foreshortening": foreshortening}

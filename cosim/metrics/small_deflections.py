@@ -1,8 +1,8 @@
 """Checks the model's assumption for a run: deflections are small compared with the links' lengths.
 
 The error of the path is estimated from the forces that the next order of the beam theory adds along the recorded
-motion: those of foreshortening where the scene leaves it out, and those of nonlinear bending. The linear response to
-them is one Newton iteration for the whole motion, as in `flexfmu.cosim.design.effects.estimator`. The motors follow
+motion: those of foreshortening where the scene leaves it out, and those of exact bending. The linear response to
+each is one Newton iteration for the whole motion, as in `flexfmu.cosim.design.effects.estimator`. The motors follow
 their recorded motion.
 """
 
@@ -59,9 +59,9 @@ def exceeded(run: Run) -> list[str]:
 
 
 def path_errors(run: Run) -> tuple[float, float]:
-    """Return the estimated error of the path because of large deflections, and the error with foreshortening.
+    """Return the estimated error of the path because of large deflections, and the error with foreshortening to second order.
 
-    Both are relative: the largest distance between two paths divided by the largest distance of the path from the rigid
+    Both are relative: the largest distance from the path with exact bending divided by that of the path from the rigid
     robot's.
 
     Raises:
@@ -78,13 +78,11 @@ def path_errors(run: Run) -> tuple[float, float]:
     joints = _columns(recording, time, [f"joint{leg}{measured}.{kind}" for kind in kinds for leg in (1, 2)])
     rests = np.concatenate([joints[[0, -1], :2], np.zeros((2, 4))], axis=1)
     grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
-    # linearised equations along that motion, as in the scene and with foreshortening
+    # linearised equations along that motion, as in the scene, with foreshortening, and with exact bending
     own = LinearizedMotion(scene, grid)
     if not own.names:
         raise KeyError("all elastic families of the scene deflect statically")
-    short = (
-        own if scene.effects.foreshortening else LinearizedMotion(scene.replace({"effects.foreshortening": True}), grid)
-    )
+    short, exact = (LinearizedMotion(scene.replace({"effects.foreshortening": each}), grid) for each in (True, "exact"))
     motion = ElasticMotion(
         *(
             _columns(recording, time, [name.format(each) for each in own.names])
@@ -97,13 +95,15 @@ def path_errors(run: Run) -> tuple[float, float]:
         start = np.linalg.solve(own.linear.stiffness[0], load[0]) if still else np.zeros(load.shape[1])
         return own.linear.response(load, start)
 
-    # responses to the forces of foreshortening (the difference cancels interpolation errors), then of nonlinear bending
+    # responses to the forces of foreshortening (the difference cancels interpolation errors), then of exact bending
     shortened = motion + respond(own.forces(motion) - short.forces(motion))
-    ours, theirs = own.outputs(motion).position, short.outputs(shortened).position
-    exact = short.outputs(shortened + respond(-short.hardening(motion))).position
+    bent = shortened + respond(short.forces(shortened) - exact.forces(shortened))
+    ours, theirs, true = (
+        robot.outputs(each).position for robot, each in ((own, motion), (short, shortened), (exact, bent))
+    )
     rigid = _columns(recording, time, [f"end_effector.reference.position.{axis}" for axis in "xy"])
     unit = _largest(ours - rigid)
-    return _largest(exact - ours) / unit, _largest(exact - theirs) / unit
+    return _largest(true - ours) / unit, _largest(true - theirs) / unit
 
 
 def kept_path_errors(run: Run) -> tuple[float, float]:
@@ -132,9 +132,9 @@ def _bent(run: Run) -> Iterator[str]:
     """Yield a warning about bending where the error of the path exceeds the tolerance."""
     # a bound from the deflection alone suffices for most runs
     deflection, choice = largest_deflection(run), run.scene.effects.choice
-    tolerance, short = DEFAULT_TOLERANCE if choice is None else choice.tolerance, run.robot.effects.foreshortening
+    tolerance, short = DEFAULT_TOLERANCE if choice is None else choice.tolerance, bool(run.robot.effects.foreshortening)
     terms = np.array([deflection**2 if short else deflection, deflection**2])
-    if terms[0] * MOST_FOUND[short] <= tolerance:
+    if run.robot.effects.foreshortening == "exact" or terms[0] * MOST_FOUND[short] <= tolerance:
         return
     try:
         with np.errstate(all="ignore"):
@@ -144,14 +144,11 @@ def _bent(run: Run) -> Iterator[str]:
         (error, remaining), how = terms * (USUAL[short], USUAL[True]), "the path may be off by"
     if error <= tolerance:
         return
-    # remedy
-    remedy = "stiffen or relieve the links"
-    if not short:
-        remedy = (
-            f"set `effects.foreshortening = true`, which leaves {_percent(remaining)}"
-            if remaining <= tolerance
-            else f"`effects.foreshortening = true` would leave {_percent(remaining)}: {remedy}"
-        )
+    remedy = 'set `effects.foreshortening = "exact"`, whose bending is geometrically exact'
+    if not remaining < HOPELESS:
+        remedy = "stiffen or relieve the links"
+    elif not short and remaining <= tolerance:
+        remedy = f"set `effects.foreshortening = true`, which leaves {_percent(remaining)}"
     yield (
         f"links bend by up to {100.0 * deflection:.2g} % of their length: {how} {_percent(error)} of the largest elastic "
         f"deviation, more than the tolerance of {100.0 * tolerance:g} %; {remedy}"

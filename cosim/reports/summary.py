@@ -178,7 +178,9 @@ def describe_effects(scene: Scene) -> dict[str, str]:
     if effects.beam == "timoshenko":
         found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
     if effects.foreshortening:
-        found["foreshortening"] = "Foreshortening of links that bend (geometric stiffening)"
+        exact = effects.foreshortening == "exact"
+        text = "Geometrically exact bending" if exact else "Foreshortening of links that bend (geometric stiffening)"
+        found["foreshortening"] = text
     # damping and drives, then external loads
     for key in sorted(scene.loads, key=lambda key: _LAST.index(key) if key in _LAST else -1):
         found[key.replace(".", "_")] = LOADS[key].sentence(scene.loads[key])

@@ -153,7 +153,7 @@ class Effects(Section):
     distal_bending: ModeCount = 0
     distal_axial: ModeCount = 0
     beam: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli"
-    foreshortening: bool = False
+    foreshortening: Literal[False, True, "exact"] = False
     quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
     damping: DampingSection = NoDampingSection()
     motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0, le=LARGEST)] = 0.0
@@ -204,6 +204,7 @@ EFFECTS = (
     "link_effects.RotaryInertia",
     "link_effects.ElasticFamily",
     "link_effects.Foreshortening",
+    "link_effects.ExactBending",
     "loads.PointPayload",
     "loads.PayloadInertia",
     "loads.Gravity",

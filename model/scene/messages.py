@@ -88,6 +88,7 @@ def _sentence(error: Mapping[str, Any], root: type[BaseModel]) -> str:
         form = _FORMS[kind].format(**context, example=_example(elements))
         return f"`{key}` must be {form}{in_unit}, got {list(value) if isinstance(value, tuple) else value!r}"
     found = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
+    found = found.replace("False, True", "false, true")  # as TOML writes them
     return f"`{key}` {found}{in_unit}, got {value!r}"
 
 

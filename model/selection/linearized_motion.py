@@ -149,10 +149,6 @@ class LinearizedMotion:
         function = _vectorised(self._scene, "elastic_forces")
         return function([motion.position, motion.velocity, motion.acceleration, self._grid.joints])[0]
 
-    def hardening(self, motion: ElasticMotion) -> RealArray:
-        """Elastic forces (N, n) of bending beyond linear theory, which all sets of effects neglect."""
-        return _vectorised(self._scene, "hardening")([motion.position])[0]
-
     def outputs(self, motion: ElasticMotion) -> Outputs:
         """End-effector motion and motor torques of a motion."""
         function = _vectorised(self._scene, "motion")

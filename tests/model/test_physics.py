@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from flexfmu.model import vectorised
+from flexfmu.model import link_effects, vectorised
 from flexfmu.model.beams import scene_shapes
 from flexfmu.model.five_bar import assemble
 from flexfmu.model.kinematics import RigidKinematics
@@ -183,8 +183,10 @@ def link_energy(
     """Kinetic and potential energy [J] of a link whose frame is (base point, direction, angle) of time, at time 0.
 
     q and v have the axial coordinate first, then those of bending. The links' axes keep their length when they bend: what is at
-    the distance x along the axis has come nearer to the base by half of the integral of the squared slope.
+    the distance x along the axis has come nearer to the base by half of the integral of the squared slope, or by exactly what the
+    cosine of the axis' angle is less than one.
     """
+    exact = scene.effects.foreshortening == "exact"
     link, material = getattr(scene.mechanism, group), scene.mechanism.material
     area = np.pi / 4.0 * (link.diameter**2 - link.inner_diameter**2)
     second = np.pi / 64.0 * (link.diameter**4 - link.inner_diameter**4)
@@ -198,7 +200,9 @@ def link_energy(
         """Places (2, points) of the axis."""
         now = q + time * v
         base, along, _ = frame(time)
-        inner = 0.5 * np.array([xi * WEIGHTS @ bent("slope", xi * PLACES, now[1:]) ** 2 for xi in PLACES]) / length
+        slopes = [bent("slope", xi * PLACES, now[1:]) / length for xi in PLACES]
+        lost = [1.0 - np.sqrt(1.0 - each**2) if exact else 0.5 * each**2 for each in slopes]
+        inner = length * np.array([xi * WEIGHTS @ each for xi, each in zip(PLACES, lost, strict=True)])
         x = PLACES * length + now[0] * axial("value", PLACES) - inner
         across = np.array([-along[1], along[0]])
         return base[:, None] + np.outer(along, x) + np.outer(across, bent("value", PLACES, now[1:]))
@@ -208,26 +212,36 @@ def link_energy(
     kinetic = 0.5 * mass * WEIGHTS @ (velocity**2).sum(axis=0)
     potential = -mass * GRAVITY @ at.real @ WEIGHTS
     potential += 0.5 * young * area / length * q[0] ** 2 * WEIGHTS @ axial("strain", PLACES) ** 2
-    potential += 0.5 * young * second / length**3 * WEIGHTS @ bent("strain", PLACES, q[1:]) ** 2
+    stretch = 1.0 + q[0] * axial("strain", PLACES) / length
+    cosine = np.sqrt(1.0 - (bent("rotation", PLACES, q[1:]) / length) ** 2) if exact else np.ones_like(PLACES)
+    turned = cosine * stretch if exact else cosine
+    potential += 0.5 * young * second / length**3 * WEIGHTS @ (bent("strain", PLACES, q[1:]) / turned) ** 2
     if scene.effects.beam == "timoshenko":
-        turning = frame(IMAGINARY)[2].imag / IMAGINARY.imag + bent("rotation", PLACES, v[1:]) / length
+        turning = frame(IMAGINARY)[2].imag / IMAGINARY.imag + bent("rotation", PLACES, v[1:]) / length / cosine
         kinetic += 0.5 * material.density * second * length * WEIGHTS @ turning**2
         # Cowper (1966), with the ratio m of the diameters
         m = link.inner_diameter / link.diameter
         k = 6 * (1 + nu) * (1 + m**2) ** 2 / ((7 + 6 * nu) * (1 + m**2) ** 2 + (20 + 12 * nu) * m**2)
-        angle = (bent("slope", PLACES, q[1:]) - bent("rotation", PLACES, q[1:])) / length
+        angle = (bent("slope", PLACES, q[1:]) - bent("rotation", PLACES, q[1:])) / length / turned
         potential += 0.5 * k * young / (2.0 * (1.0 + nu)) * area * length * WEIGHTS @ angle**2
     return np.array([kinetic, potential])
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"effects.basis": "craig-bampton", "effects.beam": "timoshenko"}],
-    ids=["thin beams, assumed modes", "thick beams, static shapes"],
+    [
+        {},
+        {"effects.basis": "craig-bampton", "effects.beam": "timoshenko"},
+        {"effects.basis": "craig-bampton", "effects.beam": "timoshenko", "effects.foreshortening": "exact"},
+    ],
+    ids=["thin beams, assumed modes", "thick beams, static shapes", "thick beams, bent by a tenth of their length"],
 )
-def test_energies_are_those_of_the_material_points(changes: dict[str, object]) -> None:
+def test_energies_are_those_of_the_material_points(changes: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> None:
     """All terms up to the second order in deflections and their rates, at a drawn motion of frames, base points and end effector:
-    each link moves, turns, stretches, bends and shortens; payload, motors and transmissions are there too."""
+    each link moves, turns, stretches, bends and shortens; payload, motors and transmissions are there too. Exact bending has the
+    terms of all orders, with enough nodes."""
+    monkeypatch.setattr(link_effects, "SPARE_NODES", 20)
+    monkeypatch.setattr(link_effects, "SHIFTS", 22)
     scene = load_scene("barnard2012-6kg").replace(BENDING | changes)
     five_bar, rng = assemble(scene), np.random.default_rng(3)
     derived = five_bar.registry.derived_at_start()
@@ -261,12 +275,18 @@ def test_energies_are_those_of_the_material_points(changes: dict[str, object]) -
             total += link_energy(scene, group, frame, moved[first:last], moving[first:last])
         # payload, which turns with the last section of link 12, motors behind their transmissions
         tips = [float(each("rotation", np.ones(1))[0]) for each in shapes_at(scene, "distal", "bending")]
-        section = rate["link12"] + tips @ moving[4:6] / scene.mechanism.distal.length
+        sine, bending = (tips @ each[4:6] / scene.mechanism.distal.length for each in (moved, moving))
+        is_exact = scene.effects.foreshortening == "exact"
+        section = rate["link12"] + (bending / np.sqrt(1.0 - sine**2) if is_exact else bending)
         motors = np.array([rate["link11"], rate["link21"]]) - moving[-2:]
         total[0] += 0.5 * (PAYLOAD * point_rates[2] @ point_rates[2] + INERTIA * section**2 + MOTOR * motors @ motors)
         total[1] += 0.5 * SPRING * moved[-2:] @ moved[-2:] - PAYLOAD * GRAVITY @ points[2]
         return total
 
+    if scene.effects.foreshortening == "exact":
+        for scale in (-1.0, 1.0):
+            np.testing.assert_allclose(model(scale), exact(scale), rtol=1e-8)
+        return
     scales = np.linspace(-1.0, 1.0, 5)
     model_terms, exact_terms = (
         np.linalg.solve(np.vander(scales), [f(each) for each in scales]) for f in (model, exact)

@@ -53,6 +53,13 @@ VARIANTS = {
         "effects.distal_bending": 2,
         "effects.damping": {"kind": "rayleigh", "rate": 20.0, "time": 1e-5},
     },
+    "exact bending, thick beams": {
+        "payload.inertia": 0.05,
+        "effects.foreshortening": "exact",
+        "effects.beam": "timoshenko",
+        "effects.distal_bending": 1,
+        "effects.damping": {"kind": "stiffness", "time": 1e-5},
+    },
     "thick tubes, static shapes first": {
         "mechanism.proximal": {"length": 0.24, "diameter": 0.05, "inner_diameter": 0.03},
         "effects.beam": "timoshenko",

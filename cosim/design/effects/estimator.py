@@ -186,7 +186,7 @@ class Estimator:
         self._journal = journal
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
-        self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
+        self._robots: dict[tuple[str, bool | str], LinearizedMotion] = {}
         self._known: dict[tuple[str, bool], MetricValues] = {}
         # outputs of the rigid robot
         robot = self._robot(self.richest.effects)
@@ -203,6 +203,20 @@ class Estimator:
         """Scale of each metric, see the function `scales`."""
         units = scales(self._full, self.named)
         return {name: units[name] for name in self._of}
+
+    @cached_property
+    def largest_deflection(self) -> float:
+        """Largest deflection of a link relative to its length, in the linear response of the richest set."""
+        robot, mechanism = self._robot(self.richest.effects), self.richest.mechanism
+        states = robot.coordinates(self.richest.effects)
+        motion = robot.response(states, robot.equilibrium(self._grid.rests[0], states))
+        lengths = {"1": mechanism.proximal.length, "2": mechanism.distal.length}
+        # the first shapes are the tip's displacement, or that of the middle
+        return max(
+            float(np.abs(motion.position[:, i]).max()) / lengths[name[5]]
+            for i, name in enumerate(robot.names)
+            if name.endswith("bending[1]")
+        )
 
     @cached_property
     def _full(self) -> MetricValues:

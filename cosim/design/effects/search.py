@@ -12,6 +12,7 @@ from typing import get_args
 
 from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, richest, with_set
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
+from flexfmu.cosim.metrics.small_deflections import MOST_FOUND
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
@@ -40,7 +41,7 @@ def rich_enough(
     """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
 
     The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the
-    number of modes and is left out meanwhile.
+    number of modes and is left out meanwhile. Bending is geometrically exact if that makes a difference of `CONVERGED` tolerances.
 
     Arguments as for `choose_effects`; `named` and `journal` as for `Estimator`; `units` for `scaled`.
     """
@@ -61,8 +62,14 @@ def rich_enough(
         # done when no mode was added, or none can be
         found = plain.replace({"effects.foreshortening": True})
         if found == most or grown_most == most:
-            return most
+            break
         most = found
+    # geometrically exact bending, where links bend so far that it can matter
+    exact = most.replace({"effects.foreshortening": "exact"})
+    if MOST_FOUND[True] * estimator.largest_deflection**2 <= CONVERGED * tolerance:
+        return most
+    change = Estimator(scene, motion, of, named, exact, journal).errors(most.effects)
+    return exact if max(change.values()) > CONVERGED * tolerance else most
 
 
 def one_more(scene: Scene, families: Sequence[str]) -> Scene:

@@ -169,7 +169,8 @@ def fuller_scene(scene: Scene) -> Scene | None:
     if not effects.proximal_bending + effects.proximal_axial + effects.distal_bending + effects.distal_axial:
         return None
     # one shape of the distal links' bending is all that the lowest modes see
-    changes = {"beam": "timoshenko", "foreshortening": True, "distal_bending": max(1, effects.distal_bending)}
+    shortening = effects.foreshortening or True
+    changes = {"beam": "timoshenko", "foreshortening": shortening, "distal_bending": max(1, effects.distal_bending)}
     fuller = scene.replace({f"effects.{key}": value for key, value in changes.items()})
     return fuller if fuller.effects != effects else None
 

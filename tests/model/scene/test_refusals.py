@@ -99,7 +99,7 @@ REFUSED: list[tuple[Changes, str]] = [
     ({"mechanism.proximal.length": "a"}, "`mechanism.proximal.length` must be a valid number in m, got 'a'"),
     ({"payload.mass": True}, "`payload.mass` must be a valid number in kg, got True"),
     ({"effects.proximal_bending": 2.5}, "`effects.proximal_bending` must be a valid integer"),
-    ({"effects.foreshortening": "yes"}, "`effects.foreshortening` must be true or false, got 'yes'"),
+    ({"effects.foreshortening": "yes"}, "`effects.foreshortening` must be false, true or 'exact', got 'yes'"),
     ({"trajectory.start": [1.0, 2.0, 3.0]},
      "`trajectory.start` must be an array of 2 values in m, got [1.0, 2.0, 3.0]"),
     ({"trajectory.start": [1.0, "b"]}, "`trajectory.start[1]` must be a valid number in m"),

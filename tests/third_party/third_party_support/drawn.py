@@ -37,7 +37,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     ),
     "effects.basis": ("assumed-modes", "craig-bampton"),
     "effects.beam": ("euler-bernoulli", "timoshenko"),
-    "effects.foreshortening": (False, True),
+    "effects.foreshortening": (False, True, "exact"),
     "effects.reactions": (False, True),
     "effects.motor_inertia": (0.0, 0.1),
     "effects.joint_friction": (None, {"viscous": 0.5, "coulomb": 1.0}),
