@@ -17,8 +17,9 @@ import numpy as np
 from flexfmu.model.beams import LinkGroup
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import Family, Robot, Shortening
+from flexfmu.model.scene.effects import RayleighDampingSection, StiffnessDampingSection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import EffectNote
+from flexfmu.model.symbolic import EffectNote, Variable
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,16 @@ class EffectContext:
     scene: Scene
     registry: ParameterRegistry
     links: Mapping[LinkGroup, LinkProperties]
+
+    def damping_time(self) -> casadi.SX | None:
+        """Parameter of the damping that is proportional to stiffness [s]; None where the scene has no such damping."""
+        damping = self.scene.effects.damping
+        if not isinstance(damping, StiffnessDampingSection | RayleighDampingSection) or not damping.time:
+            return None
+        text = "Stiffness-proportional damping time"
+        return self.registry.parameter(
+            Variable("damping.time", "s", text, "parameter", start=damping.time, minimum=0.0, maximum=1e3)
+        )
 
 
 class Effect(ABC):

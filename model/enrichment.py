@@ -92,20 +92,21 @@ def _families(effects: Effects) -> Iterator[tuple[str, int, bool]]:
         yield key, getattr(effects, key), key in effects.quasi_static
 
 
-_SHORTENINGS = (
-    (False, "", "without foreshortening"),
-    (True, "with foreshortening", "with foreshortening instead of exact bending"),
-    ("exact", "with geometrically exact bending", ""),
-)
-"""Values of `foreshortening`, with the change in words from a poorer and from a richer one."""
+THEORIES = (False, True, "exact")
+"""Values of `foreshortening`, from nothing to everything."""
+
+_SHORTENINGS = {
+    1: ("", "with foreshortening", "with geometrically exact bending"),
+    -1: ("without foreshortening", "with foreshortening instead of exact bending", ""),
+}
+"""The change to each of `THEORIES` in words, from a poorer and from a richer one."""
 
 
 def _shortenings(effects: Effects, step: Literal[1, -1]) -> Iterator[tuple[str, str, EffectChanges]]:
     """The next richer or poorer theory of foreshortening, where there is one and links bend."""
-    following = [value for value, *_ in _SHORTENINGS].index(effects.foreshortening) + step
-    if (effects.proximal_bending or effects.distal_bending) and 0 <= following < len(_SHORTENINGS):
-        value, richer, poorer = _SHORTENINGS[following]
-        yield "foreshortening", richer if step > 0 else poorer, {"effects.foreshortening": value}
+    following = THEORIES.index(effects.foreshortening) + step
+    if (effects.proximal_bending or effects.distal_bending) and 0 <= following < len(THEORIES):
+        yield "foreshortening", _SHORTENINGS[step][following], {"effects.foreshortening": THEORIES[following]}
 
 
 def _static(effects: Effects, key: str, wanted: bool) -> EffectChanges:

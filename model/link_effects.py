@@ -37,7 +37,6 @@ from flexfmu.model.beams import (
     shear_coefficient,
 )
 from flexfmu.model.effects import Effect, EffectContext, Output, column, derived_matrix, dot, form
-from flexfmu.model.loads import damping_time
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import ElasticSymbols, Family, Link, Robot, Shortening
 from flexfmu.model.symbolic import EffectNote, Variable
@@ -410,7 +409,7 @@ class ExactBending(Effect):
 
     def __init__(self, context: EffectContext) -> None:
         self._registry, self._properties = context.registry, context.links
-        self._thick, self._damping_time = thick_beams(context), damping_time(context)
+        self._thick, self._damping_time = thick_beams(context), context.damping_time()
         self._nodes = {
             group: Nodes.of(SPARE_NODES + getattr(context.scene.effects, f"{group}_bending")) for group in context.links
         }

@@ -148,7 +148,7 @@ class ProportionalDamping(StructuralDamping):
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         damping = context.scene.effects.damping
         rate = damping.rate if isinstance(damping, keys.MassDampingSection | keys.RayleighDampingSection) else 0.0
-        if rate or damping_time(context) is not None:
+        if rate or context.damping_time() is not None:
             yield cls(context, rate)
 
     def __init__(self, context: EffectContext, rate: float) -> None:
@@ -158,7 +158,7 @@ class ProportionalDamping(StructuralDamping):
         if rate:
             text = "Mass-proportional damping rate"
             self._rate = self._registry.parameter(_factor("damping.rate", "1/s", text, rate, 1e6))
-        self._time = damping_time(context)
+        self._time = context.damping_time()
         # the note names these terms
         present = (("mass", "αM", self._has_rate), ("stiffness", "βK", self._time is not None))
         terms = [(kind, symbol) for kind, symbol, there in present if there]
@@ -176,14 +176,6 @@ class ProportionalDamping(StructuralDamping):
             damping += self._time * family.stiffness
         derived = derived_matrix(self._registry, f"{family.group}_{family.direction}_c", damping)
         return 0.5 * form(derived, v, v)
-
-
-def damping_time(context: EffectContext) -> casadi.SX | None:
-    """Parameter of the damping that is proportional to stiffness [s]; None where the scene has no such damping."""
-    damping = context.scene.effects.damping
-    time = damping.time if isinstance(damping, keys.StiffnessDampingSection | keys.RayleighDampingSection) else 0.0
-    text = "Stiffness-proportional damping time"
-    return context.registry.parameter(_factor("damping.time", "s", text, time, 1e3)) if time else None
 
 
 def _factor(name: str, unit: str, text: str, start: float, maximum: float) -> Variable:

@@ -90,7 +90,6 @@ ALONE = {
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",
-    "cosim.metrics.small_deflections": "limits of small deflections, which hard cases check too",
     "cosim.reports.plots": "drawing",
     "cosim.reports.report": "the page of a run",
     "cosim.studies.paper.figures": "drawing",

@@ -37,6 +37,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
 from flexfmu.fmu_build.cache import cache_folder, content_hash, package_fingerprint, read_cached, store
 from flexfmu.model.choice_text import set_text
+from flexfmu.model.enrichment import THEORIES
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import MEASURES, MeasureName
 from flexfmu.model.scene.effects import FamilyName
@@ -585,7 +586,7 @@ def _tighter(first: Scene, second: Scene) -> Scene:
     changes["effects.quasi_static"] = [
         each for each in one.quasi_static if each in two.quasi_static or not getattr(two, each)
     ]
-    changes["effects.foreshortening"] = one.foreshortening or two.foreshortening
+    changes["effects.foreshortening"] = max(one.foreshortening, two.foreshortening, key=THEORIES.index)
     changes["effects.beam"] = "timoshenko" if "timoshenko" in (one.beam, two.beam) else one.beam
     changes["effects.basis"] = "craig-bampton" if "craig-bampton" in (one.basis, two.basis) else one.basis
     integrator = integrators.pop() if len(integrators) == 1 else "gauss4"
