@@ -23,9 +23,8 @@ import random
 import sys
 import time
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -209,9 +208,9 @@ def main() -> None:
     rows: list[Judged] = []
     numbers = range(options.first, options.first + options.draws)
     with ProcessPoolExecutor(options.processes) as pool:
-        for row in pool.map(partial(judge, seed=options.seed, has_grid=not options.no_grid), numbers):
-            rows.append(row)
-            print(line(row), flush=True)
+        for each in as_completed([pool.submit(judge, number, options.seed, not options.no_grid) for number in numbers]):
+            rows.append(each.result())
+            print(line(rows[-1]), flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "accuracy_asked.json").write_text(
         json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8"

@@ -226,17 +226,25 @@ class Chooser:
             units = self._units(Estimator(self.scene, self._motion, self._measures), found)
             most = rich_enough(self.scene, self._motion, 1.0, self._measures, units=units)
             found = self._exact(most, "running the richest set")
-        rest, before = np.full(self.allowed.shape, np.inf), most
+        rest = earlier = np.full(self.allowed.shape, np.inf)
+        before = most
         while (rest > CONVERGED * self.allowed).any():
             finer = one_more(most, get_args(FamilyName))
-            if set_size(finer) > MOST_COORDINATES or finer == most:
+            # at the rate of the last two changes, how large would the last affordable one be
+            left = (MOST_COORDINATES - set_size(most)) // max(set_size(finer) - set_size(most), 1)
+            hopeless = (
+                (rest * (rest / earlier) ** left > CONVERGED * self.allowed).any()
+                if np.isfinite(earlier).all()
+                else left < 1
+            )
+            if hopeless or finer == most:
                 name = [*self.asked][int(np.argmax(rest / self.allowed))]
                 raise ResultsError(
                     f"{name} doesn't converge: with {set_size(most)} instead of {set_size(before)} coordinates of the links it still "
                     f"changes by {rest[[*self.asked].index(name)]:.2g} {definition(name).unit}; ask for more than ten times that"
                 )
             better = self._exact(finer, "running one more mode of every family")
-            rest, before = better.change(found), most
+            earlier, rest, before = rest, better.change(found), most
             most, found = finer, better
         self.richest, self.reference = most, found
         # and how well it is integrated

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,12 @@ from typer.testing import CliRunner
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.effects.accuracy import Chooser, accuracy_answer, chosen_over, with_answer
+from flexfmu.cosim.design.effects.estimator import with_set
+from flexfmu.cosim.design.effects.runs import SceneRuns
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.studies.sweep.cases import Cases
+from flexfmu.cosim.studies.sweep.sweep import ready_to_sweep
 from flexfmu.model.scene.schema import Scene
 
 RICH = {
@@ -106,3 +112,32 @@ def test_the_command_writes_the_chosen_settings(tmp_path: Path) -> None:
     assert scene.cosimulation.tolerance == answer["changes"]["cosimulation.tolerance"]
     asked = flexfmu.load_scene("barnard2012-6kg").replace({"accuracy": {"peak_torque_1": 1e-2}})
     assert with_answer(asked, accuracy_answer(asked)).effects == scene.effects
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "accuracy.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page_runs() -> None:
+    """It holds what it asserts."""
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0], {})
+
+
+def test_the_section_of_the_page_is_one(scene_6kg: Scene) -> None:
+    """As a scene file has it."""
+    block = tomllib.loads(re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[0])
+    assert scene_6kg.replace(block).accuracy == block["accuracy"]
+
+
+def test_a_payload_of_zero_has_neighbours(scene_6kg: Scene) -> None:
+    """Those of the links' density."""
+    scene = with_set(scene_6kg.replace({"payload.mass": 0.0}), {"proximal_bending": 1})
+    values = SceneRuns(["peak_torque_1"]).observe(scene).values
+    assert len({value for (value,) in values}) == 3
+
+
+def test_accuracy_chooses_what_a_sweep_may_not_vary(scene_6kg: Scene) -> None:
+    """Before anything is run."""
+    scene = scene_6kg.replace({"accuracy": {"peak_torque_1": 1e-2}})
+    with pytest.raises(flexfmu.SceneError, match="varied too"):
+        ready_to_sweep(scene, Cases(("cosimulation.tolerance",), ((1e-3,), (1e-5,))))
