@@ -47,6 +47,9 @@ from flexfmu.trajectories.trajectory import Trajectory
 CONVERGED = 0.1
 """Largest change of the richest set's figures by one more mode of every family, in units of what is allowed."""
 
+TINY = 1e-300
+"""Change that stands for zero in ratios."""
+
 EXACT = 1e-11
 """Tolerance of runs that show the error of a set of effects; the richest one's is compared with a tenth of it."""
 
@@ -233,16 +236,20 @@ class Chooser:
             # at the rate of the last two changes, how large would the last affordable one be
             left = (MOST_COORDINATES - set_size(most)) // max(set_size(finer) - set_size(most), 1)
             hopeless = (
-                (rest * (rest / earlier) ** left > CONVERGED * self.allowed).any()
+                (rest * (rest / np.maximum(earlier, TINY)) ** left > CONVERGED * self.allowed).any()
                 if np.isfinite(earlier).all()
                 else left < 1
             )
             if hopeless or finer == most:
                 name = [*self.asked][int(np.argmax(rest / self.allowed))]
-                raise ResultsError(
-                    f"{name} doesn't converge: with {set_size(most)} instead of {set_size(before)} coordinates of the links it still "
-                    f"changes by {rest[[*self.asked].index(name)]:.2g} {definition(name).unit}; ask for more than ten times that"
+                change = rest[[*self.asked].index(name)]
+                how = f"with {set_size(most)} instead of {set_size(before)} coordinates of the links it still changes by {change:.2g}"
+                how = (
+                    f"{how} {definition(name).unit}"
+                    if isfinite(change)
+                    else f"by estimates {set_size(most)} coordinates don't suffice"
                 )
+                raise ResultsError(f"{name} doesn't converge as far as asked: {how}; ask for less accuracy")
             better = self._exact(finer, "running one more mode of every family")
             earlier, rest, before = rest, better.change(found), most
             most, found = finer, better
