@@ -112,6 +112,9 @@ SAME_ANGLE, SAME_PLACE = 1e-9, 1e-9
 POSES = 401
 """Number of poses at which a motion is examined."""
 
+SPEEDS = 500
+"""Number of instants among which a motion's largest joint velocity is looked for."""
+
 
 @dataclass(frozen=True, repr=False)
 class MotionPlan(Rows):
@@ -219,6 +222,11 @@ class MotionPlan(Rows):
 
         reference = self.along_path
         return path_deviation(self.task, reference.path if isinstance(reference, TaskTrajectory) else reference)
+
+    @cached_property
+    def top_speed(self) -> float:
+        """Largest velocity of a joint [rad/s] among `SPEEDS` instants of the motion."""
+        return float(abs(self.joints.evaluate(np.linspace(0.0, self.joints.duration, SPEEDS), 1)[1]).max())
 
     @property
     def stop_time(self) -> float:

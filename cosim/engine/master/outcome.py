@@ -232,9 +232,10 @@ def _right_limits(
     time: RealArray, signals: Iterable[tuple[str, RealArray]]
 ) -> Iterator[tuple[RealArray, str, RealArray]]:
     """Instants, name and values of each signal, at the last of equal instants."""
-    for name, values in signals:
+    if found := list(signals):
         last = np.append(np.diff(time) > 0.0, np.ones(min(time.size, 1), dtype=np.bool_))
-        yield time[last], name, values[last]
+        times = time[last]
+        yield from ((times, name, values[last]) for name, values in found)
 
 
 class Outcome(Enum):
