@@ -80,6 +80,7 @@ INTEGRATOR = ChoiceParameter(
         "radau3": (5, "Radau IIA, 3 stages, order 5, L-stable: damps what it does not resolve"),
         "dopri5": (6, "Dormand-Prince, explicit, order 5 with an error estimate of order 4"),
         "rk4": (7, "Classical Runge-Kutta method, explicit, order 4"),
+        "radau3-dense": (8, "radau3 with steps beyond communication points, where the motion is interpolated"),
     },
 )
 """The integration method; the numbers are those of ``c-runtime/solver/methods.h``."""

@@ -29,9 +29,9 @@ STEP = 1e-3
 SMALL = {"effects.proximal_bending": 1, "effects.distal_axial": 0, "trajectory.dwell": 0.0}
 """A robot of two coordinates, both bending: steps of a millisecond resolve their vibration. With axial modes of 2 kHz, which
 they don't, every implicit method falls back towards the order of its stages and an explicit one is unstable."""
-FINE = {"gauss2": 4, "gauss3": 2, "gauss4": 2, "radau3": 4, "dopri5": 8, "rk4": 8}
+FINE = {"gauss2": 4, "gauss3": 2, "gauss4": 2, "radau3": 4, "dopri5": 8, "rk4": 8, "radau3-dense": 4}
 """Steps in a communication step of 5 ms at which the asymptotic range has begun and rounding errors are still far."""
-ORDERS = {"gauss2": 4, "gauss3": 6, "gauss4": 8, "radau3": 5, "dopri5": 5, "rk4": 4}
+ORDERS = {"gauss2": 4, "gauss3": 6, "gauss4": 8, "radau3": 5, "dopri5": 5, "rk4": 4, "radau3-dense": 5}
 """Orders of the methods (Hairer, Norsett, Wanner: Solving ODEs I, tables II.1.2, II.5.2 and II.7; II, table IV.5.6)."""
 
 

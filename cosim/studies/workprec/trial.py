@@ -227,7 +227,7 @@ def sweep(
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 
-CONTROLLED = ("automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5")
+CONTROLLED = ("automatic", "gauss2", "gauss3", "gauss4", "radau3", "radau3-dense", "dopri5")
 """Integrators with error control."""
 
 FIXED_STEPS = (1e-4, 5e-5, 2e-5, 1e-5, 5e-6)

@@ -54,6 +54,10 @@ void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset,
   for (int i = 0; i < inputs->count; i++) {
     const real *c = polynomial(inputs, i);
     double tau = time - inputs->base[i] + offset;
+    if (tau == 0.0) {
+      u[i] = c[0];
+      continue;
+    }
     real value = c[inputs->degree[i]];
     for (int k = inputs->degree[i] - 1; k >= 0; k--) value = value * tau + c[k];
     u[i] = value;

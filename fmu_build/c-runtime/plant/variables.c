@@ -199,8 +199,8 @@ int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
   return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
 }
 
-static const char integrators[] = "1 (automatic), 2, 3, 4 (Gauss with so many stages), 5 (Radau IIA), 6 (Dormand-Prince) or "
-                                  "7 (classical Runge-Kutta)";
+static const char integrators[] = "1 (automatic), 2, 3, 4 (Gauss with so many stages), 5 (Radau IIA), 6 (Dormand-Prince), "
+                                  "7 (classical Runge-Kutta) or 8 (Radau IIA, dense output)";
 
 // 0 if a choice may be made now and has one of the values 1 to `last`
 static int refuse_choice(flex_plant *plant, const char *name, int value, int last, const char *meanings) {

@@ -90,6 +90,8 @@ static flex_outcome finish(flex_integrator *integrator, double t, double h, doub
   int n = integrator->n, s = integrator->stages.tableau->stages;
   size_t size = (size_t)n * sizeof(real);
 
+  if (integrator->looks_ahead) flex_integrator_keep_segment(integrator, t, h);
+
   // end of the quadrature
   step_increments(integrator, h);
   for (int c = 0; c < n; c++) flex_step_move(integrator, c, integrator->change[c], integrator->change[n + c]);

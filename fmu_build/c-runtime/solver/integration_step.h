@@ -48,6 +48,9 @@ flex_outcome flex_step_accelerate_present(flex_integrator *integrator, const rea
 /* margin of the mechanism at the present position for the inputs u */
 flex_outcome flex_step_check_margin(flex_integrator *integrator, const real *u, double *margin);
 
+/* keeps a step whose stages are solved for interpolation, before the motion goes to its end */
+void flex_integrator_keep_segment(flex_integrator *integrator, double t, double h);
+
 /* counts a step whose end was reached with everything belonging to it, and follows the size of the motion */
 void flex_step_count(flex_integrator *integrator);
 

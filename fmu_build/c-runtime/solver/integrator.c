@@ -9,6 +9,7 @@
 #include "elementary.h"
 #include "friction.h"
 #include "integration_step.h"
+#include "linear_algebra.h"
 
 /* share of the tolerance that one step may use. The local error is held below share x tol^(q/p), q its order and p that of
  * the method: a step of the size that the error admits is proportional to tol^(1/p), so this is a constant error per unit of
@@ -42,7 +43,20 @@
 #define FLEX_WORK_PER_SECOND 4e7
 #endif
 
-void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena) {
+/* a step looks so many communication steps ahead: inputs are extrapolated so far */
+#define REACH 4.0
+
+/* share of the tolerance by which extrapolated inputs may be off, relative to their size */
+#define FORESEEN_SHARE 0.1
+
+/* after inputs that were not foreseen so many times in a row, that power of 2 of communication points are ends of steps */
+#define MOST_DROPS 10
+
+/* numbers for each coordinate: of a step that can be interpolated, and of the motion at a point (y, v, their rests, a) */
+#define SEGMENT (FLEX_DENSE_NODES + 2)
+#define MOTION 5
+
+void flex_integrator_take_state(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena) {
   size_t size = (size_t)n;
   integrator->n = n;
   integrator->motion_count = (7 + FLEX_MAX_STAGES + size) * size;
@@ -56,6 +70,9 @@ void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *
     integrator->history = integrator->a + n;
     integrator->mass_factor = integrator->history + (FLEX_MAX_STAGES + 2) * n;
   }
+  integrator->segments = flex_take_reals(arena, 2 * SEGMENT * size);
+  integrator->far_motion = flex_take_reals(arena, MOTION * size);
+  integrator->far_u = flex_take_reals(arena, (size_t)n_inputs);
   flex_stages_take_state(&integrator->stages, n, arena);
 }
 
@@ -85,8 +102,10 @@ static flex_step step_of(const flex_integrator *integrator, const flex_method *m
 }
 
 void flex_integrator_use(flex_integrator *integrator, const flex_method *method, double tolerance) {
-  double local = LOCAL_SHARE * pow(tolerance, method->local_order / (double)method->order);
+  double local = (method->looks_ahead ? 0.05 : LOCAL_SHARE) * pow(tolerance, method->local_order / (double)method->order);
   integrator->method = method;
+  integrator->tolerance = tolerance;
+  integrator->looks_ahead = FLEX_WIDTH == 1 && method->looks_ahead && integrator->stages.equations->model->n_frictions == 0;
   integrator->step = step_of(integrator, method);
   integrator->local_error = fmax(local, ROUNDING_ERROR);
   if (method->collocation) flex_stages_use(&integrator->stages, method->collocation);
@@ -99,6 +118,7 @@ void flex_integrator_start(flex_integrator *integrator) {
   memset(integrator->v_rest, 0, size);
   integrator->work_left = FLEX_WORK_AT_START;
   record->step = 0.0;
+  record->is_ahead = record->patience = record->drops = 0;
   record->scale = flex_larger(*integrator->floor, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
   flex_step_restart(integrator);
 }
@@ -199,6 +219,100 @@ static flex_failure advance(flex_integrator *integrator, double t0, double t1, l
   return result;
 }
 
+// the motion at a time within one of the last two steps, by the polynomial through the accelerations at start and stages and its
+// integrals; these meet the step's end, since the quadrature is exact for them (Hairer and Wanner II, section IV.8)
+static void interpolate(flex_integrator *integrator, double time) {
+  const flex_integrator_record *record = integrator->record;
+  int n = integrator->n, k = time < record->begin[0];
+  double h = record->length[k], x = (time - record->begin[k]) / h, weights[3][FLEX_DENSE_NODES] = {{0.0}};
+  const real *start = integrator->segments + k * SEGMENT * n, *accelerations = start + 2 * n;
+  for (int j = 0; j < FLEX_DENSE_NODES; j++)
+    for (int i = FLEX_DENSE_NODES - 1; i >= 0; i--) {
+      double c = integrator->stages.tableau->between[j][i];
+      weights[0][j] = weights[0][j] * x + c;
+      weights[1][j] = weights[1][j] * x + c / (i + 1) * (x * h);
+      weights[2][j] = weights[2][j] * x + c / ((i + 1) * (i + 2)) * (x * x * h * h);
+    }
+  flex_combine(n, FLEX_DENSE_NODES, weights[0], accelerations, integrator->a);
+  flex_combine(n, FLEX_DENSE_NODES, weights[1], accelerations, integrator->v);
+  flex_combine(n, FLEX_DENSE_NODES, weights[2], accelerations, integrator->y);
+  for (int c = 0; c < n; c++) {
+    integrator->y[c] = start[c] + (x * h * start[n + c] + integrator->y[c]);
+    integrator->v[c] += start[n + c];
+    integrator->y_rest[c] = integrator->v_rest[c] = flex_real(0.0);
+  }
+  integrator->record->is_factored = 0;
+}
+
+void flex_integrator_keep_segment(flex_integrator *integrator, double t, double h) {
+  flex_integrator_record *record = integrator->record;
+  size_t n = (size_t)integrator->n;
+  real *segment = integrator->segments;
+  memcpy(segment + SEGMENT * n, segment, SEGMENT * n * sizeof(real));
+  memcpy(segment, integrator->y, 2 * n * sizeof(real));
+  memcpy(segment + 2 * n, integrator->a, n * sizeof(real));
+  memcpy(segment + 3 * n, integrator->stages.acceleration, (FLEX_DENSE_NODES - 1) * n * sizeof(real));
+  record->begin[1] = record->begin[0], record->length[1] = record->length[0];
+  record->begin[0] = t, record->length[0] = h;
+}
+
+void flex_integrator_drop(flex_integrator *integrator) {
+  flex_integrator_record *record = integrator->record;
+  if (!record->is_ahead) return;
+  record->is_ahead = 0;
+  record->history_step = 0.0;
+  if (record->drops < MOST_DROPS) record->drops++;
+  record->patience = 1 << record->drops;
+  flex_accuracy_clear(&record->accuracy);
+}
+
+int flex_integrator_foresaw(flex_integrator *integrator, const real *before, const real *u) {
+  const flex_inputs *inputs = integrator->stages.inputs;
+  double share = FORESEEN_SHARE * integrator->tolerance;
+  real *end_u = integrator->end_u;
+  flex_inputs_evaluate(inputs, integrator->record->far, 0.0, end_u);
+  for (int i = 0; i < inputs->count; i++) {
+    real most = share * flex_larger(flex_fabs(before[i]), flex_larger(flex_fabs(integrator->far_u[i]), flex_fabs(end_u[i])));
+    if (!flex_is_zero_or_more(most - flex_fabs(u[i] - before[i])) ||
+        !flex_is_zero_or_more(most - flex_fabs(end_u[i] - integrator->far_u[i]))) {
+      flex_integrator_drop(integrator);
+      return 0;
+    }
+  }
+  return 1;
+}
+
+// steps that go beyond t1 where they can, and the motion interpolated there; the rest of the way is left to `advance`
+static double look_ahead(flex_integrator *integrator, double t0, double t1) {
+  flex_integrator_record *record = integrator->record;
+  size_t size = MOTION * (size_t)integrator->n * sizeof(real);
+  double time = t0;
+
+  if (record->is_ahead) time = record->far;
+  if (record->is_ahead && time <= t1) {
+    memcpy(integrator->y, integrator->far_motion, size);
+    record->is_ahead = record->drops = 0;
+  }
+  if (record->patience > 0) {
+    record->patience--;
+    return time;
+  }
+  while (time < t1) {
+    double h = fmin(record->step, REACH * (t1 - t0)), allowed = integrator->local_error * flex_common(record->scale), value;
+    integrator->wants_longer_steps = 1;
+    if (record->step < t1 - t0 || *integrator->fixed_step > 0.0) return time;
+    if (integrator->step(integrator, time, h, allowed, &value) != FLEX_DONE) return time;
+    time += h;
+    if (time <= t1) continue;
+    memcpy(integrator->far_motion, integrator->y, size);
+    flex_inputs_evaluate(integrator->stages.inputs, time, 0.0, integrator->far_u);
+    record->far = time;
+    record->is_ahead = 1;
+  }
+  if (time > t1) interpolate(integrator, t1);
+  return time;
+}
+
 flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1) {
   if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
   const long long *evaluations = integrator->stages.equations->evaluations;
@@ -206,7 +320,9 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
 
   // the budget grows with the motion and shrinks with the work
   integrator->work_left += FLEX_WORK_PER_STEP + FLEX_WORK_PER_SECOND * (t1 - t0);
-  flex_failure result = advance(integrator, t0, t1, before + (long long)fmin(integrator->work_left, 1e18));
+  double begin = integrator->looks_ahead ? look_ahead(integrator, t0, t1) : t0;
+  flex_failure result = {FLEX_DONE, t1, 0.0};
+  if (begin < t1) result = advance(integrator, begin, t1, before + (long long)fmin(integrator->work_left, 1e18));
   integrator->work_left -= (double)(*evaluations - before);
   return result;
 }

@@ -14,12 +14,18 @@ typedef struct {
   double history_step; /* duration of the step that is kept for prediction [s]; 0 = none */
   int is_factored;     /* 1 = the factor of the mass matrix belongs to the present y */
   long long steps, rejections;
+  int is_ahead;    /* 1 = the last step has gone beyond the present time */
+  double far;      /* its end [s] */
+  double begin[2], length[2]; /* of the last two steps [s], for interpolation */
+  int patience, drops; /* communication steps that end a step before the next one looks ahead; drops in a row */
 } flex_integrator_record;
 
 struct flex_integrator {
   int n;
   const flex_method *method;
   flex_step step; /* the method's, compiled for this processor */
+  int looks_ahead;
+  double tolerance;
   double local_error; /* that a step may make, relative to the size of the motion */
   flex_stages stages;
   flex_integrator_record *record;
@@ -33,15 +39,24 @@ struct flex_integrator {
   real *y, *v, *y_rest, *v_rest, *a, *history, *mass_factor;
   size_t motion_count;
 
+  /* numeric state of methods that look ahead: position, rate and accelerations at the start and the stages of the last two steps
+   * [2 (stages + 3) n], the motion and its inputs at the end of the step that has gone beyond the present time */
+  real *segments, *far_motion, *far_u;
+
   /* scratch; explicit methods: rates and accelerations of the stages */
   real *saved, *full_y, *full_v, *full_a, *change, *defect, *end_u, *explicit_y, *explicit_v, *explicit_a;
 };
 
-void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena);
+void flex_integrator_take_state(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
 void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
 
 /* chooses the method and the relative tolerance; with another one, what is known about steps has to be forgotten */
 void flex_integrator_use(flex_integrator *integrator, const flex_method *method, double tolerance);
+
+/* whether a step that has gone beyond the present time still holds: its inputs, now `before`, are those that were set since, now u,
+ * but for a share of the tolerance; where it doesn't hold, it is dropped */
+int flex_integrator_foresaw(flex_integrator *integrator, const real *before, const real *u);
+void flex_integrator_drop(flex_integrator *integrator);
 
 /* begins a motion at the present y and v: forgets history and step size */
 void flex_integrator_start(flex_integrator *integrator);

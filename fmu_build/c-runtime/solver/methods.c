@@ -8,12 +8,13 @@
 #define FOUR_STAGES_TOLERANCE 3e-7
 
 static const flex_method methods[] = {
-    [FLEX_GAUSS_2] = {4, 5, flex_collocation_step, &flex_gauss_2, 0},
-    [FLEX_GAUSS_3] = {6, 7, flex_collocation_step, &flex_gauss_3, 0},
-    [FLEX_GAUSS_4] = {8, 9, flex_collocation_step, &flex_gauss_4, 0},
-    [FLEX_RADAU_3] = {5, 6, flex_collocation_step, &flex_radau_3, 0},
-    [FLEX_DORMAND_PRINCE] = {5, 5, flex_explicit_step, 0, &flex_dormand_prince},
-    [FLEX_RUNGE_KUTTA_4] = {4, 5, flex_explicit_step, 0, &flex_runge_kutta_4},
+    [FLEX_GAUSS_2] = {4, 5, flex_collocation_step, &flex_gauss_2, 0, 0},
+    [FLEX_GAUSS_3] = {6, 7, flex_collocation_step, &flex_gauss_3, 0, 0},
+    [FLEX_GAUSS_4] = {8, 9, flex_collocation_step, &flex_gauss_4, 0, 0},
+    [FLEX_RADAU_3] = {5, 6, flex_collocation_step, &flex_radau_3, 0, 0},
+    [FLEX_DORMAND_PRINCE] = {5, 5, flex_explicit_step, 0, &flex_dormand_prince, 0},
+    [FLEX_RUNGE_KUTTA_4] = {4, 5, flex_explicit_step, 0, &flex_runge_kutta_4, 0},
+    [FLEX_RADAU_3_DENSE] = {5, 6, flex_collocation_step, &flex_radau_3, 0, 1},
 };
 
 static int automatic(double tolerance, int is_damped, int is_overdamped) {

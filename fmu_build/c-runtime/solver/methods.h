@@ -15,7 +15,8 @@ enum {
   FLEX_RADAU_3,
   FLEX_DORMAND_PRINCE,
   FLEX_RUNGE_KUTTA_4,
-  FLEX_LAST_INTEGRATOR = FLEX_RUNGE_KUTTA_4
+  FLEX_RADAU_3_DENSE,
+  FLEX_LAST_INTEGRATOR = FLEX_RADAU_3_DENSE
 };
 
 typedef struct flex_integrator flex_integrator;
@@ -30,6 +31,7 @@ typedef struct {
   flex_step step;
   const flex_tableau *collocation;           /* NULL for explicit methods */
   const flex_explicit_tableau *runge_kutta;  /* NULL for collocation */
+  int looks_ahead; /* 1 = steps go beyond communication points, where the motion is interpolated; only if a stage is the end */
 } flex_method;
 
 /* the method of a number; FLEX_AUTOMATIC: the cheapest for the tolerance, of those that damp nothing where the model doesn't.

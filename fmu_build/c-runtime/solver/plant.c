@@ -39,7 +39,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->snap = flex_take_reals(arena, n + outputs);
   plant->modes = flex_take_ints(arena, (size_t)model->n_frictions);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
-  flex_integrator_take_state(&plant->integrator, model->n, arena);
+  flex_integrator_take_state(&plant->integrator, model->n, model->n_inputs, arena);
   plant->state_size = arena->used - begin;
 
   // scratch
@@ -286,6 +286,7 @@ static flex_outcome accelerate(flex_plant *plant, int modes_are_held, int *stopp
   flex_integrator *integrator = &plant->integrator;
   int settles = FLEX_WIDTH == 1 && plant->model->n_frictions > 0 && !modes_are_held;
   plant->record->have &= ~POINT;
+  flex_integrator_drop(integrator);
   flex_outcome outcome = settles ? flex_friction_settle(integrator, plant->u, stopped)
                                  : flex_step_accelerate_present(integrator, plant->u);
   if (outcome == FLEX_DONE) plant->record->have |= FLEX_HAVE_ACCELERATION;
@@ -324,7 +325,10 @@ flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   flex_inputs_evaluate(&plant->inputs, record->time, 0.0, plant->u1);
   record->have &= ~(FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES);
   record->inputs_changed = 0;
-  if ((record->have & FLEX_HAVE_ACCELERATION) && go_on(plant, plant->u1)) return failure;
+  if (record->have & FLEX_HAVE_ACCELERATION) {
+    int is_ahead = record->integrator.is_ahead;
+    if (is_ahead ? flex_integrator_foresaw(&plant->integrator, plant->u, plant->u1) : go_on(plant, plant->u1)) return failure;
+  }
 
   // inputs that jump: a new acceleration, and new modes of friction
   memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(real));

@@ -17,6 +17,7 @@
 
 #define FLEX_MAX_STAGES 4
 #define FLEX_MAX_BLOCKS 2
+#define FLEX_DENSE_NODES 4
 
 /* a real eigenvalue of A, or one of a complex pair; imaginary parts are zero for a real one */
 typedef struct {
@@ -35,6 +36,8 @@ typedef struct {
   double a_squared[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
   double at_start[FLEX_MAX_STAGES]; /* value at 0 of the polynomial through the stages */
   double at_end[FLEX_MAX_STAGES];   /* value at 1 */
+  double between[FLEX_DENSE_NODES][FLEX_DENSE_NODES]; /* coefficients by powers of the polynomials of Lagrange through the start and
+                                                         three stages, of which the last is the end */
   flex_eigenvalue blocks[FLEX_MAX_BLOCKS]; /* complex pairs, or a real eigenvalue and then a pair */
 } flex_tableau;
 
