@@ -221,7 +221,7 @@ static flex_failure advance(flex_integrator *integrator, double t0, double t1, l
 
 // the motion at a time within one of the last two steps, by the polynomial through the accelerations at start and stages and its
 // integrals; these meet the step's end, since the quadrature is exact for them (Hairer and Wanner II, section IV.8)
-static void interpolate(flex_integrator *integrator, double time) {
+static void interpolate_step(flex_integrator *integrator, double time) {
   const flex_integrator_record *record = integrator->record;
   int n = integrator->n, k = time < record->begin[0];
   double h = record->length[k], x = (time - record->begin[k]) / h, weights[3][FLEX_DENSE_NODES] = {{0.0}};
@@ -309,7 +309,7 @@ static double look_ahead(flex_integrator *integrator, double t0, double t1) {
     record->far = time;
     record->is_ahead = 1;
   }
-  if (time > t1) interpolate(integrator, t1);
+  if (time > t1) interpolate_step(integrator, t1);
   return time;
 }
 
