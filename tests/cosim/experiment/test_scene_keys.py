@@ -274,7 +274,7 @@ def test_wrong_choices_are_refused(shipped: Path, tmp_path: Path) -> None:
     """Before anything runs, with what would be right; an annotation that somebody spoilt is no reason to set something else."""
     for parameters, message in (
         ({"initial": "sttic"}, "initial must be one of static, undeformed, got 'sttic'"),
-        ({"integrator": 8}, "integrator must be at least 1 and at most 7, got 8"),
+        ({"integrator": 9}, "integrator must be at least 1 and at most 8, got 9"),
         ({"payload.mass": "static"}, "payload.mass is a number, got 'static'"),
     ):
         with pytest.raises(InputError, match=message):
