@@ -94,7 +94,9 @@ class Cosimulation(Section):
     record_order: Annotated[int, quantity("derivatives", ge=0, le=2)] = 2
     tolerance: FmuTolerance
     initial: Literal["static", "undeformed"] = "static"
-    integrator: Literal["automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5", "rk4", "radau3-dense"] = "automatic"
+    integrator: Literal["automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5", "rk4", "radau3-dense"] = (
+        "automatic"
+    )
     integrator_step: SecondsOrZero = 0.0
     settling_band: Annotated[float, quantity("m", gt=0.0)] = 1e-5
     algorithm: Literal["gauss-seidel", "jacobi", "implicit"] = "gauss-seidel"
