@@ -1,4 +1,5 @@
-"""Robots and motions far from the paper's: payload, thickness and stiffness at their ends, stiff models, fast motions, jumps."""
+"""Robots and motions far from the paper's: payload, thickness and stiffness at their ends, stiff models, fast motions, jumps; and scenes
+as users run them, judged by the errors that they state."""
 
 from __future__ import annotations
 
@@ -16,15 +17,21 @@ from flexfmu.benchmarks.hard_cases.case import (
     Criterion,
     HardCase,
     error_against,
+    not_finite,
     paper_robot,
     run_case,
     soundness,
 )
 from flexfmu.benchmarks.hard_cases.scipy_solution import Solver
+from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import run_scene
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.small_deflections import exceeded
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
 
 STIFF = Solver("LSODA", 1e-11)
 """Stiff: heavy payloads on light links swing slowly, the links themselves fast."""
@@ -170,3 +177,129 @@ def _run_motion(
     run = run_case(paper_robot(), changes, step=step)
     checks = error_against(run, paper_robot(), EXPLICIT, ALLOWED), *soundness(run), *more(run)
     return CaseReport(run.message, checks)
+
+
+REFERENCES = ((1e-12, 1.0), (1e-11, 2.0))
+"""Tolerances of two references, and multiples of a case's step; how far they are apart is what the first one can't tell."""
+
+FINE_STEP = 1e-4
+"""Communication step of the references [s], unless a case has its own."""
+
+_LOOP: Mapping[str, Any] = {
+    "cosimulation.drive": "torque",
+    "effects.motor_inertia": 0.1,
+    "controller": [{"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}],
+}
+_PID: Mapping[str, Any] = {"kind": "pid", "proportional": 5e3, "integral": 5e4, "derivative": 50.0, "sample_time": 1e-3}
+_STICKING: Mapping[str, Any] = {"effects.joint_friction": {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0}}
+_MODULUS = "mechanism.material.youngs_modulus"
+
+AS_A_USER: Mapping[str, tuple[str, Mapping[str, Any], float]] = {
+    "impulse": (
+        "10 kN for 10 µs at the end effector, between two samples",
+        {
+            **_LOOP,
+            "disturbance": [
+                {"kind": "pulse", "signal": "force.y", "amplitude": 1e4, "start": 0.2003, "duration": 1e-5}
+            ],
+        },
+        FINE_STEP,
+    ),
+    "payload dropped between samples": (
+        "6 kg vanish at 0.20037 s, under a controller of 1 kHz",
+        {**_LOOP, "disturbance": [{"kind": "payload", "dropped": 0.20037}]},
+        FINE_STEP,
+    ),
+    "stiction at rest under gravity": (
+        "motors stick before and after the motion, whose controller pulls at them",
+        {**_LOOP, **_STICKING, "trajectory.dwell": 1.0},
+        FINE_STEP,
+    ),
+    "reference with jumps": (
+        "accelerations of a bang-bang profile jump, a controller of 1 kHz follows",
+        {**_LOOP, "trajectory.profile": {"kind": "bang-bang"}},
+        FINE_STEP,
+    ),
+    "saturation with windup": (
+        "an integral winds up while motors are limited to 60 % of the torque",
+        {**_LOOP, "controller": [{**_PID, "anti_windup": "none", "torque_limit": 60.0}]},
+        FINE_STEP,
+    ),
+    "chattering": (
+        "a switching control: saturated at 20 N.m by an error of 2e-6 rad, with stiction",
+        {
+            **_LOOP,
+            **_STICKING,
+            "controller": [{"kind": "pd", "proportional": 1e7, "derivative": 0.0, "sample_time": 1e-4}],
+            "imperfection": [{"kind": "saturation", "limit": 20.0}],
+            "trajectory.dwell": 0.0,
+        },
+        FINE_STEP,
+    ),
+    "near-singular start": ("legs 1.5 mm from being stretched", {"trajectory.start": [-0.175, 0.5549]}, FINE_STEP),
+    **{
+        f"Young's modulus of {young:g} Pa": (
+            f"{(young / 70e9) ** 0.5:.2g} times the paper's frequencies",
+            {_MODULUS: young},
+            FINE_STEP,
+        )
+        for young in (1e6, 1e8, 1e13)
+    },
+    **{
+        f"payload of {mass:g} kg": (f"{mass / 3.1:.2g} times the mass of the links", {"payload.mass": mass}, FINE_STEP)
+        for mass in (1e-6, 1e3)
+    },
+    "a standstill of 1e5 s": (
+        "1e5 communication steps of 1 s",
+        {"trajectory.duration": 10.0, "trajectory.dwell": 1e5, "cosimulation.step": 1.0},
+        0.1,
+    ),
+    **{
+        f"tolerance {each:g}": (
+            "the loosest there is" if each > 1e-6 else "ten digits more than any robot has",
+            {"cosimulation.tolerance": each},
+            FINE_STEP,
+        )
+        for each in (1e-2, 1e-12)
+    },
+    "communication steps of 0.1 µs": (
+        "200000 of them, a shorter motion",
+        {"cosimulation.step": 1e-7, "trajectory.duration": 0.02, "trajectory.dwell": 0.0},
+        1e-5,
+    ),
+    "communication steps of 0.1 s": ("four of them in the whole motion", {"cosimulation.step": 0.1}, FINE_STEP),
+}
+"""Name → what makes it hard, changes of the paper's scene, and communication step of the references [s]."""
+
+
+def stated_cases() -> Iterator[HardCase]:
+    """Yield cases that run as a user runs them, and have to be right within the error that they state, or say in a sentence why not."""
+    return (HardCase(name, hard, partial(_within_stated, *how)) for name, (hard, *how) in AS_A_USER.items())
+
+
+def _within_stated(changes: Mapping[str, Any], step: float) -> CaseReport:
+    """Against runs at tolerances of 1e-11 and 1e-12."""
+    try:
+        run = run_scene(paper_robot().replace(dict(changes)))
+        found = measure_run(run)
+    except (CosimError, SceneError, EquilibriumError, TrajectoryError) as refusal:
+        run = None
+        message = str(refusal)
+    else:
+        message = run.message
+    # a refusal, or a run that ends early, is one sentence
+    if run is None or not run.completed:
+        return CaseReport(message, (Criterion("lines beyond one", float(message.count("\n")), 0.0),))
+    exact, other = (
+        measure_run(run_scene(run.scene, tolerance=each, communication_step=times * step), companions=0)
+        for each, times in REFERENCES
+    )
+    ratios = [0.0]
+    for name, one in found.items():
+        values = exact[name].value, other[name].value
+        if one.value is None or one.error is None or values[0] is None or values[1] is None:
+            continue
+        if abs(values[0] - values[1]) <= 0.5 * one.error:
+            ratios.append(abs(one.value - values[0]) / one.error if one.error else 0.0)
+    judged = f"{message}; metrics compared: {len(ratios) - 1}"
+    return CaseReport(judged, (Criterion("error over stated error", max(ratios), 1.0), not_finite(run.recording)))

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from flexfmu.benchmarks.hard_cases import repetition, singularity, steps
 from flexfmu.benchmarks.hard_cases.case import CaseReport, HardCase
-from flexfmu.benchmarks.hard_cases.extremes import motion_cases, parameter_cases, stiffness_cases
+from flexfmu.benchmarks.hard_cases.extremes import motion_cases, parameter_cases, stated_cases, stiffness_cases
 from flexfmu.benchmarks.hard_cases.steps import gain_cases, step_cases
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
@@ -30,6 +30,7 @@ FAMILIES: tuple[Callable[[], Iterable[HardCase]], ...] = (
     steps.sticking_cases,
     gain_cases,
     repetition.cases,
+    stated_cases,
 )
 """Functions that make the cases, in the order of the table."""
 
