@@ -33,7 +33,8 @@ demo: $(VENV)/bin/python
 	$(BIN)/flexfmu paper --out results/paper
 	$(BIN)/flexfmu run barnard2012-6kg --out results/barnard2012-6kg
 	$(BIN)/flexfmu workprec barnard2012-6kg --of peak_torque_1,residual_vibration_amplitude --out results/workprec > results/workprec.txt
-	@echo "Open results/paper/report.html, results/barnard2012-6kg/report.html and, for what accuracy costs, results/workprec/workprec.html in a browser."
+	$(BIN)/flexfmu workprec --hard --out results/hard-cases > results/hard-cases.txt
+	@echo "Open results/paper/report.html, results/barnard2012-6kg/report.html and, for what accuracy costs, results/workprec/workprec.html in a browser; results/hard-cases/hard-cases.md has the hard cases."
 
 test: $(VENV)/.test
 	$(install_wheel)
