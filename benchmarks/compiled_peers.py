@@ -52,7 +52,7 @@ ERRORS = (1e-3, 1e-5, 1e-7)
 
 LOOP = DRIVEN.replace({key: value for key, value in LONG_LOOP.items() if key != "imperfection"})
 
-INTEGRATORS = ("automatic", "radau3", "gauss3", "gauss4")
+INTEGRATORS = ("automatic", "radau3-dense", "gauss3", "gauss4")
 
 SLOWEST = 0.5
 """A sweep of a peer ends at a run that takes this long [s]."""
