@@ -545,13 +545,19 @@ def accuracy_answer(scene: Scene, show: ShowProgress = quiet) -> AccuracyAnswer:
         with suppress(ValidationError):
             return kind.validate_json(known)
     # what an interrupted choice has run already isn't run again
-    folder = cache_folder() / "accuracy" / digest
+    folder: Path | None = cache_folder() / "accuracy" / digest
     journal = WorkJournal(folder, "choice of settings", {"settings": digest})
-    found = Chooser(scene, asked, show, journal).answer()
-    store(f"{digest}.json", kind.dump_json(found))
-    journal.remove()
-    with suppress(OSError):
-        folder.rmdir()
+    try:
+        found = Chooser(scene, asked, show, journal).answer()
+        store(f"{digest}.json", kind.dump_json(found))
+    except KeyboardInterrupt:
+        folder = None  # to be continued
+        raise
+    finally:
+        if folder is not None:
+            journal.remove()
+            with suppress(OSError):
+                folder.rmdir()
     return found
 
 
