@@ -186,7 +186,10 @@ def richer(scene: Scene) -> Iterator[Neighbour]:
 
 
 def effects_of_loads(
-    estimator: Estimator, chosen: Scene, motion: Trajectory
+    estimator: Estimator,
+    chosen: Scene,
+    motion: Trajectory,
+    measured: Callable[[Scene], MetricValues | None] = lambda scene: None,
 ) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
     """Yield, for each load of the robot, the scene without it and the change of the metrics.
 
@@ -194,11 +197,15 @@ def effects_of_loads(
         estimator: of the scene.
         chosen: the scene with a set of effects.
         motion: the planned motion of its motors.
+        measured: metrics of a scene's run where it needs one; None where estimates, of motors that follow the motion exactly, suffice
+            or it can't run.
     """
-    metrics, scales = estimator.metrics(chosen.effects), estimator.scales
+    metrics, scales, known = estimator.metrics(chosen.effects), estimator.scales, measured(chosen)
     for without in (each for each in reductions(chosen) if each.effect in LOADS):
         others = Estimator(without.scene, motion, tuple(metrics), most=without.scene).metrics(without.scene.effects)
-        shares = tuple(abs(others[name] - value) / scales[name] for name, value in metrics.items())
+        observed = None if known is None else measured(without.scene)
+        first, second = (metrics, others) if known is None or observed is None else (known, observed)
+        shares = tuple(abs(second[name] - first[name]) / scales[name] for name in metrics)
         yield (without, EstimatedEffect(effect=without.effect, change=without.change, chosen=True, contribution=shares))
 
 

@@ -4,6 +4,7 @@ and as tables."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -14,9 +15,10 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.design.effects.choice import EXACT, Observed, choose_verified, named_metrics, observe, requirements
-from flexfmu.cosim.design.effects.estimator import Estimator, scales
+from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, scales
 from flexfmu.cosim.design.effects.runs import followed
 from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
+from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
@@ -138,7 +140,16 @@ def study_effects(
     choice = chosen.effects.choice
     assert choice is not None  # `choose_effects` sets it
     elastic = zip(neighbours(estimator, chosen), choice.effects, strict=True)
-    loads = effects_of_loads(estimator, chosen, joints)
+
+    def measured(each: Scene) -> MetricValues | None:
+        """Metrics of a run in the loop, whose motors don't follow exactly; a loop may need the load that is left out."""
+        if not chosen.controller or choice.verified_in == "motion":
+            return None
+        with suppress(CosimError):
+            return observe(each, names, EXACT).metrics
+        return None
+
+    loads = effects_of_loads(estimator, chosen, joints, measured)
     found: list[tuple[Place, Scene, EstimatedEffect]] = [
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
         *(("given", each.scene, estimate) for each, estimate in loads),
