@@ -40,6 +40,7 @@ from flexfmu.model.plants import build_model
 from flexfmu.model.scene.controllers import PdSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import natural_frequencies
+from flexfmu.model.symbolic import SymbolicModel
 
 PACKAGE, FILE = "Assimulo==3.0", "radau_decsol.f"
 """Where RADAU5 comes from: a package's sources on PyPI, and a file in them."""
@@ -116,11 +117,12 @@ class CompiledPeers:
         step: spacing of the recorded instants [s].
 
     Raises:
-        PeerMissingError: there is no C compiler.
+        RunError: the scene has something else, or the peers don't compile.
     """
 
     def __init__(self, scene: Scene, step: float = 1e-3) -> None:
         loop, model = loop_of(scene), build_model(scene)
+        _refuse(scene, model)
         references = TrajectorySlave(loop.motion.joints)
         self.outputs, self._library = [each.name for each in model.outputs], _library(scene)
         self._arrays: dict[str, NDArray[Any]] = {}
@@ -130,8 +132,7 @@ class CompiledPeers:
         if scene.controller:
             # a sample at every point, with the references there
             (section,) = scene.controller
-            if not isinstance(section, PdSection):
-                raise RunError("peers have PD control alone")
+            assert isinstance(section, PdSection)
             self._gains = (section.proportional, section.derivative)  # of both joints
             grid = time_grid(0.0, loop.motion.stop_time, section.sample_time)
             references.prepare(grid.times)
@@ -169,6 +170,20 @@ class CompiledPeers:
         return PeerRun(
             self.instants, dict(zip(self.outputs, records.T, strict=True)), float(figures[0]), int(figures[1])
         )
+
+
+def _refuse(scene: Scene, model: SymbolicModel) -> None:
+    """Refuse what the peers don't have."""
+    is_torque, sections = scene.cosimulation.drive == "torque", scene.controller
+    pd = sections[0] if len(sections) == 1 and isinstance(sections[0], PdSection) else None
+    further = any((scene.filter, scene.imperfection, scene.disturbance, model.frictions))
+    is_plain = pd is not None and pd.torque_limit is None and pd.schedule is None
+    if further or is_torque != is_plain or bool(sections) != is_torque:
+        raise RunError(
+            "compiled peers have prescribed joints or one PD controller alone, without limits, filters and friction"
+        )
+    if not model.degrees_of_freedom:
+        raise RunError("compiled peers need something to integrate: the links are rigid")
 
 
 def _library(scene: Scene) -> CDLL:
@@ -281,7 +296,11 @@ def compiled_trials(subject: SceneUnderTest, ours: WorkCurve) -> Iterator[WorkPr
         if note := missing(line):
             yield WorkPrecisionTrial("tools", line, "", None, None, note)
             continue
-        peers = CompiledPeers(subject.scene)
+        try:
+            peers = CompiledPeers(subject.scene)
+        except RunError as failure:
+            yield WorkPrecisionTrial("tools", line, "", None, None, str(failure))
+            continue
         for setting in settings:
             yield from sweep(TOLERANCES, partial(_trial, subject, peers, line, setting), ours)
 
