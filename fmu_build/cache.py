@@ -152,7 +152,9 @@ def _store(folder: Path, name: str, content: bytes) -> Path:
 def make_private(folder: Path) -> None:
     """Make the cache's folder, for this user alone, unless there is one or none can be made."""
     with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True)
+        if not folder.parent.exists():
+            make_private(folder.parent)
+        folder.mkdir(mode=0o700)
         folder.chmod(0o700)  # whatever the umask
 
 

@@ -203,7 +203,7 @@ def tune(
         console.show_note("interrupted: these are the best values so far; the same command continues")
     names = [str(path) for path in files]
     console.print_result(json, {**summary(result), "files": names}, *_shown_tuning(result, names))
-    return 0 if result.is_feasible else console.FAILURE
+    return 0 if result.is_feasible and not result.interrupted else console.FAILURE
 
 
 def _started(scene: Scene, text: str) -> Scene:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rich.text import Text
 from flexfmu.cosim.cli.console import files_sentence, print_rich
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import shown_unit
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, display, display_error
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.terminal import titled_table
 
@@ -32,7 +32,8 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
         shown = {
             each: value for each, value in metrics.items() if "motor" in summary["scene"] or each not in DRIVE_METRICS
         }
-        parts += [_metrics_table(title_of(summary), shown, summary["errors"]), health["errors_from"]]
+        proven = {each["name"] for each in summary.get("accuracy", {}).get("figures", ())}
+        parts += [_metrics_table(title_of(summary), shown, summary["errors"], proven), health["errors_from"]]
     motors, links = summary.get("motors", ()), summary.get("stresses", ())
     if motors:
         heads = (f"Motor {each['joint']}" + (f", {each['name']}" if each["name"] else "") for each in motors)
@@ -62,7 +63,8 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
         parts.append("late signals:\n  " + "\n  ".join(late))
     # what spoils the results
     sentences: list[str] = []
-    if health["warnings"]:
+    # where an accuracy was asked for, other figures may be coarser
+    if health["warnings"] and "accuracy" not in summary:
         coarse = "; ".join(
             f"{ALL_METRICS[each['metric']].label} (by {display(each['metric'], each['estimated_error'], digits=1)})"
             for each in health["warnings"]
@@ -87,11 +89,17 @@ def _late(delays: Sequence[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(re.sub(r"\bjoint[12]\.", "joint*.", each["description"]) for each in late))
 
 
-def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:
+def _metrics_table(
+    title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None], proven: Collection[str] = ()
+) -> Table:
+    """Metrics with a bound of their errors; the errors themselves where they are ``proven``, in two digits."""
     heads = ["Value", *(["±"] if any(error is not None for error in errors.values()) else [])]
     table = titled_table(title, "Metric", "Name", numbers=heads, stacks=True)
     for name, value in metrics.items():
-        cells = display(name, value, error=errors[name]), display_error(name, value, errors[name])
+        error = errors[name]
+        cells = display(name, value, error=error), display_error(name, value, error)
+        if error is not None and name in proven:
+            cells = display(name, value, error=error / 20.0), f"{definition(name).displayed(error):.2g}"
         table.add_row(ALL_METRICS[name].label, name, *cells[: len(heads)])
     return table
 

@@ -81,7 +81,7 @@ def compare(
             return status
     # what can be wrong is checked before anything is simulated
     meaning = dict(map(parse_mapping, mapping or ()))
-    if measured is not None and not measured.is_file():
+    if measured is not None and (measured.is_dir() or not measured.exists()):
         raise InputError(f"there is no file {measured}")
     if out is not None:
         prepared_folder(out)
@@ -341,7 +341,8 @@ def sweep(
             show("writing the results", None)
             files = write_files(result, folder, plot=not json if plot is None else plot)
     except KeyboardInterrupt:
-        show_note(f"interrupted: {done[0]} of {done[1]} cases are in {folder}; the same command continues")
+        where = f"{done[0]} of {done[1]} cases are in {folder}" if any(done) else "before the first case"
+        show_note(f"interrupted: {where}; the same command continues")
         return FAILURE
     data = {
         "scene": result.name,

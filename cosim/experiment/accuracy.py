@@ -25,7 +25,7 @@ def asked_of(options: Sequence[str]) -> dict[str, float | str]:
     for text in options:
         name, _, value = (part.strip() for part in text.partition("="))
         if not name or not value:
-            raise ValueError(
+            raise InputError(
                 f"--accuracy takes METRIC=VALUE, peak_torque_1=1e-3 or end_position_error='1 um', got {text!r}"
             )
         number, unit = quantity_of(value, name)
@@ -45,6 +45,11 @@ def quantity_of(text: str, name: str) -> tuple[float, str]:
             f"the accuracy of {name} is a relative error, 1e-3, or an absolute one with its unit, '1 um'; got {text!r}"
         )
     return float(match[1]), match[2]
+
+
+def excess(share: float) -> str:
+    """How far an error is beyond what is allowed, in words, of its share of that."""
+    return f"by a factor of {share:.3g}" if share >= 1.1 else f"by {100.0 * (share - 1.0):.2g} %"
 
 
 @dataclass(frozen=True)
@@ -76,10 +81,10 @@ class FigureError:
         return self.model + self.numerics + self.reference
 
     def __str__(self) -> str:
-        unit, scale = shown_unit(self.unit), 1.0 / abs(self.value) if self.value else 0.0
-        relative = f", {self.total * scale:.1e} of {abs(self.value):.4g}" if scale else ""
+        bound = f"{self.total:.2g} {shown_unit(self.unit)}".rstrip()
+        relative = f", {self.total / abs(self.value):.1e} of {abs(self.value):.4g}" if self.value else ""
         return (
-            f"{self.name}: error at most {self.total:.2g} {unit}{relative} (asked {self.asked}; model {self.model:.1e}, "
+            f"{self.name}: error at most {bound}{relative} (asked {self.asked}; model {self.model:.1e}, "
             f"numerics {self.numerics:.1e}, richest model known to {self.reference:.1e})"
         )
 
@@ -129,17 +134,17 @@ class AccuracyAnswer:
     def lines(self) -> list[str]:
         """Return the answer in sentences."""
         chosen, default, dearest = self.chosen, self.default, self.dearest
-        found = [f"accuracy: {chosen}, the cheapest of {self.trials} settings; {self.why}", *map(str, self.figures)]
+        found = [
+            f"accuracy: the simulation alone takes {chosen}, the cheapest of {self.trials} settings; {self.why}",
+            *map(str, self.figures),
+        ]
         if default is None:
-            found.append("the scene's own settings fail")
+            found.append("the scene's own settings: they fail")
         else:
-            error = "it has" if default.share <= 1.0 else f"it misses by a factor of {default.share:.3g}"
-            found.append(
-                f"beside it: {default}, the scene's own, whose error, at most {default.share:.2g} of what was asked, {error}"
-            )
-        found.append(f"dearest: {dearest}")
+            verdict = "accurate enough" if default.share <= 1.0 else f"not accurate enough, {excess(default.share)}"
+            found.append(f"the scene's own settings: {default}; {verdict}")
         more = "no settings are known; it needs more modes" if self.following is None else str(self.following)
-        return [*found, f"ten times more accurate: {more}"]
+        return [*found, f"the richest model: {dearest}", f"ten times more accurate: {more}"]
 
     def as_data(self) -> dict[str, Any]:
         """Return the answer as plain data in SI units."""

@@ -422,7 +422,7 @@ def check_names(names: Collection[str]) -> None:
 def with_errors(
     run: Run, measured: Mapping[str, Metric], settings: Settings, companions: int = 1, progress: Progress | None = None
 ) -> Metrics:
-    """Add errors from companions to the metrics of a completed run.
+    """Add errors to the metrics of a completed run: from companions, and of figures with an accuracy, of model and numerics together.
 
     Args:
         run: the run.
@@ -431,6 +431,24 @@ def with_errors(
         companions: as for `measure_run`.
         progress: passed to the companions' runs.
     """
+    figures = () if run.accuracy is None else run.accuracy.figures
+    proven = {
+        each.name: measured[each.name].changed(error=each.total, own_error=each.total)
+        for each in figures
+        if each.name in measured
+    }
+    found = _beside_companions(run, measured, settings, 0 if proven.keys() == measured.keys() else companions, progress)
+    if not proven:
+        return found
+    return _based(
+        found | proven, f"{found.basis}; for {', '.join(proven)} they are of the run and of the model's effects"
+    )
+
+
+def _beside_companions(
+    run: Run, measured: Mapping[str, Metric], settings: Settings, companions: int, progress: Progress | None
+) -> Metrics:
+    """The metrics with errors from companions; arguments as for `with_errors`."""
     # runs with ever smaller steps and tolerances, each the companion of the one before
     results, finest, how, companion = [measured], run, list[str](), None
     while len(how) < companions and finest.companion is not None:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from ctypes import c_double, c_uint
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Any
 from urllib.parse import quote
@@ -20,6 +19,7 @@ from urllib.parse import quote
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
+from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
 from flexfmu.fmu_build.validation.instance import CANARY, Watch, announce, is_guarded
@@ -59,7 +59,7 @@ def refuses_wrong_guid(fmu: FmuUnderTest) -> Iterator[Finding]:
 def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2Instantiate accepts all spellings of the resource location that RFC 3986 and RFC 8089 allow."""
     path = quote(str(fmu.folder / "resources"))
-    with TemporaryDirectory(prefix="with space ") as home:
+    with temporary_folder("with space") as home:
         copy = shutil.copytree(fmu.folder / "resources", Path(home) / "resources", dirs_exist_ok=True)
         tries = (  # the standard requires the first three; some tools use the others
             (f"file://{path}", "", Severity.ERROR),

@@ -69,7 +69,7 @@ def test_folder_is_its_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         store(NAMES[0], b"1")
     finally:
         os.umask(before)
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert {stat.S_IMODE(each.stat().st_mode) for each in (folder, folder.parent)} == {0o700}
     folder.chmod(0o770)
     with pytest.warns(CacheWarning, match=f"{folder} .others can write to it; `chmod go-w`.*FLEXFMU_CACHE"):
         assert cached(NAMES[0]) is None

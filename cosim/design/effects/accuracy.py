@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property
 from importlib.metadata import version
 from math import inf, isfinite
@@ -26,11 +25,11 @@ from pydantic import TypeAdapter, ValidationError
 from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
 from flexfmu.cosim.design.effects.runs import MARGINS, ObservedFigures, SceneRuns, followed, is_smooth, with_settled
 from flexfmu.cosim.design.effects.search import SAFETY, cheapest, one_more, rich_enough
-from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
+from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.files import to_json
 from flexfmu.cosim.engine.showing import UNITS, ShowProgress, quiet
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, quantity_of
+from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, excess, quantity_of
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
@@ -41,6 +40,7 @@ from flexfmu.model.enrichment import THEORIES
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.choice import MEASURES, MeasureName
 from flexfmu.model.scene.effects import FamilyName
+from flexfmu.model.scene.loop import SampledSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -84,7 +84,7 @@ STEPS = (1.0 / 80.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0, 1.0 / 2000.0)
 """Communication steps as fractions of the motion's duration, where nothing samples."""
 
 HALVINGS = 3
-"""Halvings of the communication step of scenes with a loop: from the scene's own on; slaves without a sample time need them."""
+"""Halvings of the communication step of scenes with a loop: from the sample time and the scene's own on; continuous slaves need them."""
 
 WORTH_TIMING = 1.3
 """Ratio to the least processor time up to which settings are timed in turns, and beyond which none is tightened."""
@@ -157,8 +157,7 @@ def check_figures(scene: Scene, asked: Mapping[str, float | str]) -> None:
     known = (*ALL_METRICS, *MARGINS)
     for name, value in asked.items():
         if name not in known:
-            near = get_close_matches(name, known, n=1, cutoff=0.0)[0]
-            raise InputError(f"`accuracy` names {name!r}, which is no metric; did you mean {near!r}?")
+            raise InputError(f"`accuracy` names {name!r}, which is no metric; {suggestion(name, known)}")
         if name in MARGINS and not scene.controller:
             raise InputError(f"`accuracy.{name}` is a margin of a loop, and scene {scene.name} has no controller")
         if name.startswith(("residual", "settling")) and not scene.trajectory.dwell:
@@ -373,7 +372,7 @@ class Chooser:
         if key not in self.trials:
             try:
                 exact = self._exact(scene, f"running {set_text(scene)}")
-                found = self._observe(scene, f"running {setting_text(scene)}")
+                found = self._observe(scene, "; ".join(reversed(setting_text(scene).split("; "))))
             except CosimError:
                 return None
             model, numerics = exact.change(self.reference), found.change(exact)
@@ -391,7 +390,10 @@ class Chooser:
         """Return the communication steps that are worth a trial [s], the longest first; None for steps chosen from the motion."""
         own = self.scene.cosimulation.step
         if not self._is_smooth:
-            return tuple((own or 0.0) / 2**k for k in range(HALVINGS))
+            own = own or self.scene.cosimulation.communication_step
+            samples = [each.sample_time for each in self.scene.controller if isinstance(each, SampledSection)]
+            longest = (each for each in (min(samples, default=2.0 * own),) if each > own)
+            return (*longest, *(own / 2**k for k in range(HALVINGS)))
         fractions = (self.scene.trajectory.duration * each for each in STEPS)
         rounded = {float(f"{each:.1g}") for each in fractions} | ({own} if own else set())
         return (None, *sorted(rounded, reverse=True))
@@ -504,9 +506,9 @@ class Chooser:
             and each.share > 1.0
         ]
         loose = min(looser, key=lambda each: each.scene.cosimulation.tolerance, default=None)
-        parts = [f"{poor[2]} would miss by a factor of {poor[1]:.2g}"] if poor else []
+        parts = [f"{poor[2]} would miss {excess(poor[1])}"] if poor else []
         if loose is not None:
-            parts.append(f"a tolerance of {loose.scene.cosimulation.tolerance:.0e} by a factor of {loose.share:.2g}")
+            parts.append(f"a tolerance of {loose.scene.cosimulation.tolerance:.0e} {excess(loose.share)}")
         return " and ".join(parts) or "neither fewer effects nor looser numerics are cheaper"
 
     def _changes(self, scene: Scene) -> dict[str, Any]:
@@ -590,8 +592,8 @@ def chosen_over(
             continue
         chosen = _tighter(chosen, with_answer(corner, accuracy_answer(corner, show)))
         after = judge.missed_by(chosen)
-        verdict = "tightened" if after <= 1.0 else f"even tightened they miss it by a factor of {after:.3g}"
-        text = "fail" if missed == inf else f"miss the accuracy by a factor of {missed:.3g}"
+        verdict = "tightened" if after <= 1.0 else f"even tightened they miss it {excess(after)}"
+        text = "fail" if missed == inf else f"miss the accuracy {excess(missed)}"
         note(f"at {name} the chosen settings {text}: {verdict} to {setting_text(chosen)}")
     return chosen
 

@@ -17,6 +17,7 @@ import numpy as np
 from flexfmu.cosim.engine.dense_output import DenseOutput, resampled
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import locked
+from flexfmu.cosim.engine.fmu.file import SYSTEM
 from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.experiment.recorded_instants import DERIVATIVES
@@ -309,6 +310,8 @@ class Job:
             # no case can have an FMU
             raise
         except Exception as error:
+            if _is_of_machine(error):
+                raise
             return error
         return VariantTask(scene, path, measure)
 
@@ -320,6 +323,8 @@ class Job:
 
     def _row(self, number: int, outcome: Any) -> Row:
         if isinstance(outcome, Exception):
+            if _is_of_machine(outcome):
+                raise outcome
             return self.failed(number, _reason(outcome))
         values, recording = outcome if isinstance(outcome, tuple) else (outcome, None)
         return Row(number, tuple(values[name] for name in self.metrics.names), "", recording)
@@ -327,6 +332,12 @@ class Job:
     def failed(self, number: int, message: str) -> Row:
         """The row of a case that failed."""
         return Row(number, (None,) * len(self.metrics.names), message)
+
+
+def _is_of_machine(error: Exception) -> bool:
+    """Whether the machine has no space or files left: no result of a case, which succeeds when the sweep goes on."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    return isinstance(cause, OSError) and cause.errno in SYSTEM
 
 
 def _reason(error: Exception) -> str:

@@ -59,6 +59,7 @@ def test_the_total_error_is_within_what_was_asked(scene_6kg: Scene) -> None:
     assert all(errors[name] <= bound for name, bound in asked.items())
     for figure in answer.figures:
         assert errors[figure.name] * abs(figure.value) <= figure.total <= figure.allowed
+        assert run.metrics[figure.name].error == figure.total
     assert answer.default is not None
     assert answer.chosen.time < 0.5 * answer.default.time < answer.dearest.time
     # cached: the same answer at once

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import os
 import signal
 from itertools import pairwise
@@ -21,7 +22,7 @@ from flexfmu.cosim.studies.sweep import work
 from flexfmu.cosim.studies.sweep.cases import Cases, make_cases
 from flexfmu.cosim.studies.sweep.result import Results, SweepResult
 from flexfmu.cosim.studies.sweep.work import Job, Row, groups_of, shares_of
-from flexfmu.fmu_build.errors import MissingCompilerError
+from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError
 from flexfmu.model.scene.errors import SceneError
 
 SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
@@ -294,14 +295,20 @@ def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == "8 0.3 N.m\n"
 
 
-def test_without_a_compiler_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One error instead of a table of them."""
+FULL = OSError(errno.ENOSPC, "No space left on device")
 
-    def no_compiler(*_: Any, **__: Any) -> None:
-        raise MissingCompilerError("no C compiler: install one")
 
-    monkeypatch.setattr(work, "build_scene", no_compiler)
-    with pytest.raises(MissingCompilerError, match="install one"):
+@pytest.mark.parametrize("fault", [MissingCompilerError("no C compiler: install one"), FULL])
+def test_what_no_case_can_help_ends_the_sweep(fault: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One error instead of a table of them, which a later sweep in the folder would take for results."""
+
+    def fails(*_: Any, **__: Any) -> None:
+        if fault is FULL:
+            raise ArchiveError("cannot compile") from fault
+        raise fault
+
+    monkeypatch.setattr(work, "build_scene", fails)
+    with pytest.raises(ArchiveError if fault is FULL else MissingCompilerError):
         flexfmu.sweep(SCENE, {"payload.mass": [1.0, 2.0]}, metrics=PEAK, processes=1)
 
 
