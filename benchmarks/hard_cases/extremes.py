@@ -274,19 +274,19 @@ AS_A_USER: Mapping[str, tuple[str, Mapping[str, Any], float]] = {
 
 def stated_cases() -> Iterator[HardCase]:
     """Yield cases that run as a user runs them, and have to be right within the error that they state, or say in a sentence why not."""
-    return (HardCase(name, hard, partial(_within_stated, *how)) for name, (hard, *how) in AS_A_USER.items())
+    for name, (hard, changes, step) in AS_A_USER.items():
+        yield HardCase(name, hard, partial(_within_stated, changes, step))
 
 
 def _within_stated(changes: Mapping[str, Any], step: float) -> CaseReport:
     """Against runs at tolerances of 1e-11 and 1e-12."""
+    run: Run | None
     try:
         run = run_scene(paper_robot().replace(dict(changes)))
         found = measure_run(run)
-    except (CosimError, SceneError, EquilibriumError, TrajectoryError) as refusal:
-        run = None
-        message = str(refusal)
-    else:
         message = run.message
+    except (CosimError, SceneError, EquilibriumError, TrajectoryError) as refusal:
+        run, message = None, str(refusal)
     # a refusal, or a run that ends early, is one sentence
     if run is None or not run.completed:
         return CaseReport(message, (Criterion("lines beyond one", float(message.count("\n")), 0.0),))
