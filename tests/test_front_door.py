@@ -79,7 +79,9 @@ def test_calls_are_those_of_the_rooms(tmp_path: Path, monkeypatch: pytest.Monkey
     chosen = load_scene(LIGHT).replace({"trajectory.dwell": 0.0})
     wanted = {"tolerance": 0.01, "of": ["peak_position_error"]}
     left_open = chosen.replace({"effects": {"gravity": chosen.effects.gravity, "select": "auto", **wanted}})
-    monkeypatch.setattr("flexfmu.api.resolved", lambda scene: chosen if scene is left_open else scene)
+    monkeypatch.setattr(
+        "flexfmu.api.resolved_with_answer", lambda scene: (chosen if scene is left_open else scene, None)
+    )
     cached = build_scene(chosen).path
     options = {"communication_step": 1e-3, "tolerance": 1e-4, "parameters": {"payload.mass": 0.2}}
     expected = run_scene(chosen, **options).recording["joint1.torque"].values
