@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from contextlib import suppress
 
 import pytest
@@ -45,7 +46,8 @@ def test_peers_agree_with_our_reference(peer: str, tolerance: float, changes: di
 
 def test_what_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a Fortran compiler and SUNDIALS, a study says what to install instead of ending."""
-    monkeypatch.setattr(compiled_peer.shutil, "which", lambda name: None)
+    which = shutil.which
+    monkeypatch.setattr(shutil, "which", lambda name, *rest: None if name == "gfortran" else which(name, *rest))
     monkeypatch.setattr(compiled_peer, "_has_sundials", lambda compiler: False)
     trials = list(compiled_trials(subject_of(SCENE), WorkCurve(())))
     assert [trial.line for trial in trials] == [*SETTINGS]

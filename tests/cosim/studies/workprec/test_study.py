@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.design.effects.runs import is_smooth
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
@@ -89,11 +90,9 @@ def test_shaped_scenes_are_compared_with_themselves() -> None:
     mode = {"kind": "zv", "modes": [{"frequency": 58.0, "ratio": 0.1}]}
     shaped = SCENE.replace({"shaper": [mode | {"apply": "path"}]})
     assert subject_of(shaped).stop > subject_of(SCENE).stop + 5e-3
-    assert studys.is_differential_equation(shaped)
-    assert not studys.is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
-    assert not studys.is_differential_equation(
-        SCENE.replace({"shaper": [mode | {"apply": "sampled", "sample_time": 1e-3}]})
-    )
+    assert is_smooth(shaped)
+    assert not is_smooth(SCENE.replace({"cosimulation.drive": "torque"}))
+    assert not is_smooth(SCENE.replace({"shaper": [mode | {"apply": "sampled", "sample_time": 1e-3}]}))
 
 
 @pytest.mark.slow
