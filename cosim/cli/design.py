@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -416,7 +417,10 @@ def plan(
     robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
     folder = out or console.usual_folder(robot.name, settings, "-plan")
     console.prepared_folder(folder)
-    journal = WorkJournal(folder, "plan", about_scene(robot), restart=restart, note=console.show_note)
+    journal, started = (
+        WorkJournal(folder, "plan", about_scene(robot), restart=restart, note=console.show_note),
+        monotonic(),
+    )
     with console.progress() as show:
         result = plan_scene(
             robot,
@@ -430,18 +434,19 @@ def plan(
         )
         show("writing the results", None)
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
+    is_spent = budget is not None and monotonic() - started > budget
     if not result.interrupted:
         journal.remove()
     for message in result.failures:
         console.show_note(message)
     if result.interrupted:
-        cause = "interrupted" if budget is None else f"interrupted, or the budget of {budget:g} s is spent"
+        cause = f"the budget of {budget:g} s is spent" if is_spent else "interrupted"
         console.show_note(f"{cause}: this is the best motion so far")
     names = [str(path) for path in files]
     console.print_result(
         json, {**summary(result), "files": names}, *_shown_plan(result), f"results: {', '.join(names)}"
     )
-    return console.FAILURE if result.missed else 0
+    return console.FAILURE if result.missed or (result.interrupted and not is_spent) else 0
 
 
 def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.errors import make_folder, remove_empty
+from flexfmu.errors import PART, make_folder, remove_empty
 from flexfmu.errors import replacing as replacing_file
 
 try:
@@ -75,6 +75,9 @@ class OutputFolder:
             message = f"another command works in {self.path}: wait for its end, or choose another folder with --out"
             raise ResultsError(message) from None
         try:
+            # nobody else works here: these are of processes that were killed
+            for part in self.path.glob(f".*-*{PART}"):
+                part.unlink(missing_ok=True)
             yield
         finally:
             with contextlib.suppress(OSError):

@@ -74,6 +74,10 @@ def read_bytes(path: str | Path, largest: int = LARGEST_TABLE) -> bytearray:
     return content
 
 
+PART = ".part"
+"""Ending of a file that isn't whole yet, beside the one that it will replace; one of a process that was killed stays."""
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a path beside ``path``, which it replaces when the context ends without an error: no process reads half a file.
@@ -83,7 +87,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: the folder can't be made, or the file can't be replaced.
     """
-    temporary = path.parent / f".{path.name}.{os.getpid()}.{get_ident()}"
+    temporary = path.parent / f".{path.name}.{os.getpid()}-{get_ident()}{PART}"
     made: list[Path] = []
     try:
         made = make_folder(path.parent)

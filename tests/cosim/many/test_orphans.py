@@ -155,17 +155,18 @@ def test_signals_end_a_command_in_good_order(number: signal.Signals) -> None:
 CLAIMING = """
 import sys, time
 from pathlib import Path
-from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.engine.files import OutputFolder, replacing
 folder = OutputFolder(Path(sys.argv[1]))
 folder.prepare()
-with folder.claimed():
+with folder.claimed(), replacing(folder.path / "results.csv") as part:
+    part.touch()
     print("ready", flush=True)
     time.sleep(600)
 """
 
 
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
-    """The second one is told; when the first one is gone, however it ended, the folder is free and nothing is left in it."""
+    """The second one is told; when the first one is gone, however it ended, the folder is free and nothing is left in it, half a file neither."""
     first = started("-c", CLAIMING, str(tmp_path / "out"))
     assert said(first) == "ready\n"
     folder = OutputFolder(tmp_path / "out")
