@@ -80,8 +80,11 @@ TOLERANCES = tuple(each * 10.0**-k for k in range(1, 11) for each in (1.0, 0.3))
 INTEGRATORS = ("automatic", "gauss3", "gauss4")
 """Integrators that win somewhere; for rigid links nothing is stiff."""
 
-STEPS = (1.0 / 80.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0, 1.0 / 2000.0)
+STEPS = (1.0 / 40.0, 1.0 / 80.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0, 1.0 / 2000.0)
 """Communication steps as fractions of the motion's duration, where nothing samples."""
+
+LENGTHENINGS = (1.8, 1.5, 1.25)
+"""Factors by which the communication step of the fastest settings is lengthened, if that is accurate enough."""
 
 HALVINGS = 3
 """Halvings of the communication step of scenes with a loop: from the sample time and the scene's own on; continuous slaves need them."""
@@ -299,34 +302,37 @@ class Chooser:
 
     def _sets(self, target: float) -> Iterator[Scene]:
         """Yield sets whose model error leaves room for the numerics, in units of ``target`` times what is allowed: few coordinates first."""
-        ladder = [*self.ladder().values()]
         own = [name for name in self._measures if name in self.asked] if self._is_smooth else []
         fitting = list[Scene]()
-        for each in ladder[:-1]:
+        for each in sorted([*self.ladder().values()][:-1], key=set_size):
             # what estimates call hopeless isn't built
-            hopeless = any(self._estimates.errors(each.effects)[name] > HOPELESS * target for name in own)
-            if not hopeless and self.model_share(each) <= target:
+            if any(self._estimates.errors(each.effects)[name] > HOPELESS * target for name in own):
+                continue
+            if (share := self.model_share(each)) <= target:
                 fitting.append(each)
-        least = min(map(set_size, fitting), default=set_size(self.richest))
-        if least > 0:
-            fitting += self._estimated(target, least)
+            # more coordinates take longer, and could leave the numerics little more
+            if share <= SHARE * target:
+                break
+        first = fitting[0] if fitting else self.richest
+        if set_size(first):
+            fitting += self._estimated(target, first)
         yield from sorted([*fitting, self.richest], key=set_size)
 
-    def _estimated(self, target: float, most: int) -> Iterator[Scene]:
-        """Yield the set that the estimates choose, where it has fewer coordinates; with ever smaller limits until a run confirms it."""
+    def _estimated(self, target: float, most: Scene) -> Iterator[Scene]:
+        """Yield the part of a set that the estimates choose, if it has fewer coordinates; with ever smaller limits until a run confirms it."""
         estimates, limit = self._estimates, SHARE / SAFETY * target
         if not (self._is_smooth and self.asked.keys() <= {*MEASURES}):
             limit *= HOPELESS  # of another system, or of other figures
         for _ in range(ROUNDS):
             self._show("choosing a set of effects", None)
             found = cheapest(
-                estimates.richest,
+                most,
                 with_set(self.scene, {}),
                 lambda each: max(estimates.errors(each.effects, sharp=False).values()),
                 lambda each: max(estimates.errors(each.effects).values()),
                 limit,
             )
-            if set_size(found) >= most:
+            if set_size(found) >= set_size(most):
                 return
             if (share := self.model_share(found)) <= target:
                 yield found
@@ -389,42 +395,69 @@ class Chooser:
     def steps(self) -> tuple[float | None, ...]:
         """Return the communication steps that are worth a trial [s], the longest first; None for steps chosen from the motion."""
         own = self.scene.cosimulation.step
-        if not self._is_smooth:
-            own = own or self.scene.cosimulation.communication_step
-            samples = [each.sample_time for each in self.scene.controller if isinstance(each, SampledSection)]
-            longest = (each for each in (min(samples, default=2.0 * own),) if each > own)
-            return (*longest, *(own / 2**k for k in range(HALVINGS)))
-        fractions = (self.scene.trajectory.duration * each for each in STEPS)
-        rounded = {float(f"{each:.1g}") for each in fractions} | ({own} if own else set())
-        return (None, *sorted(rounded, reverse=True))
+        if self._is_smooth:
+            fractions = (self.scene.trajectory.duration * each for each in STEPS)
+            rounded = {float(f"{each:.1g}") for each in fractions} | ({own} if own else set())
+            return (None, *sorted(rounded, reverse=True))
+        own = own or self.scene.cosimulation.communication_step
+        samples = [each.sample_time for each in self.scene.controller if isinstance(each, SampledSection)]
+        longest = min(samples, default=2.0 * own)
+        return tuple(dict.fromkeys((max(longest, own), *(own / 2**k for k in range(HALVINGS)))))
 
     def walk(self, base: Scene, target: float, best: float) -> Iterator[SettingTrial]:
         """Yield, for a set of effects, the loosest setting of each line that is accurate enough and may be cheaper than ``best`` [s]."""
-        is_found = False
         for step in self.steps():
-            if is_found and not self._is_smooth:
-                return
-            least = inf
+            if self._is_smooth and not self._suffices(base, step, target):
+                continue
+            least, is_found = inf, False
             is_rigid = not set_size(base) and self._is_smooth
             for integrator in INTEGRATORS[: 1 if is_rigid else None]:
-                for tolerance in TOLERANCES:
-                    found = self.trial(with_numerics(base, step, integrator, tolerance))
-                    least = least if found is None else min(least, found.time)
-                    if found is None or found.time > WORTH_TIMING * best:
-                        break
-                    if found.share > target:
-                        continue
-                    # right by chance, if a tighter tolerance isn't
-                    tighter = self.trial(with_numerics(base, step, integrator, max(0.3 * tolerance, 1e-12)))
-                    if tighter is None or tighter.share > target:
-                        continue
+                found, fastest = self._loosest(base, step, integrator, target, WORTH_TIMING * best)
+                least = min(least, fastest)
+                if found is not None:
                     best, is_found = min(best, found.time), True
-                    numerics = np.maximum(found.numerics, tighter.numerics)
-                    yield replace(found, numerics=numerics, share=max(found.share, tighter.share))
-                    break
+                    yield found
             # shorter steps take longer
-            if WORTH_TIMING * best < least < inf:
+            if (is_found and not self._is_smooth) or WORTH_TIMING * best < least < inf:
                 return
+
+    def _suffices(self, base: Scene, step: float | None, target: float) -> bool:
+        """Whether a communication step is short enough: no tolerance mends what is lost between the ends of longer ones."""
+        found = self.trial(with_numerics(base, step, INTEGRATORS[-1], TOLERANCES[-1]))
+        return found is not None and found.share <= target
+
+    def _loosest(
+        self, base: Scene, step: float | None, integrator: str, target: float, limit: float
+    ) -> tuple[SettingTrial | None, float]:
+        """Return the first trial that is accurate enough, and the least time [s]; none beyond a time limit [s]."""
+        least = inf
+        for tolerance in TOLERANCES:
+            found = self.trial(with_numerics(base, step, integrator, tolerance))
+            least = least if found is None else min(least, found.time)
+            if found is None or found.time > limit:
+                break
+            if found.share > target:
+                continue
+            # right by chance, if a tighter tolerance isn't
+            tighter = self.trial(with_numerics(base, step, integrator, max(0.3 * tolerance, 1e-12)))
+            if tighter is not None and tighter.share <= target:
+                numerics = np.maximum(found.numerics, tighter.numerics)
+                return replace(found, numerics=numerics, share=max(found.share, tighter.share)), least
+        return None, least
+
+    def _lengthened(self, found: SettingTrial, target: float) -> SettingTrial:
+        """The setting with a longer communication step, between those of the grid, as far as it is accurate enough and faster."""
+        step, tolerance = found.scene.cosimulation.step, found.scene.cosimulation.tolerance
+        if step is None or not self._is_smooth:
+            return found
+        for factor in LENGTHENINGS:
+            longer = with_numerics(
+                found.scene, float(f"{factor * step:.2g}"), found.scene.cosimulation.integrator, tolerance
+            )
+            better = self.trial(longer)
+            if better is not None and better.share <= target and better.time < found.time:
+                return better
+        return found
 
     # The answer
 
@@ -432,6 +465,8 @@ class Chooser:
         """Return the cheapest setting whose errors are at most ``target`` times what is allowed; None where there is none."""
         found, best = list[SettingTrial](), inf
         for base in self._sets(target):
+            if found and base == self.richest:
+                break
             for each in self.walk(base, target, best):
                 found.append(each)
                 best = min(best, each.time)
@@ -440,9 +475,8 @@ class Chooser:
             return exact if exact is not None and exact.share <= target else None
         # the fastest in turns, since a machine's speed varies
         self._show("timing the fastest settings", None)
-        found = sorted((each for each in found if each.time <= WORTH_TIMING * best), key=lambda each: each.time)[
-            :FINALISTS
-        ]
+        found = sorted((each for each in found if each.time <= WORTH_TIMING * best), key=lambda each: each.time)
+        found = [self._lengthened(each, target) for each in found[:FINALISTS]]
         times = fastest_in_turns([PreparedScene(with_settled(each.scene)).run for each in found])
         return min(
             (replace(each, time=time) for each, time in zip(found, times, strict=True)), key=lambda each: each.time

@@ -37,7 +37,7 @@ NEIGHBOURS = (0.0, 0.01, -0.01)
 """Relative changes of the payload, or without one of the links' density, with which each setting is run."""
 
 REPETITIONS, ENOUGH = 5, 0.02
-"""Most runs by which a setting is timed, and processor time [s] after which none is added."""
+"""Most runs that are added to time a setting, and processor time [s] after which none is."""
 
 MARGINS = tuple(name for name in LOOP_FIGURES if name != "cpu_time")
 """Figures of the linear loop, which the numerics of a run don't change."""
@@ -139,9 +139,11 @@ class SceneRuns:
         key = "payload.mass" if scene.payload.mass else "mechanism.material.density"
         parameter, value = key.removeprefix("mechanism."), scene.payload.mass or scene.mechanism.material.density
         margins = self._margins(robot)
-        rows = []
+        rows, times = list[tuple[float, ...]](), list[float]()
         for change in NEIGHBOURS:
+            begin = process_time()
             run = prepared.run({parameter: (1.0 + change) * value} if change else {})
+            times.append(process_time() - begin)
             if not run.completed or run.health.unstable_loop:
                 return run.health.unstable_loop or run.message
             try:
@@ -150,8 +152,8 @@ class SceneRuns:
                 return str(error)
             values = {**dict(measured), **margins}
             rows.append(tuple(float(values[name]) for name in self.names))  # a metric without a value is NaN
-        times = list[float]()
-        while len(times) < REPETITIONS and sum(times) < ENOUGH:
+        # short runs again: the first ones have loaded everything
+        while len(times) < len(NEIGHBOURS) + REPETITIONS and sum(times) < ENOUGH:
             begin = process_time()
             prepared.run()
             times.append(process_time() - begin)
