@@ -25,6 +25,7 @@ import time
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -185,25 +186,32 @@ def cheapest_of_grid(chooser: Chooser, scene: Scene, share: Any, chosen: Scene, 
     steps = chooser.steps()
     if None in steps:
         steps = (None, *(scene.trajectory.duration / each for each in np.geomspace(20.0, 2000.0, GRID_STEPS).tolist()))
-    sets = [with_set(scene, each) for each in LADDER.values()] + [chosen, chooser.richest]
-    for base in sets:
-        for step in steps:
-            for integrator in INTEGRATORS:
-                for tolerance in GRID_TOLERANCES:
-                    setting = with_numerics(base, step, integrator, tolerance)
-                    try:
-                        prepared = PreparedScene(setting)
-                        prepared.run()
-                        start = time.process_time()
-                        run = prepared.run()
-                        taken = time.process_time() - start
-                        if taken > best or not run.completed:
-                            break
-                        if share(setting, slice(None)) <= 1.0:
-                            best, found = taken, setting
-                            break
-                    except CosimError:
-                        break
+    exact = GRID_TOLERANCES[-1]
+
+    def is_right(setting: Scene) -> bool:
+        try:
+            return bool(share(setting, slice(None)) <= 1.0)
+        except CosimError:
+            return False
+
+    for base in [with_set(scene, each) for each in LADDER.values()] + [chosen, chooser.richest]:
+        # sets and steps that no tolerance makes right
+        if not is_right(with_numerics(base, steps[-1], INTEGRATORS[-1], exact)):
+            continue
+        lasting = [step for step in steps if is_right(with_numerics(base, step, INTEGRATORS[-1], exact))]
+        for step, integrator in product(lasting, INTEGRATORS):
+            for tolerance in GRID_TOLERANCES:
+                setting = with_numerics(base, step, integrator, tolerance)
+                prepared = PreparedScene(setting)
+                prepared.run()
+                start = time.process_time()
+                prepared.run()
+                taken = time.process_time() - start
+                if taken > best:
+                    break
+                if is_right(setting):
+                    best, found = taken, setting
+                    break
     return found
 
 

@@ -163,7 +163,8 @@ def _run_scene(
 
             document = changed_document(source, target, {**dict(map(parse_setting, changes or ())), **answer.changes})
             document.pop("accuracy", None)
-            write_whole(target, document.as_string())
+            wishes = ", ".join(f"{each.name} = {each.asked}" for each in answer.figures)
+            write_whole(target, f"# settings chosen for {wishes}\n{document.as_string()}")
         show("planning the motion, building the FMU", None)
         (names, every, order), section = recorded, scene.cosimulation
         order = section.record_order if order is None else order
