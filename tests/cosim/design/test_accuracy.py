@@ -109,6 +109,7 @@ def test_the_command_writes_the_chosen_settings(tmp_path: Path) -> None:
     assert "ten times more accurate" in result.stdout
     answer = json.loads((out / "summary.json").read_text())["accuracy"]
     scene = flexfmu.load_scene(target)
+    assert target.read_text(encoding="utf-8").startswith("# settings chosen for peak_torque_1 = 0.01\n")
     assert not scene.accuracy
     assert scene.cosimulation.tolerance == answer["changes"]["cosimulation.tolerance"]
     asked = flexfmu.load_scene("barnard2012-6kg").replace({"accuracy": {"peak_torque_1": 1e-2}})
