@@ -37,11 +37,12 @@ from flexfmu.benchmarks.peers.compiled_peer import (
     positions,
 )
 from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import SideBySide
-from flexfmu.cosim.studies.workprec.trial import RunError, WorkCurve, WorkPrecisionTrial, completed, subject_of
+from flexfmu.cosim.studies.workprec.trial import RunError, completed, subject_of
 from flexfmu.model.scene.schema import Scene
 
 STEP = 1e-3

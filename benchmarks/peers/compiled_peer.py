@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.master.grid import time_grid
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, WorkCurve, WorkPrecisionTrial, sweep
+from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, sweep
 from flexfmu.fmu_build.cache import cached, content_hash, read_cached, store
 from flexfmu.fmu_build.codegen import c_code
 from flexfmu.fmu_build.experiment import DefaultExperiment

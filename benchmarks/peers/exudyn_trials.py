@@ -7,7 +7,8 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, WorkCurve, WorkPrecisionTrial, sweep
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
+from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, sweep
 from flexfmu.model.scene.effects import ModalDampingSection
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene

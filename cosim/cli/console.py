@@ -95,6 +95,10 @@ def rich_output() -> Iterator[Console]:
     print_text(text.getvalue())
 
 
+OTHERS = 34
+"""Columns that a progress bar's text leaves for the bar and the times."""
+
+
 @contextmanager
 def progress() -> Iterator[ShowProgress]:
     """A progress bar on standard error; nothing when that is piped."""
@@ -104,10 +108,12 @@ def progress() -> Iterator[ShowProgress]:
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
 
-    times = TimeElapsedColumn(), TimeRemainingColumn()
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), *times)
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # a long text leaves room for a short bar and the times
+    console, times = Console(stderr=True), (TimeElapsedColumn(), TimeRemainingColumn())
+    text = TextColumn("{task.description}", table_column=Column(no_wrap=True, max_width=max(console.width - OTHERS, 10)))
+    with Progress(SpinnerColumn(), text, BarColumn(), *times, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda text, fraction: bar.update(
             task, description=text, total=None if fraction is None else 1.0, completed=fraction or 0.0
@@ -279,8 +285,8 @@ def one_line_errors() -> Iterator[None]:
         for hint in _hints:
             show_note(f"warning: {hint}")
         raise
-    except KeyboardInterrupt:
-        show_note("interrupted")
+    except KeyboardInterrupt as interruption:
+        show_note(": ".join(["interrupted", *map(str, interruption.args)]))
         raise typer.Exit(FAILURE) from None
     except (MemoryError, ImportError, SystemError) as error:
         # libraries that can't be loaded for want of memory are told as such by Python's importer

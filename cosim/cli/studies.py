@@ -222,11 +222,16 @@ def _study(
     about = about_scene(scene) | ({"of": list(metrics)} if metrics else {})
     journal = WorkJournal(folder.path, "study", about, restart=restart, note=show_note)
     with progress() as show:
-        if metrics:
-            study = run_metric_study(scene, metrics, show, journal)
-        else:
-            peers = (compiled_trials, exudyn_trials)
-            study = run_study(scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal)
+        try:
+            if metrics:
+                study = run_metric_study(scene, metrics, show, journal)
+            else:
+                peers = (compiled_trials, exudyn_trials)
+                study = run_study(
+                    scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal
+                )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{len(journal)} trials are kept in {folder.path}; the same command continues") from None
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))
         show("pictures", None)

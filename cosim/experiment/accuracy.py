@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
+
+import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import shown_unit
@@ -107,6 +109,75 @@ class PricedSettings:
         return f"{1e3 * self.time:.3g} ms with {self.text}"
 
 
+TINY = 1e-300
+"""Error that stands for zero in logarithms."""
+
+
+@dataclass(frozen=True)
+class WorkPrecisionTrial:
+    """One setting of one line: a point of a diagram.
+
+    Attributes:
+        family: the figure, or another question that it belongs to, for example ``integrators``.
+        line: what is varied along a line, for example ``gauss4``, or the set of effects.
+        label: the setting, for example ``1e-5``.
+        error: relative to the figure's value or to the largest elastic deviation; None where the run failed.
+        time: processor time of a run [s]; None where the run failed.
+        note: why it failed, or a remark.
+    """
+
+    family: str
+    line: str
+    label: str
+    error: float | None
+    time: float | None
+    note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no result."""
+        return self.error is None
+
+
+@dataclass(frozen=True)
+class WorkCurve:
+    """Processor time over error for one tool: its Pareto front.
+
+    Attributes:
+        trials: the settings that no other setting of the tool beats in both error and time, by ascending error.
+    """
+
+    trials: tuple[WorkPrecisionTrial, ...]
+
+    @classmethod
+    def of(cls, trials: Iterable[WorkPrecisionTrial]) -> WorkCurve:
+        """The curve of all settings that were tried; failures and those that another one beats are left out."""
+        good = [each for each in trials if each.error is not None and each.time is not None]
+        # from the smallest error upwards, each setting that is faster than all before it
+        best: list[WorkPrecisionTrial] = []
+        for each in sorted(good, key=lambda each: (each.error, each.time)):
+            if not best or (each.time or 0.0) < (best[-1].time or 0.0):
+                best.append(each)
+        return cls(tuple(best))
+
+    @property
+    def least(self) -> float:
+        """Smallest error that was reached; infinite without any."""
+        return self.trials[0].error or 0.0 if self.trials else np.inf
+
+    @property
+    def most(self) -> float:
+        """Largest error of a setting that none beats; 0 without any."""
+        return self.trials[-1].error or 0.0 if self.trials else 0.0
+
+    def time(self, error: float) -> float | None:
+        """Processor time [s] for at most this error, logarithms interpolated between two settings; None where no setting reached it."""
+        if error < max(self.least, TINY):
+            return None
+        errors, times = (np.array([getattr(each, key) for each in self.trials]) for key in ("error", "time"))
+        return float(np.exp(np.interp(np.log(error), np.log(np.maximum(errors, TINY)), np.log(times))))
+
+
 @dataclass(frozen=True)
 class AccuracyAnswer:
     """The cheapest settings that have an accuracy.
@@ -120,6 +191,7 @@ class AccuracyAnswer:
         changes: dotted key of the scene → chosen value.
         trials: number of settings that were tried.
         why: what decided, in a sentence.
+        tried: the settings that were tried, for each figure.
     """
 
     figures: tuple[FigureError, ...]
@@ -130,6 +202,7 @@ class AccuracyAnswer:
     changes: Mapping[str, Any]
     trials: int
     why: str
+    tried: tuple[WorkPrecisionTrial, ...]
 
     def lines(self) -> list[str]:
         """Return the answer in sentences."""
@@ -149,7 +222,13 @@ class AccuracyAnswer:
     def as_data(self) -> dict[str, Any]:
         """Return the answer as plain data in SI units."""
         figures = [{**asdict(each), "total": each.total} for each in self.figures]
-        return {**asdict(self), "changes": dict(self.changes), "figures": figures, "text": self.lines()}
+        data = asdict(replace(self, tried=())) | {
+            "changes": dict(self.changes),
+            "figures": figures,
+            "text": self.lines(),
+        }
+        data.pop("tried")  # the report shows them
+        return data
 
     def __repr__(self) -> str:
         """Return the answer, a line each."""

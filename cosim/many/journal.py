@@ -128,6 +128,9 @@ class WorkJournal:
         if self._known:
             note(f"continuing: {len(self._known)} {'' if total is None else f'of {total} '}done")
 
+    def __len__(self) -> int:
+        return len(self._known)
+
     def __contains__(self, key: Any) -> bool:
         return _name(key) in self._known
 

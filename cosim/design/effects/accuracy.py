@@ -29,7 +29,14 @@ from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError, su
 from flexfmu.cosim.engine.files import to_json
 from flexfmu.cosim.engine.showing import UNITS, ShowProgress, quiet
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, excess, quantity_of
+from flexfmu.cosim.experiment.accuracy import (
+    AccuracyAnswer,
+    FigureError,
+    PricedSettings,
+    WorkPrecisionTrial,
+    excess,
+    quantity_of,
+)
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
@@ -342,7 +349,10 @@ class Chooser:
     def ladder(self) -> dict[str, Scene]:
         """Return name → set of effects: the ladder, the scene's own, and the richest."""
         found = {name: with_set(self.scene, chosen) for name, chosen in LADDER.items()}
-        return found | {"the scene's own": self.scene, "richest": self.richest}
+        own, most = (
+            f"{name} ({set_size(each)})" for name, each in (("the scene's own", self.scene), ("richest", self.richest))
+        )
+        return found | {own: self.scene, most: self.richest}
 
     @cached_property
     def _motion(self) -> Trajectory:
@@ -365,26 +375,32 @@ class Chooser:
         """Return the error of each figure by the effects that a set leaves out [SI]; errors as for `SceneRuns.observe`."""
         return self._exact(base, f"running {set_text(base)}").change(self.reference)
 
-    def errors(self, scene: Scene) -> tuple[RealArray, float]:
-        """Return a setting's error of each figure beside the richest model [SI], and its time [s]; errors as for `SceneRuns.observe`."""
-        found = self._observe(scene, "")
-        return found.change(self.reference), found.time
-
     # Numerics
 
     def trial(self, scene: Scene) -> SettingTrial | None:
         """Return a setting's errors and time; None where it fails."""
+        with suppress(CosimError):
+            return self.measured(scene)
+        return None
+
+    def measured(self, scene: Scene) -> SettingTrial:
+        """Return a setting's errors and time; errors as for `SceneRuns.observe`."""
         key = scene.model_dump_json(include={"effects", "cosimulation"})
         if key not in self.trials:
-            try:
-                exact = self._exact(scene, f"running {set_text(scene)}")
-                found = self._observe(scene, "; ".join(reversed(setting_text(scene).split("; "))))
-            except CosimError:
-                return None
+            exact = self._exact(scene, f"running {set_text(scene)}")
+            found = self._observe(scene, "; ".join(reversed(setting_text(scene).split("; "))))
             model, numerics = exact.change(self.reference), found.change(exact)
             share = float(((model + numerics + self.known) / self.allowed).max())
             self.trials[key] = SettingTrial(scene, model, numerics, found.time, share)
         return self.trials[key]
+
+    def points(self, trial: SettingTrial, line: str = "") -> Iterator[WorkPrecisionTrial]:
+        """Yield the error of each figure with a setting, relative where its value isn't 0, as a point of the line of its set of effects."""
+        names = (name for name, each in self.ladder().items() if each.effects == trial.scene.effects)
+        line = line or next(names, f"{set_size(trial.scene)} coordinates, by estimates")
+        label = setting_text(trial.scene).partition("; ")[2]
+        for name, value, error in zip(self.asked, self.reference.values[0], trial.model + trial.numerics, strict=True):
+            yield WorkPrecisionTrial(name, line, label, float(error / (abs(value) or 1.0)), trial.time)
 
     def missed_by(self, other: Scene) -> float:
         """Return the largest error of this scene with the settings of another, in units of what is allowed; infinite where its run fails."""
@@ -520,6 +536,7 @@ class Chooser:
             self._changes(chosen.scene),
             len(self.trials),
             why,
+            tuple(point for each in self.trials.values() for point in self.points(each)),
         )
 
     def _why(self, chosen: SettingTrial) -> str:

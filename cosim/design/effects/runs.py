@@ -18,6 +18,7 @@ import numpy as np
 from flexfmu.cosim.design.effects.estimator import richest
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError, LearningWarning, ResultsError
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
@@ -144,6 +145,8 @@ class SceneRuns:
             begin = process_time()
             run = prepared.run({parameter: (1.0 + change) * value} if change else {})
             times.append(process_time() - begin)
+            if run.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
             if not run.completed or run.health.unstable_loop:
                 return run.health.unstable_loop or run.message
             try:

@@ -13,13 +13,12 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.metrics.metric_table import definition
-from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel
 from flexfmu.cosim.reports.figure_style import PlainNumbers, draw, save
 from flexfmu.cosim.reports.page import Plot, render_page
+from flexfmu.cosim.reports.work_precision import FLOOR, FRONT, by_line, diagram, fronts, points
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, sentence
-from flexfmu.cosim.studies.workprec.trial import WorkCurve, WorkPrecisionTrial
 
 FONT_SIZE = 5.5
 """Of labels, which the ends of a line have; the page shows all settings."""
@@ -36,13 +35,6 @@ TITLES = {
     "tools": "Other tools, and the fastest of ours",
 }
 """Family → title of its diagram."""
-
-
-PLOT_HEIGHT = 320.0
-"""Of a diagram of the page [pt]."""
-
-FLOOR = 1e-12
-"""Errors below are drawn here: the references agree no better."""
 
 
 def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
@@ -71,30 +63,17 @@ def _picture(study: WorkPrecisionStudy, names: Sequence[str], width: float) -> F
     return figure
 
 
-def _points(trials: Sequence[WorkPrecisionTrial]) -> RealArray:
-    """Error and time [ms] of each trial, (n, 2)."""
-    return np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in trials]).reshape(-1, 2)
-
-
-FRONT = "cheapest of all"
-"""Line of the settings that none beats in both error and time, in studies of metrics."""
-
-
 def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[WorkPrecisionTrial]]:
-    """Line → its trials; of a study of metrics the settings of each set of effects that none of it beats, its failures, and the front."""
-    trials = study.family(name)
-    lines = {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
-    if not study.basis:
-        return lines
-    fronts = {line: [*WorkCurve.of(each).trials, *(one for one in each if one.failed)] for line, each in lines.items()}
-    return fronts | {FRONT: list(WorkCurve.of(trials).trials)}
+    """Line → its trials; of sets of effects the settings of each that none of it beats, its failures, and the front."""
+    return (fronts if study.is_ladder(name) else by_line)(study.family(name))
 
 
 def _title(study: WorkPrecisionStudy, name: str) -> tuple[str, str]:
     """Title of a diagram, and label of its horizontal axis."""
-    if not study.basis:
-        return TITLES[name], "error, relative to the largest elastic deviation"
-    return f"{definition(name).label}: time over error, by set of effects", "relative error, beside the richest model"
+    title = TITLES[name] if name in TITLES else f"{definition(name).label}: time over error, by set of effects"
+    return title, "relative error, beside the richest model" if study.is_ladder(
+        name
+    ) else "error, relative to the largest elastic deviation"
 
 
 def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
@@ -105,14 +84,15 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
     for colour, (line, trials) in zip(colours, lines.items(), strict=False):
         good = [each for each in trials if not each.failed]
         failed = len(trials) - len(good)
-        points = _points(good)
+        places = points(good)
         label = line + (f" ({failed} failed)" if failed else "")
-        axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
+        axes.plot(places[:, 0], places[:, 1], "o-", color=colour, markersize=3.5, label=label)
         if line == FRONT:
             axes.lines[-1].set(color="black", linewidth=0.9, markersize=2.0)
-        for place in {0, len(good) - 1} if good and (not study.basis or line == FRONT) else ():
+        for place in {0, len(good) - 1} if good and (not study.is_ladder(name) or line == FRONT) else ():
             label_style: dict[str, Any] = {"fontsize": FONT_SIZE, "color": DARKER * colour[:3]}
-            axes.annotate(good[place].label, points[place], (3.0, 3.0), textcoords="offset points", **label_style)
+            label_style["ha"] = "left" if place == 0 or line != FRONT else "right"
+            axes.annotate(good[place].label, places[place], (3.0, 3.0), textcoords="offset points", **label_style)
         if (floor := study.floors.get((name, line), 0.0)) > FLOOR:
             axes.axvline(floor, color=colour, linestyle=":", linewidth=0.8)
         if failed:
@@ -140,22 +120,7 @@ def html(study: WorkPrecisionStudy) -> str:
 
 
 def _plot(study: WorkPrecisionStudy, name: str) -> Plot:
-    curves = []
-    for number, (line, trials) in enumerate(lines_of(study, name).items()):
-        colour, dashes = PALETTE[number % len(PALETTE)], "5,3" if number >= len(PALETTE) else ""
-        good, failed = ([each for each in trials if each.failed is wanted] for wanted in (False, True))
-        points = _points(good)
-        notes = [
-            f"{each.label}: {study.duration / (each.time or 1.0):.3g} times real time. {each.note}" for each in good
-        ]
-        curves.append(Curve(points[:, 0], points[:, 1], line, colour, dot="disc", notes=notes, dashes=dashes))
-        # what failed, at real time and an error of 1
-        if failed:
-            place, notes = np.ones(len(failed)), [f"{each.label} failed: {each.note}" for each in failed]
-            times = 1e3 * study.duration * place
-            curves.append(Curve(place, times, f"{line}, failed", colour, width=0.0, dot="cross", notes=notes))
-    title, label = _title(study, name)
     marks = [(floor, line) for (metric, line), floor in study.floors.items() if metric == name and floor > FLOOR]
-    panel = Panel(label="time [ms]", curves=curves, logarithmic="xy", is_function=False, marks=marks)
+    title, label = _title(study, name)
     text = "Lower left is better." + (" Dashed: the error of a set of effects itself." if marks else "")
-    return Plot(f"workprec-{name}", title, text, (panel,), label, PLOT_HEIGHT)
+    return diagram(f"workprec-{name}", (title, text, label), lines_of(study, name), study.duration, marks)

@@ -24,17 +24,10 @@ from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.control.blocks.code import compile_function
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.many.prepared_scene import PreparedScene
-from flexfmu.cosim.studies.workprec.trial import (
-    SAMPLING,
-    RunError,
-    SceneUnderTest,
-    WorkCurve,
-    WorkPrecisionTrial,
-    completed,
-    sweep,
-)
+from flexfmu.cosim.studies.workprec.trial import SAMPLING, RunError, SceneUnderTest, completed, sweep
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.schema import Scene

@@ -9,17 +9,17 @@ interpolation of logarithms.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from rich.table import Column, Table
 
-from flexfmu.cosim.design.effects.accuracy import Chooser, set_size, setting_text, with_numerics
+from flexfmu.cosim.design.effects.accuracy import Chooser, setting_text, with_numerics
 from flexfmu.cosim.design.effects.runs import is_smooth
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
@@ -28,11 +28,8 @@ from flexfmu.cosim.studies.workprec.solver_trials import PAPER_LINE
 from flexfmu.cosim.studies.workprec.trial import (
     Announce,
     SceneUnderTest,
-    WorkCurve,
-    WorkPrecisionTrial,
     algorithm_settings,
     coupling_settings,
-    effect_trials,
     fmu_trials,
     integrator_settings,
     subject_of,
@@ -46,9 +43,6 @@ STEP = 1e-3
 OURS = "flexfmu"
 """Line of the best of our integrators' settings among other tools."""
 
-LADDER_TOLERANCE = 1e-8
-"""Relative tolerance of the integrator in the comparison of effects."""
-
 
 @dataclass(frozen=True)
 class WorkPrecisionStudy:
@@ -61,8 +55,8 @@ class WorkPrecisionStudy:
         agreement: relative difference of two independent references; None where there is only one.
         references: how they were made.
         trials: every measured point.
-        floors: metric and set of effects → error of the set itself, which no integrator goes below; of a study of metrics.
-        basis: what errors are relative to, where that isn't the scale.
+        floors: metric or family and set of effects → error of the set itself, which no integrator goes below.
+        remarks: what wasn't measured and why, a sentence each.
     """
 
     scene: Scene
@@ -72,7 +66,16 @@ class WorkPrecisionStudy:
     references: str
     trials: tuple[WorkPrecisionTrial, ...]
     floors: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    basis: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def is_of_metrics(self) -> bool:
+        """Whether the families are metrics."""
+        return not {*self.families} & {*FAMILIES}
+
+    def is_ladder(self, name: str) -> bool:
+        """Whether the lines of a family are sets of effects."""
+        return name == EFFECTS or name not in FAMILIES
 
     @property
     def families(self) -> tuple[str, ...]:
@@ -84,8 +87,14 @@ class WorkPrecisionStudy:
         return tuple(each for each in self.trials if each.family == name)
 
 
-FAMILIES = ("integrators", "communication", "algorithms", "effects", "formulations", "tools")
+EFFECTS = "effects"
+"""The family of sets of effects."""
+
+FAMILIES = ("integrators", "communication", "algorithms", EFFECTS, "formulations", "tools")
 """Questions that can be asked, in this order."""
+
+EQUATIONS = "communication", "formulations", "tools"
+"""Those that only a scene which is one smooth equation has an answer to."""
 
 
 Peer = Callable[[SceneUnderTest, WorkCurve], Iterator[WorkPrecisionTrial]]
@@ -104,7 +113,7 @@ def run_study(
 
     Args:
         scene: the scene.
-        families: which of `FAMILIES`; those that a scene has no answer for are left out.
+        families: which of `FAMILIES`; those that a scene has no answer for are left out, with a remark.
         announce: called with what is being tried.
         step: communication step of the comparisons [s].
         peers: other programs for the same robot, which stand among the tools.
@@ -124,24 +133,30 @@ def run_study(
         second = solver_trials.independent_reference
         agreement = journal.kept(("second reference",), float, lambda: subject.error(second(subject)))
         references += "; SciPy's DOP853 at 1e-11"
-    # families in their order, since later ones use the trials of earlier ones; some need one smooth equation
-    has_equations = is_smooth(scene)
-    trials: list[WorkPrecisionTrial] = []
+    # families in their order, since later ones use the trials of earlier ones
+    trials, floors, remarks = list[WorkPrecisionTrial](), dict[tuple[str, str], float](), list[str]()
     for name in (each for each in FAMILIES if each in families):
-        if name == "integrators":
+        if name in EQUATIONS and not is_smooth(scene):
+            remarks.append(f"{name}: left out, a scene with a loop, torques or samples isn't one smooth equation.")
+        elif name == "integrators":
             trials += fmu_trials(subject, name, integrator_settings(step))
-        elif name == "communication" and has_equations:
+        elif name == "communication":
             trials += fmu_trials(subject, name, coupling_settings())
-        elif name == "algorithms" and scene.controller:
+        elif name == "algorithms" and not scene.controller:
+            remarks.append(f"{name}: left out, there is no controller to couple.")
+        elif name == "algorithms":
             trials += fmu_trials(subject, name, algorithm_settings(scene))
-        elif name == "effects":
-            # one unit: their times are measured in turns
-            trials += journal.kept(
-                ("effects",), list[WorkPrecisionTrial], lambda: list(effect_trials(subject, step, LADDER_TOLERANCE))
-            )
-        elif name == "formulations" and has_equations:
+        elif name == EFFECTS:
+            try:
+                ladder = Ladder(scene, [PATH], lambda text, _: announce(text), journal)
+                found, errors = ladder.trials([(min(step, scene.cosimulation.communication_step), "automatic")])
+                trials += (replace(each, family=name) for each in found)
+                floors |= {(name, line): error for (_, line), error in errors.items()}
+            except CosimError as failure:
+                remarks.append(f"{name}: {failure}.")
+        elif name == "formulations":
             trials += solver_trials.formulation_trials(subject)
-        elif name == "tools" and has_equations:
+        elif name == "tools":
             # our best settings stand among the tools, measured with the integrators or here
             settings = (each for each in integrator_settings(step) if each[0] == "automatic")
             measured = [each for each in trials if each.family == "integrators"]
@@ -153,8 +168,13 @@ def run_study(
             trials.append(solver_trials.paper_trial(subject))
             for peer in peers:
                 trials += peer(subject, ours)
-    return WorkPrecisionStudy(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
+    return WorkPrecisionStudy(
+        scene, subject.stop, subject.scale, agreement, references, tuple(trials), floors, tuple(remarks)
+    )
 
+
+PATH = "peak_position_error"
+"""Metric by which sets of effects are compared where none is named."""
 
 STUDIED = 1e-2
 """Accuracy of the metrics of a study: their modes converge to a tenth of it; more precise errors are beside that richest model."""
@@ -165,12 +185,15 @@ REACHED = 1.02
 STUDIED_TOLERANCES = tuple(10.0**-k for k in range(1, 11))
 
 
-def run_metric_study(
-    scene: Scene, metrics: Sequence[str], show: ShowProgress = quiet, journal: WorkJournal = NOWHERE
-) -> WorkPrecisionStudy:
-    """Measure what accuracy of metrics costs, with each set of effects of the ladder, over tolerances, communication steps and integrators.
+ACCURACIES = tuple(10.0**-k for k in range(2, 11))
+"""Accuracies for which a study of metrics names the cheapest setting."""
 
-    Errors are beside the richest model at 1e-11, the largest with the scene's payload and 1 % around it, of the scene as it is, loop included.
+
+class Ladder:
+    """Sets of effects of a scene, over tolerances, communication steps and integrators.
+
+    Errors are beside the richest model at 1e-11, the largest with the scene's payload and 1 % around it, of the scene as it is, loop
+    included: that of the set itself at 1e-11, and that of the numerics beside it.
 
     Args:
         scene: the scene, its effects chosen.
@@ -181,56 +204,73 @@ def run_metric_study(
     Raises:
         InputError, ResultsError: as for `flexfmu.cosim.design.effects.accuracy.Chooser`.
     """
-    chooser = Chooser(scene, dict.fromkeys(metrics, STUDIED), show, journal)
-    values = np.abs(np.array(chooser.reference.values[0]))
-    smooth = is_smooth(scene)
-    lines = [
-        (step, integrator)
-        for step in (chooser.steps() if smooth else chooser.steps()[:2])
-        for integrator in ("automatic", "gauss4")[: None if smooth else 1]
-    ]
-    trials, floors, ladder = list[WorkPrecisionTrial](), dict[tuple[str, str], float](), chooser.ladder()
-    for place, (name, base) in enumerate(ladder.items()):
-        line, floor = f"{name} ({set_size(base)})" if "coord" not in name else name, np.full(values.shape, np.inf)
-        with suppress(CosimError):
-            floor = chooser.model_errors(base) / values
-            floors |= {(each, line): float(error) for each, error in zip(metrics, floor, strict=True) if error}
-        for number, (step, integrator) in enumerate(lines):
-            for tolerance in STUDIED_TOLERANCES:
-                show(f"{line}: {integrator} at {tolerance:.0e}", (place + number / len(lines)) / len(ladder))
-                setting = with_numerics(base, step, integrator, tolerance)
-                label = setting_text(setting).partition("; ")[2]
-                try:
-                    errors, time = chooser.errors(setting)
-                except CosimError as failure:
-                    text = " ".join(str(failure).split())
-                    trials += (WorkPrecisionTrial(each, line, label, None, None, text) for each in metrics)
-                    break
-                # a set that is right beyond its own error is so by chance
-                errors = np.maximum(errors / values, floor)
-                pairs = zip(metrics, errors, strict=True)
-                trials += (WorkPrecisionTrial(each, line, label, float(error), time) for each, error in pairs)
-                if (errors <= REACHED * floor).all():
-                    break
-    known = ", ".join(f"{name} to {error:.1e}" for name, error in zip(metrics, chooser.known / values, strict=True))
-    references = (
-        f"{set_text(chooser.richest)}, at 1e-11; one mode less of every family and half the steps change {known}"
-    )
-    ordered = sorted(trials, key=lambda each: metrics.index(each.family))
-    return WorkPrecisionStudy(
-        scene,
-        scene.trajectory.moving_time + scene.trajectory.dwell,
-        1.0,
-        None,
-        references,
-        tuple(ordered),
-        floors,
-        "metric",
-    )
+
+    def __init__(
+        self, scene: Scene, metrics: Sequence[str], show: ShowProgress = quiet, journal: WorkJournal = NOWHERE
+    ) -> None:
+        self._fraction: float | None = None
+        asked = dict.fromkeys(metrics, STUDIED)
+        self._chooser = Chooser(scene, asked, lambda text, _: show(text, self._fraction), journal)
+        self._is_smooth = is_smooth(scene)
+        self.values = np.abs(np.array(self._chooser.reference.values[0]))
+
+    @property
+    def reference(self) -> str:
+        """What errors are relative to."""
+        pairs = zip(self._chooser.asked, self._chooser.known / self.values, strict=True)
+        known = ", ".join(f"{name} by {error:.1e}" for name, error in pairs)
+        return (
+            f"{set_text(self._chooser.richest)}, at 1e-11; one mode less of every family and half the steps change {known}: smaller errors "
+            "are of the numerics alone"
+        )
+
+    def numerics(self) -> list[tuple[float | None, str]]:
+        """Communication steps [s] and integrators that are worth a trial."""
+        steps = self._chooser.steps() if self._is_smooth else self._chooser.steps()[:2]
+        return [(step, name) for step in steps for name in ("automatic", "gauss4")[: None if self._is_smooth else 1]]
+
+    def trials(
+        self, numerics: Sequence[tuple[float | None, str]]
+    ) -> tuple[list[WorkPrecisionTrial], dict[tuple[str, str], float]]:
+        """The points of each set of effects, for each figure, and the errors of the sets themselves by figure and set.
+
+        A line ends at a tolerance that leaves the error of its set alone or the smallest of `ACCURACIES`, and where that one
+        is cheaper already.
+        """
+        names, ladder = [*self._chooser.asked], self._chooser.ladder()
+        found, floors, limit = list[WorkPrecisionTrial](), dict[tuple[str, str], float](), np.inf
+        for place, (line, base) in enumerate(ladder.items()):
+            for number, (step, integrator) in enumerate(numerics):
+                self._fraction = (place + number / len(numerics)) / len(ladder)
+                for tolerance in STUDIED_TOLERANCES:
+                    setting = with_numerics(base, step, integrator, tolerance)
+                    try:
+                        trial = self._chooser.measured(setting)
+                    except CosimError as failure:
+                        label, text = setting_text(setting).partition("; ")[2], " ".join(str(failure).split())
+                        found += (WorkPrecisionTrial(each, line, label, None, None, text) for each in names)
+                        break
+                    found += self._chooser.points(trial, line)
+                    floor = trial.model / self.values
+                    floors |= {(name, line): float(error) for name, error in zip(names, floor, strict=True) if error}
+                    reached = np.maximum(REACHED * floor, ACCURACIES[-1])
+                    is_fine = ((trial.model + trial.numerics) / self.values <= reached).all()
+                    if is_fine and (floor <= ACCURACIES[-1]).all():
+                        limit = min(limit, trial.time)
+                    if is_fine or trial.time > limit:
+                        break
+        self._fraction = None
+        return sorted(found, key=lambda each: names.index(each.family)), floors
 
 
-ACCURACIES = tuple(10.0**-k for k in range(2, 11))
-"""Accuracies for which a study of metrics names the cheapest setting."""
+def run_metric_study(
+    scene: Scene, metrics: Sequence[str], show: ShowProgress = quiet, journal: WorkJournal = NOWHERE
+) -> WorkPrecisionStudy:
+    """Measure what accuracy of metrics costs; arguments and errors as for `Ladder`."""
+    ladder = Ladder(scene, metrics, show, journal)
+    trials, floors = ladder.trials(ladder.numerics())
+    duration = scene.trajectory.moving_time + scene.trajectory.dwell
+    return WorkPrecisionStudy(scene, duration, 1.0, None, ladder.reference, tuple(trials), floors)
 
 
 def accuracy_rows(study: WorkPrecisionStudy) -> list[tuple[str, ...]]:
@@ -267,7 +307,7 @@ def cheapest(trials: Iterable[WorkPrecisionTrial], error: float) -> WorkPrecisio
 
 def sentence(study: WorkPrecisionStudy) -> str:
     """The cost of accuracy on this scene in one sentence."""
-    if study.basis:
+    if study.is_of_metrics:
         found = [(name, cheapest(study.family(name), 1e-3)) for name in study.families]
         parts = [
             f"1e-3 of {name} costs {1e3 * (best.time or 0.0):.2g} ms ({best.line})"
@@ -318,7 +358,7 @@ COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note
 
 def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
-    if study.basis:
+    if study.is_of_metrics:
         title = f"{study.scene.name}: the cheapest setting for an error of each metric"
         table = titled_table(
             title, *ACCURACY_COLUMNS[:2], Column("time ms", justify="right"), *ACCURACY_COLUMNS[3:], stacks=True
@@ -347,7 +387,8 @@ def notes(study: WorkPrecisionStudy) -> list[str]:
     found = [sentence(study)]
     agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
     found.append(f"References: {study.references}{agreement}.")
-    if study.basis:
+    found += study.remarks
+    if study.is_of_metrics:
         failed = {(each.line, each.note) for each in study.trials if each.failed}
         return [*found, *(f"{line} fails: {note}" for line, note in sorted(failed))]
     compared = advantages(study)
@@ -362,7 +403,7 @@ def markdown(study: WorkPrecisionStudy) -> str:
     rule = [":--", ":--", ":--", "--:", "--:", "--:", ":--"]
     table = markdown_table(COLUMNS, rule, [row(study, trial) for trial in study.trials])
     tables = [table]
-    if study.basis:
+    if study.is_of_metrics:
         tables.insert(0, markdown_table(ACCURACY_COLUMNS, [":--", "--:", "--:", ":--", ":--"], accuracy_rows(study)))
     return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), *tables]) + "\n"
 
@@ -379,10 +420,11 @@ def data(study: WorkPrecisionStudy) -> dict[str, Any]:
         "advantages": {line: ratio for line, (_, ratio) in advantages(study).items()},
         "advantage_errors": {line: error for line, (error, _) in advantages(study).items()},
         "trials": [vars(trial) for trial in study.trials],
+        "remarks": study.remarks,
         "floors": [{"metric": name, "line": line, "error": error} for (name, line), error in study.floors.items()],
         **(
             {"accuracies": [dict(zip(ACCURACY_COLUMNS, row, strict=True)) for row in accuracy_rows(study)]}
-            if study.basis
+            if study.is_of_metrics
             else {}
         ),
         "versions": versions(),

@@ -7,18 +7,20 @@ ladder: what leaving effects out costs in accuracy, and saves in time."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.experiment.timing import fastest, fastest_in_turns
+from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.fmu_build.errors import BuildError
@@ -125,8 +127,11 @@ def completed(run: Run) -> Run:
     """The run, if it came to its end.
 
     Raises:
+        KeyboardInterrupt: the user has ended it.
         RunError: it ended early; the message is the run's.
     """
+    if run.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
     if not run.completed:
         raise RunError(run.message)
     return run
@@ -139,75 +144,7 @@ class RunError(CosimError):
 TOO_SLOW = 100.0
 """A sweep ends at a setting that takes this many times our time for its error."""
 
-TINY = 1e-300
-"""Error that stands for zero in logarithms."""
-
 TrialSetting = TypeVar("TrialSetting")
-
-
-@dataclass(frozen=True)
-class WorkPrecisionTrial:
-    """One setting of one line.
-
-    Attributes:
-        family: the question that it belongs to, for example ``integrators``.
-        line: what is varied along a line, for example ``gauss4``.
-        label: the setting, for example ``1e-5``.
-        error: relative to the largest elastic deviation; None where the run failed.
-        time: processor time of a run [s]; None where the run failed.
-        note: why it failed, or a remark.
-    """
-
-    family: str
-    line: str
-    label: str
-    error: float | None
-    time: float | None
-    note: str = ""
-
-    @property
-    def failed(self) -> bool:
-        """Whether there is no result."""
-        return self.error is None
-
-
-@dataclass(frozen=True)
-class WorkCurve:
-    """Processor time over error for one tool: its Pareto front.
-
-    Attributes:
-        trials: the settings that no other setting of the tool beats in both error and time, by ascending error.
-    """
-
-    trials: tuple[WorkPrecisionTrial, ...]
-
-    @classmethod
-    def of(cls, trials: Iterable[WorkPrecisionTrial]) -> WorkCurve:
-        """The curve of all settings that were tried; failures and those that another one beats are left out."""
-        good = [each for each in trials if each.error is not None and each.time is not None]
-        # from the smallest error upwards, each setting that is faster than all before it
-        best: list[WorkPrecisionTrial] = []
-        for each in sorted(good, key=lambda each: (each.error, each.time)):
-            if not best or (each.time or 0.0) < (best[-1].time or 0.0):
-                best.append(each)
-        return cls(tuple(best))
-
-    @property
-    def least(self) -> float:
-        """Smallest error that was reached; infinite without any."""
-        return self.trials[0].error or 0.0 if self.trials else np.inf
-
-    @property
-    def most(self) -> float:
-        """Largest error of a setting that none beats; 0 without any."""
-        return self.trials[-1].error or 0.0 if self.trials else 0.0
-
-    def time(self, error: float) -> float | None:
-        """Processor time [s] for at most this error, logarithms interpolated between two settings; None where no setting reached it."""
-        if error < max(self.least, TINY):
-            return None
-        errors, times = (np.array([getattr(each, key) for each in self.trials]) for key in ("error", "time"))
-        return float(np.exp(np.interp(np.log(error), np.log(np.maximum(errors, TINY)), np.log(times))))
 
 
 def sweep(
@@ -289,72 +226,3 @@ def fmu_trials(subject: SceneUnderTest, family: str, settings: Iterable[Setting]
             return subject.error(subject.positions(run)), fastest(prepared.run), note
 
         yield subject.trial(family, line, label, measure)
-
-
-RIGID: Mapping[str, object] = {
-    "effects.proximal_bending": 0,
-    "effects.proximal_axial": 0,
-    "effects.distal_bending": 0,
-    "effects.distal_axial": 0,
-    "effects.quasi_static": [],
-}
-
-RICH: Mapping[str, object] = {
-    "effects.basis": "craig-bampton",
-    "effects.proximal_bending": 4,
-    "effects.proximal_axial": 2,
-    "effects.distal_bending": 3,
-    "effects.distal_axial": 3,
-    "effects.quasi_static": [],
-}
-"""The richest set, the reference of the ladder: all families, static and fixed-interface shapes until nothing changes any more."""
-
-
-_STATIC = {"effects.basis": "craig-bampton", "effects.proximal_bending": 1, "effects.distal_axial": 1}
-
-LADDER: Mapping[tuple[str, str], Mapping[str, object]] = {
-    ("assumed modes", "rigid"): {},
-    **{("assumed modes", f"{modes} bending"): {"effects.proximal_bending": modes} for modes in (1, 2, 3)},
-    ("assumed modes", "3 + 3 axial"): {"effects.proximal_bending": 3, "effects.distal_axial": 3},
-    ("assumed modes", "3 + 3 + 1 distal bending"): {
-        "effects.proximal_bending": 3,
-        "effects.distal_axial": 3,
-        "effects.distal_bending": 1,
-    },
-    ("static shapes", "quasi-static 1 + 1"): _STATIC | {"effects.quasi_static": ["proximal_bending", "distal_axial"]},
-    ("static shapes", "1 + 1 axial"): _STATIC,
-    ("static shapes", "1 + 1 + 1 distal bending"): _STATIC | {"effects.distal_bending": 1},
-}
-"""The fidelity ladder, from rigid links to more families of shapes, of which static ones need fewer coordinates: line and label →
-changes of the rigid scene."""
-
-
-def effect_trials(subject: SceneUnderTest, step: float, tolerance: float) -> Iterator[WorkPrecisionTrial]:
-    """Every rung of the ladder, its error against the richest set, its time in turns with the others; damping and loads stay."""
-    subject.announce("richest set of effects")
-    options: dict[str, Any] = {"communication_step": step, "tolerance": tolerance, "motion": subject.motion}
-    # errors are relative to the richest set instead of the scene's own model
-    truth, subject = replace(subject), replace(subject, journal=NOWHERE)
-    rich = PreparedScene(subject.scene.replace(dict(RICH)), **options)
-    truth.__dict__["reference"] = subject.positions(completed(rich.run()))
-    # errors first
-    runs: list[tuple[WorkPrecisionTrial, PreparedScene]] = []
-    ready: list[PreparedScene] = []
-    for (line, label), changes in LADDER.items():
-
-        def measure(changes: Mapping[str, object] = changes) -> tuple[float, None, str]:
-            ready.append(PreparedScene(truth.scene.replace({**RIGID, **changes}), **options))
-            positions = truth.positions(completed(ready[-1].run()))
-            if np.isnan(positions).all():
-                raise RunError("no positions")
-            return truth.error(positions), None, ""
-
-        trial = subject.trial("effects", line, label, measure)
-        if trial.failed:
-            yield trial
-        else:
-            runs.append((trial, ready[-1]))
-    # then times, in turns, so that load on the machine hits all rungs alike
-    subject.announce("effects: times")
-    times = fastest_in_turns([prepared.run for _, prepared in runs])
-    yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))

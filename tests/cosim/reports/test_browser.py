@@ -14,6 +14,7 @@ import pytest
 
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.reports.comparison import ComparedRun
@@ -24,7 +25,6 @@ from flexfmu.cosim.studies.compare.comparison import compare_runs
 from flexfmu.cosim.studies.paper.report import PaperReport
 from flexfmu.cosim.studies.workprec.figures import html
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
-from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 
 pytestmark = pytest.mark.slow
 

@@ -17,9 +17,10 @@ import pytest
 from formulations import FREQUENCIES, Beam, compare_at_rest, compare_motions, full_scene, sample_instants, shapes_motion
 
 from flexfmu.benchmarks.peers import exudyn_trials
+from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.studies.workprec.trial import WorkCurve, WorkPrecisionTrial, subject_of
+from flexfmu.cosim.studies.workprec.trial import subject_of
 from flexfmu.model.finite_elements.motion import element_frequencies, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.file import load_scene

@@ -17,7 +17,8 @@ from flexfmu.benchmarks.peers.compiled_peer import (
     missing,
     positions,
 )
-from flexfmu.cosim.studies.workprec.trial import WorkCurve, subject_of
+from flexfmu.cosim.experiment.accuracy import WorkCurve
+from flexfmu.cosim.studies.workprec.trial import subject_of
 from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
