@@ -112,7 +112,9 @@ def progress() -> Iterator[ShowProgress]:
 
     # a long text leaves room for a short bar and the times
     console, times = Console(stderr=True), (TimeElapsedColumn(), TimeRemainingColumn())
-    text = TextColumn("{task.description}", table_column=Column(no_wrap=True, max_width=max(console.width - OTHERS, 10)))
+    text = TextColumn(
+        "{task.description}", table_column=Column(no_wrap=True, max_width=max(console.width - OTHERS, 10))
+    )
     with Progress(SpinnerColumn(), text, BarColumn(), *times, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda text, fraction: bar.update(

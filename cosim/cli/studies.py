@@ -231,7 +231,9 @@ def _study(
                     scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal
                 )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{len(journal)} trials are kept in {folder.path}; the same command continues") from None
+            raise KeyboardInterrupt(
+                f"{len(journal)} trials are kept in {folder.path}; the same command continues"
+            ) from None
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))
         show("pictures", None)

@@ -311,7 +311,7 @@ class Chooser:
         """Yield sets whose model error leaves room for the numerics, in units of ``target`` times what is allowed: few coordinates first."""
         own = [name for name in self._measures if name in self.asked] if self._is_smooth else []
         fitting = list[Scene]()
-        for each in sorted([*self.ladder().values()][:-1], key=set_size):
+        for each in sorted([*self.ladder.values()][:-1], key=set_size):
             # what estimates call hopeless isn't built
             if any(self._estimates.errors(each.effects)[name] > HOPELESS * target for name in own):
                 continue
@@ -346,8 +346,9 @@ class Chooser:
                 return
             limit /= max(2.0, min(share / target, 1e3))
 
+    @cached_property
     def ladder(self) -> dict[str, Scene]:
-        """Return name → set of effects: the ladder, the scene's own, and the richest."""
+        """Name → set of effects: the ladder, the scene's own, and the richest."""
         found = {name: with_set(self.scene, chosen) for name, chosen in LADDER.items()}
         own, most = (
             f"{name} ({set_size(each)})" for name, each in (("the scene's own", self.scene), ("richest", self.richest))
@@ -394,10 +395,10 @@ class Chooser:
             self.trials[key] = SettingTrial(scene, model, numerics, found.time, share)
         return self.trials[key]
 
-    def points(self, trial: SettingTrial, line: str = "") -> Iterator[WorkPrecisionTrial]:
+    def points(self, trial: SettingTrial) -> Iterator[WorkPrecisionTrial]:
         """Yield the error of each figure with a setting, relative where its value isn't 0, as a point of the line of its set of effects."""
-        names = (name for name, each in self.ladder().items() if each.effects == trial.scene.effects)
-        line = line or next(names, f"{set_size(trial.scene)} coordinates, by estimates")
+        names = (name for name, each in self.ladder.items() if each.effects == trial.scene.effects)
+        line = next(names, f"{set_size(trial.scene)} coordinates, by estimates")
         label = setting_text(trial.scene).partition("; ")[2]
         for name, value, error in zip(self.asked, self.reference.values[0], trial.model + trial.numerics, strict=True):
             yield WorkPrecisionTrial(name, line, label, float(error / (abs(value) or 1.0)), trial.time)
@@ -544,7 +545,7 @@ class Chooser:
         section, effects = chosen.scene.cosimulation, chosen.scene.effects
         fewer = [
             (set_size(each), self.model_share(each), set_text(each))
-            for each in self.ladder().values()
+            for each in self.ladder.values()
             if set_size(each) < set_size(chosen.scene)
         ]
         poor = max((each for each in fewer if 1.0 < each[1] < inf), default=None)

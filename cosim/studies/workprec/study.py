@@ -234,14 +234,17 @@ class Ladder:
     ) -> tuple[list[WorkPrecisionTrial], dict[tuple[str, str], float]]:
         """The points of each set of effects, for each figure, and the errors of the sets themselves by figure and set.
 
-        A line ends at a tolerance that leaves the error of its set alone or the smallest of `ACCURACIES`, and where that one
-        is cheaper already.
+        A line ends at a tolerance that leaves the error of its set alone or the smallest of `ACCURACIES`, after which no shorter steps
+        are tried, where that one is cheaper already, and where two tighter tolerances change nothing.
         """
-        names, ladder = [*self._chooser.asked], self._chooser.ladder()
+        names, ladder = [*self._chooser.asked], self._chooser.ladder
         found, floors, limit = list[WorkPrecisionTrial](), dict[tuple[str, str], float](), np.inf
         for place, (line, base) in enumerate(ladder.items()):
+            shortest = 0.0
             for number, (step, integrator) in enumerate(numerics):
-                self._fraction = (place + number / len(numerics)) / len(ladder)
+                if step is not None and step < shortest:
+                    continue
+                self._fraction, before = (place + number / len(numerics)) / len(ladder), [np.inf, np.inf]
                 for tolerance in STUDIED_TOLERANCES:
                     setting = with_numerics(base, step, integrator, tolerance)
                     try:
@@ -250,15 +253,18 @@ class Ladder:
                         label, text = setting_text(setting).partition("; ")[2], " ".join(str(failure).split())
                         found += (WorkPrecisionTrial(each, line, label, None, None, text) for each in names)
                         break
-                    found += self._chooser.points(trial, line)
+                    found += self._chooser.points(trial)
                     floor = trial.model / self.values
                     floors |= {(name, line): float(error) for name, error in zip(names, floor, strict=True) if error}
-                    reached = np.maximum(REACHED * floor, ACCURACIES[-1])
-                    is_fine = ((trial.model + trial.numerics) / self.values <= reached).all()
+                    errors = (trial.model + trial.numerics) / self.values
+                    is_fine = (errors <= np.maximum(REACHED * floor, ACCURACIES[-1])).all()
+                    if is_fine:
+                        shortest = step or 0.0
                     if is_fine and (floor <= ACCURACIES[-1]).all():
                         limit = min(limit, trial.time)
-                    if is_fine or trial.time > limit:
+                    if is_fine or trial.time > limit or all((each <= REACHED * errors).all() for each in before):
                         break
+                    before = [before[1], errors]
         self._fraction = None
         return sorted(found, key=lambda each: names.index(each.family)), floors
 
