@@ -15,6 +15,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from flexfmu.cosim.design.effects.runs import MARGINS
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
 from flexfmu.model.scene.loop import ObjectSection
 from flexfmu.model.scene.schema import Scene
 
@@ -66,6 +68,13 @@ def schema() -> dict[str, Any]:
         for key in table["properties"]:
             field = _as_in_toml(table["properties"][key], key)
             table["properties"][key] = {"description": description(section, key, texts), **field}
+    # the metrics and margins that may be asked for, by name
+    accuracy = whole["properties"]["accuracy"]
+    either, accuracy["additionalProperties"] = accuracy["additionalProperties"], False
+    accuracy["properties"] = {
+        name: {"description": f"{each.description} [{each.unit}]", **either}
+        for name, each in ((name, definition(name)) for name in (*ALL_METRICS, *MARGINS))
+    }
     _allow_shorthands(whole, definitions)
     return {"$schema": DRAFT, "title": "Scene of flexfmu", **whole, "definitions": definitions}
 

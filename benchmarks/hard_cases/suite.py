@@ -8,7 +8,7 @@ from itertools import chain
 from math import isfinite
 from typing import Any
 
-from rich.table import Table
+from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from flexfmu.benchmarks.hard_cases import repetition, singularity, steps
@@ -16,6 +16,7 @@ from flexfmu.benchmarks.hard_cases.case import CaseReport, HardCase
 from flexfmu.benchmarks.hard_cases.extremes import motion_cases, parameter_cases, stated_cases, stiffness_cases
 from flexfmu.benchmarks.hard_cases.steps import gain_cases, step_cases
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.reports.page import Table, render_page
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
 from flexfmu.model.scene.errors import EquilibriumError
@@ -105,7 +106,7 @@ branch" are instants at which the end effector isn't on the side of the elbows w
 0.1 ms, of which those are compared that two such runs tell well enough. What can't be run says so in a sentence."""
 
 
-def terminal_table(results: Sequence[HardCaseResult]) -> Table:
+def terminal_table(results: Sequence[HardCaseResult]) -> TerminalTable:
     """One line for each case."""
     table = titled_table("Hard cases", *COLUMNS)
     for result in results:
@@ -144,6 +145,15 @@ def markdown(results: Sequence[HardCaseResult]) -> str:
     rows = [[cell.replace("|", "\\|").replace("*", "\\*") for cell in row(result)] for result in results]
     table = markdown_table(COLUMNS, (":--",) * len(COLUMNS), rows)
     return "\n\n".join([INTRODUCTION, table, conclusion(results)]) + "\n"
+
+
+def html(results: Sequence[HardCaseResult]) -> str:
+    """The page: conclusion, introduction and table, the verdicts beside the names."""
+    (case, *texts, verdict), rows = COLUMNS, [row(result) for result in results]
+    cells = [(name, passed, *others) for name, *others, passed in rows]
+    table = Table(conclusion(results), (case, verdict, *texts), cells, texts=len(texts))
+    lead = " ".join(INTRODUCTION.partition("\n")[2].replace("`", "").split())
+    return render_page("Hard cases", lead, tables=[table])
 
 
 def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import typer
 
 from flexfmu.cosim.cli.console import (
     FAILURE,
+    files_sentence,
     load_named,
     load_resolved,
     prepared_folder,
@@ -168,7 +169,7 @@ def workprec(
     richest, and the cheapest setting for errors of 1e-2 to 1e-10.
 
     With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
-    hard-cases.json and hard-cases.md.
+    hard-cases.json, hard-cases.md and hard-cases.html.
 
     Args:
         out (DIR): Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases.
@@ -249,21 +250,22 @@ def _hard_cases(
     source: str | None, out: Path | None, names: Sequence[str], settings: Sequence[str], as_json: bool
 ) -> int:
     """Run the hard cases, write what happened, and print it; the exit status."""
-    from flexfmu.benchmarks.hard_cases.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
+    from flexfmu.benchmarks.hard_cases import suite
 
     if source is not None:
         raise InputError(f"the hard cases have robots of their own: leave out {source}")
     if settings:
         raise InputError(f"the hard cases have robots of their own: leave out --set {settings[0]}")
     # run them all, and write what happened
-    cases = hard_cases(names)
+    cases = suite.hard_cases(names)
     folder = prepared_folder(out or RESULTS / HARD_CASES)
     with progress() as show:
-        results = run_cases(cases, lambda text: show(text, None))
-    folder.write(f"{HARD_CASES}.json", to_json(data(results)))
-    folder.write(f"{HARD_CASES}.md", markdown(results))
-    where = f"{HARD_CASES}.json and {HARD_CASES}.md are in {folder.path}"
-    print_result(as_json, data(results), terminal_table(results), conclusion(results), where)
+        results = suite.run_cases(cases, lambda text: show(text, None))
+    data, files = suite.data(results), [f"{HARD_CASES}.{ending}" for ending in ("json", "md", "html")]
+    for name, text in zip(files, (to_json(data), suite.markdown(results), suite.html(results)), strict=True):
+        folder.write(name, text)
+    where = files_sentence(files, folder.path)
+    print_result(as_json, data, suite.terminal_table(results), suite.conclusion(results), where)
     return 0 if all(result.report.passed for result in results) else FAILURE
 
 

@@ -49,12 +49,14 @@ class Table:
         title, note: heading, and a sentence below the table.
         header: names of the columns.
         rows: cells.
+        texts: number of last columns that are sentences; on a phone each row is then a block.
     """
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    texts: int = 0
 
 
 def render_page(title: str, lead: str, plots: Sequence[Plot] = (), tables: Sequence[Table] = ()) -> str:

@@ -42,6 +42,7 @@ from flexfmu.cosim.metrics.signals import (
 from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, SECOND, Curve, Marker, Panel, packed
 from flexfmu.cosim.reports.page import WIDTH, Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.cosim.reports.work_precision import tried_settings
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.trajectories.curves import Point
@@ -283,6 +284,8 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         end_equilibrium: (2,) end effector in static equilibrium at the end pose [m]; None if unknown, which omits the dwell.
     """
     # a run that ended at its start has no curves
+    if run.accuracy is not None:
+        yield from tried_settings(run.accuracy, run.plan.stop_time)
     columns, caption = run.recording.columns, "The rigid mechanism at start, middle and end of the path."
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
         yield _to_scale("scene", "Scene", caption, scene_panel(run.plan))

@@ -8,6 +8,7 @@ from typing import Any
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display, display_error
 from flexfmu.cosim.reports.page import Plot, render
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
+from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
@@ -29,7 +30,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         summary: summary of the run by `flexfmu.cosim.reports.summary.summarise`.
         plots: plots of the run by `flexfmu.cosim.reports.plots.draw_plots`.
     """
-    health, metrics, errors = summary["health"], summary["metrics"], summary["errors"]
+    health, metrics, errors, drawn = summary["health"], summary["metrics"], summary["errors"], list(plots)
     return render(
         "report.html.j2",
         title=title_of(summary),
@@ -44,6 +45,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
                 "error": display(warning["metric"], warning["estimated_error"], digits=1),
             }
             for warning in health["warnings"]
+            if "accuracy" not in summary  # of other figures, which may be coarser
         ],
         tiles=[
             {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 5, errors[name])} for name in TILES
@@ -58,7 +60,9 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
             }
             for name, value in metrics.items()
         ],
-        plots=list(plots),
+        accuracy=summary.get("accuracy"),
+        accuracy_plots=[plot for plot in drawn if plot.key.startswith(ACCURACY)],
+        plots=[plot for plot in drawn if not plot.key.startswith(ACCURACY)],
         parameters=_scene_rows(summary["scene"]),
         tables=_tables(summary),
         versions=summary["versions"],
@@ -68,9 +72,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
 def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Return title → rows of the tables below the plots, without empty tables."""
     health, shaping, references = summary["health"], summary.get("shaping"), summary.get("references")
-    answer = summary.get("accuracy", {}).get("text", ())
     tables = {
-        "Accuracy": {str(number): sentence for number, sentence in enumerate(answer, start=1)},
         "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
         "Stress of the links": stress_rows(summary.get("stresses", ())),
         "Shaping": {

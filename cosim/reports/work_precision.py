@@ -19,6 +19,9 @@ HEIGHT = 320.0
 FLOOR = 1e-12
 """Errors below are drawn here: the references agree no better."""
 
+ACCURACY = "accuracy-"
+"""Begins the keys of the diagrams of a report."""
+
 FRONT = "cheapest of all"
 """Line of the settings that none beats in both error and time."""
 
@@ -62,16 +65,19 @@ def diagram(
         lines: what is drawn.
         duration: simulated time [s].
         marks: errors at which dashed lines are drawn, and their texts.
-        markers: further signs.
+        markers: settings that stand out; others aren't joined by lines then.
     """
-    curves = []
+    # the axes reach to the markers as well
+    around = [np.array([getattr(each, key) for each in markers]) for key in ("x", "y")]
+    curves = [Curve(*around, width=0.0, is_read=False)] if markers else []
     for number, (line, trials) in enumerate(lines.items()):
         colour, dashes = PALETTE[number % len(PALETTE)], "5,3" if number >= len(PALETTE) else ""
         colour = INK if line == FRONT else colour
         good, failed = ([each for each in trials if each.failed is wanted] for wanted in (False, True))
         place = points(good)
         notes = [f"{each.label}: {duration / (each.time or 1.0):.3g} times real time. {each.note}" for each in good]
-        curves.append(Curve(place[:, 0], place[:, 1], line, colour, dot="disc", notes=notes, dashes=dashes))
+        width = 0.0 if markers and line != FRONT else 1.4
+        curves.append(Curve(place[:, 0], place[:, 1], line, colour, width, dot="disc", notes=notes, dashes=dashes))
         # what failed, at real time and an error of 1
         if failed:
             ones, notes = np.ones(len(failed)), [f"{each.label} failed: {each.note}" for each in failed]
@@ -83,41 +89,30 @@ def diagram(
 
 
 def tried_settings(answer: AccuracyAnswer, duration: float) -> Iterator[Plot]:
-    """Yield a diagram for each figure of an accuracy: all settings that were tried, those chosen, the scene's own and the richest marked."""
+    """Yield a diagram for each figure of an accuracy: all settings that were tried; the chosen, the scene's own and the dearest are marked."""
     for figure in answer.figures:
-        size = abs(figure.value) or 1.0
+        size, own = abs(figure.value) or 1.0, answer.default
         trials = [each for each in answer.tried if each.family == figure.name]
         marked = [
             (figure.total / size, answer.chosen.time, "chosen"),
-            (figure.reference / size, answer.dearest.time, "richest"),
+            (figure.reference / size, answer.dearest.time, "dearest"),
+            *((each.error or 0.0, own.time, "default") for each in trials if own is not None and each.time == own.time),
         ]
-        own = answer.default
-        marked += [
-            (each.error or 0.0, each.time or 0.0, "the scene's own") for each in trials if own and each.time == own.time
-        ][:1]
-        label = definition(figure.name).label
+        places = [(max(error, FLOOR), 1e3 * time) for error, time, _ in marked]
+        lines = by_line(trials) | {FRONT: list(WorkCurve.of(trials).trials)}
         unit = "" if figure.value else f" [{figure.unit}]"
         yield diagram(
-            f"accuracy-{figure.name}",
+            f"{ACCURACY}{figure.name}",
             (
-                f"{label}: what its accuracy costs",
+                f"{definition(figure.name).label}: what its accuracy costs",
                 "Time of a run over the bound of the error, of the settings that were tried; dashed: what was asked.",
                 f"{'error' if unit else 'relative error'} beside the richest model{unit}",
             ),
-            fronts(trials),
+            lines,
             duration,
             [(figure.allowed / size, "asked")],
             [
-                Marker(
-                    max(error, FLOOR),
-                    1e3 * time,
-                    11.0,
-                    INK,
-                    0.35,
-                    "square" if text == "chosen" else "disc",
-                    text,
-                    (8.0, -5.0),
-                )
-                for error, time, text in marked
+                Marker(*place, 11.0, INK, 0.35, "square", text, (0.0, -9.0), "middle")
+                for place, (*_, text) in zip(places, marked, strict=True)
             ],
         )

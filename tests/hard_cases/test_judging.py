@@ -124,7 +124,9 @@ def test_command_tells_what_happened(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert "it refuses" in found["cases"][2]["happened"]
     table = (tmp_path / "hard-cases.md").read_text(encoding="utf-8")
     assert "it blew \\| up. error nan m (NOT <= 1e-05) | FAILED |" in table
-    assert "2 of 3 hard cases failed: bad, broken." in table
+    page = (tmp_path / "hard-cases.html").read_text(encoding="utf-8")
+    assert page.count('<td class="value failed">FAILED</td>') == 2
+    assert all("2 of 3 hard cases failed: bad, broken." in text for text in (table, page))
     good = CliRunner().invoke(app, ["workprec", "--hard", "--only", "GOOD", "--out", str(tmp_path)])
     assert good.exit_code == 0
     assert "All 1 hard cases passed." in good.stdout

@@ -149,9 +149,11 @@ def run_study(
         elif name == EFFECTS:
             try:
                 ladder = Ladder(scene, [PATH], lambda text, _: announce(text), journal)
-                found, errors = ladder.trials([(min(step, scene.cosimulation.communication_step), "automatic")])
+                own = step if is_smooth(scene) else scene.cosimulation.communication_step
+                found, errors = ladder.trials([(own, "automatic")])
                 trials += (replace(each, family=name) for each in found)
                 floors |= {(name, line): error for (_, line), error in errors.items()}
+                remarks.append(f"{name}: errors of {PATH} beside {ladder.reference}.")
             except CosimError as failure:
                 remarks.append(f"{name}: {failure}.")
         elif name == "formulations":
@@ -313,10 +315,10 @@ def cheapest(trials: Iterable[WorkPrecisionTrial], error: float) -> WorkPrecisio
 
 def sentence(study: WorkPrecisionStudy) -> str:
     """The cost of accuracy on this scene in one sentence."""
-    if study.is_of_metrics:
-        found = [(name, cheapest(study.family(name), 1e-3)) for name in study.families]
+    if not {*study.families} & {*CHOICES}:
+        found = [(name, cheapest(study.family(name), 1e-3)) for name in study.families if study.is_ladder(name)]
         parts = [
-            f"1e-3 of {name} costs {1e3 * (best.time or 0.0):.2g} ms ({best.line})"
+            f"1e-3 of {PATH if name == EFFECTS else name} costs {1e3 * (best.time or 0.0):.2g} ms ({best.line})"
             for name, best in found
             if best is not None
         ]

@@ -1,8 +1,5 @@
-"""The scene under test with its motion, its sample instants and its reference; the measured points of a work-precision diagram, and the
-curve through the best of them.
-
-Trials with our own FMU and master: integrators, communication steps, orders of the inputs, coupling algorithms; and the fidelity
-ladder: what leaving effects out costs in accuracy, and saves in time."""
+"""The scene under test with its motion, its sample instants and its reference; trials with our own FMU and master: integrators,
+communication steps, orders of the inputs, coupling algorithms."""
 
 from __future__ import annotations
 

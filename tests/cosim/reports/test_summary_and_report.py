@@ -16,6 +16,7 @@ import pytest
 from flexfmu.cosim.engine.files import to_json
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column
+from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, WorkPrecisionTrial
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
@@ -53,6 +54,38 @@ def report_of(run: Run) -> str:
     settings = settings_for(run) if run.completed else None
     plots = draw_plots(run, None if settings is None else settings.end_equilibrium)
     return render_report(summarise(run, measure_run(run)), plots)
+
+
+def test_a_report_shows_what_accuracy_costs(make_run: MakeRun) -> None:
+    """The answer's sentences, and every setting that was tried for each figure; what else is coarse isn't warned of."""
+    figures = tuple(
+        FigureError(name, unit, "0.01", 0.01 * value, value, 2e-3 * value, 1e-3 * value, 0.0)
+        for name, unit, value in (("peak_torque_1", "N.m", 70.0), ("residual_vibration_amplitude", "m", 1e-5))
+    )
+    costs = [(1e-1, 1e-3), (3e-3, 2e-3), (2e-3, 4e-3), (1e-5, 9e-3)]
+    tried = [
+        WorkPrecisionTrial(each.name, f"set {k % 2}", f"setting {k}", *cost)
+        for each in figures
+        for k, cost in enumerate(costs)
+    ]
+    chosen, own, dearest = (
+        PricedSettings(f"set; setting {k}", time, 1.0) for k, time in ((1, 2e-3), (0, 1e-3), (9, 0.1))
+    )
+    answer = AccuracyAnswer(figures, chosen, own, dearest, None, {}, 4, "nothing is cheaper", tuple(tried))
+    run = replace(make_run(), accuracy=answer)
+    page, plots = report_of(run), {each.key: each for each in draw_plots(run, None)}
+    Tags(page)
+    assert all(escape(sentence).replace("&#x27;", "&#39;") in page for sentence in answer.lines())
+    assert page.index("Accuracy</h2>") < page.index("what its accuracy costs") < page.index("Scene and plots</h2>")
+    for each in figures:
+        (panel,) = plots[f"accuracy-{each.name}"].panels
+        assert sum(curve.x.size for curve in panel.curves if curve.label.startswith("set ")) == len(costs)
+        assert {marker.text: (marker.x, marker.y) for marker in panel.markers} == {
+            "chosen": (pytest.approx(3e-3), pytest.approx(2.0)),
+            "default": (pytest.approx(1e-1), pytest.approx(1.0)),
+            "dearest": (pytest.approx(1e-12), pytest.approx(100.0)),
+        }
+    assert "tried" not in summarise(run, measure_run(run))["accuracy"]
 
 
 def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:

@@ -46,6 +46,7 @@ def test_shipped_schema_is_up_to_date(shipped: dict[str, Any]) -> None:
     generator = module_from_spec(spec)
     spec.loader.exec_module(generator)
     Draft7Validator.check_schema(shipped)
+    assert not Draft7Validator(shipped["properties"]["accuracy"]).is_valid({"peak_torque": 1e-3})
     assert json.loads(json.dumps(generator.schema())) == shipped
 
 
@@ -62,6 +63,7 @@ def test_our_scenes_are_accepted(path: Path, accepts: Callable[[dict[str, Any]],
     ("cosimulation.loop_solver", "anderson", True),
     ("shaper", [{"kind": "zvd", "modes": "along-path"}], True),
     ("controller", [{"kind": "pd", "proportional": [1e3, 2e3], "derivative": 10.0, "sample_time": 1e-3}], True),
+    ("accuracy", {"peak_torque_1": 1e-3, "gain_margin": "0.1"}, True),
     ("payload.mass", -1.0, False),
     ("payload.weight", 6.0, False),
     ("mechanism.working_mode", "up", False),
