@@ -283,9 +283,9 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         run: a run, complete or not.
         end_equilibrium: (2,) end effector in static equilibrium at the end pose [m]; None if unknown, which omits the dwell.
     """
-    # a run that ended at its start has no curves
     if run.accuracy is not None:
         yield from tried_settings(run.accuracy, run.plan.stop_time)
+    # a run that ended at its start has no curves
     columns, caption = run.recording.columns, "The rigid mechanism at start, middle and end of the path."
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
         yield _to_scale("scene", "Scene", caption, scene_panel(run.plan))
