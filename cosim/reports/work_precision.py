@@ -68,8 +68,8 @@ def diagram(
         markers: settings that stand out; others aren't joined by lines then.
     """
     # the axes reach to the markers as well
-    around = [np.array([getattr(each, key) for each in markers]) for key in ("x", "y")]
-    curves = [Curve(*around, width=0.0, is_read=False)] if markers else []
+    x, y = np.array([(each.x, each.y) for each in markers]).reshape(-1, 2).T
+    curves = [Curve(x, y, width=0.0, is_read=False)]
     for number, (line, trials) in enumerate(lines.items()):
         colour, dashes = PALETTE[number % len(PALETTE)], "5,3" if number >= len(PALETTE) else ""
         colour = INK if line == FRONT else colour
