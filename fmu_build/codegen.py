@@ -133,7 +133,8 @@ def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     # parameters, and values derived from them
     vectors |= dict.fromkeys(("p", "dp"), len(model.parameters))
     vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
-    vectors["start_rates"] = n_derived + n
+    vectors["start"] = 2 * n if model.nominals else n
+    vectors["start_rates"] = n_derived + vectors["start"]
     vectors |= {"margin": 1, "scale": 2 * n + 1}
     return {name: (size, 1) for name, size in vectors.items()} | {"m": (n, n)}
 
@@ -187,6 +188,7 @@ def _check_mass_matrix(model: SymbolicModel, functions: Mapping[str, casadi.Func
         # a point: parameters within their limits, coordinates, inputs, rates and accelerations
         p = np.array([_drawn(each, spread, random) for each in model.parameters])
         d, y, u = (functions[name](p).full().ravel() for name in ("derive", "initial_coordinates", "initial_inputs"))
+        y = y[: len(names)]
         y, u = (values + spread * random.standard_normal(values.size) for values in (y, u))
         if not float(functions["singularity"](y, u, d)) >= model.minimum_margin:
             continue

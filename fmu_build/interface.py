@@ -133,8 +133,9 @@ def build_interface(model: SymbolicModel) -> Interface:
     )
     state_of = {position: alias.name for position, alias in zip(states.derivatives, aliases, strict=True)}
     outputs = tuple(replace(each, derivative=state_of.get(position)) for position, each in enumerate(outputs))
-    # the initial state, counters, and the integrator, which initialisation doesn't need
-    initial = choice_variable(INITIAL, "static" if model.static_start else "undeformed", 0)
+    # the initial state of a model that has a choice, counters, and the integrator, which initialisation doesn't need
+    static = "static" if model.static_start else "undeformed"
+    initial = () if model.nominals else (choice_variable(INITIAL, static, 0),)
     counters = [counter_variable(name, text, number) for number, (name, text) in enumerate(STATISTICS.items(), 1)]
     method = choice_variable(INTEGRATOR, "automatic", INTEGRATOR_REFERENCE)
     text = "Fixed step of the integrator; 0 = the step follows from the tolerance"
@@ -142,13 +143,13 @@ def build_interface(model: SymbolicModel) -> Interface:
     # outputs depend on inputs and states, initial unknowns on all that can be set before
     direct, needed = feedthrough(model.outputs, model.inputs, model.feedthrough), state_dependencies(model)
     return Interface(
-        variables=(*settable, *aliases, *outputs, initial, *counters, method, step),
+        variables=(*settable, *aliases, *outputs, *initial, *counters, method, step),
         outputs={
             each.name: (*direct[each.name], *(aliases[k].name for k in states_needed))
             for each, states_needed in zip(outputs, needed, strict=True)
         },
         initial_unknowns=tuple(each.name for each in (*aliases, *outputs)),
-        initial_knowns=tuple(each.name for each in (*settable, initial)),
+        initial_knowns=tuple(each.name for each in (*settable, *initial)),
         derivatives=tuple(outputs[position].name for position in states.derivatives),
     )
 
@@ -258,7 +259,7 @@ USUAL_ANGLE = 1.0
 
 @dataclass(frozen=True)
 class States:
-    """Outputs and nominal values of the 2 n states y, dy/dt.
+    """Outputs and nominal values of the states: coordinates, then rates (`SymbolicModel.states`).
 
     Attributes:
         outputs: index of the output that equals each state, from 0.
@@ -285,21 +286,27 @@ def find_states(model: SymbolicModel) -> States:
     """
     position: dict[str | None, int] = {variable.name: index for index, variable in enumerate(model.outputs)}
     derivative = {variable.derivative_of: variable.name for variable in model.outputs}
-    # coordinates, velocities, accelerations
-    levels = [list(model.unknowns)]
-    for _ in range(2):
-        levels.append([_shown(derivative, name, "time derivative of") for name in levels[-1]])
-    y, v, a = ([_shown(position, name, "state") for name in names] for names in levels)
-    return States((*y, *v), (*v, *a), _nominals(model))
+    # coordinates, velocities, accelerations; the name of an unknown of first order is that of its rate
+    rates = model.degrees_of_freedom - model.has_clock
+    names = list(model.unknowns[: rates - model.first_order])
+    velocities = [_shown(derivative, name, "time derivative of") for name in names]
+    velocities += model.unknowns[len(names) : rates]
+    accelerations = [_shown(derivative, name, "time derivative of") for name in velocities]
+    y, v, a = ([_shown(position, name, "state") for name in each] for each in (names, velocities, accelerations))
+    return States((*y, *v), (*v[: len(y)], *a), model.nominals or _nominals(model))
 
 
 def state_dependencies(model: SymbolicModel) -> tuple[tuple[int, ...], ...]:
-    """For each output the indices 0 .. 2 n - 1 of the states that it depends on; all if it depends on accelerations."""
+    """For each output the numbers of the states that it depends on; all if it depends on accelerations."""
     outputs, n = model.functions["outputs"], model.degrees_of_freedom
     y, v, a = (_rows(outputs.jac_sparsity(0, argument)) if n else {} for argument in range(3))
-    everything = tuple(range(2 * n))
+    number = {place: k for k, place in enumerate(model.states)}
     return tuple(
-        everything if row in a else (*sorted(y.get(row, ())), *(n + k for k in sorted(v.get(row, ()))))
+        tuple(number.values())
+        if row in a
+        else tuple(
+            number[k] for k in (*sorted(y.get(row, ())), *(n + k for k in sorted(v.get(row, ())))) if k in number
+        )
         for row in range(len(model.outputs))
     )
 

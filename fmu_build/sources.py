@@ -21,7 +21,7 @@ from flexfmu.fmu_build.codegen import (
 from flexfmu.fmu_build.description import Content, Description, FmuKind, description_xml, documentation
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import build_interface
+from flexfmu.fmu_build.interface import build_interface, find_states
 from flexfmu.fmu_build.naming import Naming, named, namer
 from flexfmu.fmu_build.picture import plant_picture
 from flexfmu.fmu_build.templating import render
@@ -158,9 +158,8 @@ def _plant_content(model: SymbolicModel, naming: Naming, experiment: DefaultExpe
         tables = generate_description(named(model, naming), facts, guid, experiment.tolerance, has_lanes=has_lanes)
         return functions | {DESCRIPTION_FILE: tables}
 
-    # states on the page: each coordinate, then its time derivative
-    rates, name = {output.derivative_of: output.name for output in model.outputs}, namer(naming)
-    states = [name(each) for unknown in model.unknowns for each in (unknown, rates[unknown])]
+    # states on the page
+    states = [namer(naming)(model.outputs[k].name) for k in find_states(model).outputs]
     return Content(
         "plant",
         plant_description(model),
@@ -181,6 +180,12 @@ MAX_OUTPUT_DERIVATIVE_ORDER = 2
 """Highest order of a plant's output derivatives, which the runtime calculates exactly."""
 
 
+_ADVICE = (
+    " For model exchange take an implicit solver with error control (CVODE with BDF): the links' fast modes make explicit ones unstable "
+    "at the step size of the default experiment."
+)
+
+
 def plant_description(model: SymbolicModel) -> Description:
     """The content of a plant's model description.
 
@@ -190,11 +195,9 @@ def plant_description(model: SymbolicModel) -> Description:
     return Description(
         name=model.name,
         text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
-        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact. For model exchange take an "
-        f"implicit solver with error control (CVODE with BDF): the links' fast modes make explicit ones unstable at the step "
-        f"size of the default experiment.",
+        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact.{'' if model.nominals else _ADVICE}",
         interface=build_interface(model),
-        choices=(INITIAL, INTEGRATOR),
+        choices=(INTEGRATOR,) if model.nominals else (INITIAL, INTEGRATOR),
         max_input_order=MAX_INPUT_ORDER,
         max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
         has_tolerance=True,

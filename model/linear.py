@@ -11,9 +11,9 @@ from difflib import get_close_matches
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import casadi
 import numpy as np
 
+from flexfmu.model.contract import Linearisation, LinearPlant
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.assembly import motor_angles
@@ -66,9 +66,7 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
         ValueError: an output is unknown, or the position is out of reach.
         EquilibriumError: there is no equilibrium.
     """
-    import control
-
-    plant = _plant(scene)[0]
+    plant = _plant(scene).model
     names = [variable.name for variable in plant.outputs]
     for name in outputs or ():
         if name not in names:
@@ -76,32 +74,26 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
             listed = f"{', '.join(near)} and {len(names) - len(near)} others"
             raise ValueError(f"the plant has no output `{name}`; its outputs: {listed}")
     linear = linear_plant(scene, position, names if outputs is None else outputs)
-    # states are the unknowns and their rates
-    states = [*plant.unknowns, *(f"der({name})" for name in plant.unknowns)]
+    return state_space(plant, linear)
+
+
+def state_space(plant: SymbolicModel, linear: LinearPlant) -> control.StateSpace:
+    """A linear plant for python-control; its states are the coordinates, their rates, and what is of first order.
+    Without inputs it has one, ``none``, that moves nothing."""
+    import control
+
+    second = plant.degrees_of_freedom - plant.has_clock - plant.first_order
+    names = [*plant.unknowns, *(name if k >= second else f"der({name})" for k, name in enumerate(plant.unknowns))]
+    states = [names[k] for k in plant.states]
+    # python-control has no systems without inputs
+    inputs, b, d = linear.inputs or ("none",), linear.b, linear.d
+    if not linear.inputs:
+        b, d = np.zeros((len(states), 1)), np.zeros((len(linear.outputs), 1))
     labels = {
         key: [signal_label(name) for name in each]
-        for key, each in (("states", states), ("inputs", linear.inputs), ("outputs", linear.outputs))
+        for key, each in (("states", states), ("inputs", inputs), ("outputs", linear.outputs))
     }
-    return control.ss(linear.a, linear.b, linear.c, linear.d, name=signal_label(plant.name), **labels)
-
-
-@dataclass(frozen=True, eq=False)
-class LinearPlant:
-    """dx/dt = A x + B u, y = C x + D u: the torque-driven plant about an equilibrium.
-
-    Attributes:
-        a, b, c, d: the matrices.
-        inputs, outputs: names of the FMU's variables, in the order of u and y.
-        rest: values of the inputs and of the outputs at the equilibrium.
-    """
-
-    a: RealArray
-    b: RealArray
-    c: RealArray
-    d: RealArray
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    rest: tuple[RealArray, RealArray]
+    return control.ss(linear.a, b, linear.c, d, name=signal_label(plant.name), **labels)
 
 
 def without_coulomb_friction(scene: Scene) -> Scene:
@@ -118,26 +110,9 @@ def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[
         ValueError: the position is out of reach.
         EquilibriumError: there is no equilibrium.
     """
-    (plant, derived, residual, output_jacobians), point = _plant(scene), operating_point(scene, position)
-    names = [variable.name for variable in plant.outputs]
-    rows = [names.index(name) for name in outputs]
-    n, m = len(plant.unknowns), len(plant.inputs)
-    rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
-    # accelerations as functions of states and inputs: M a + C v + K y + B u = 0
-    stiffness, damping, mass, load = (np.asarray(each.full()) for each in residual(*rest))
-    response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
-    by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
-    # outputs, which depend on the accelerations too
-    c_y, c_v, c_a, c_u = (np.asarray(each.full()) for each in output_jacobians(*rest))
-    return LinearPlant(
-        a=np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state]),
-        b=np.vstack([np.zeros((n, m)), by_input]),
-        c=(np.hstack([c_y, c_v]) + c_a @ by_state)[rows],
-        d=(c_u + c_a @ by_input)[rows],
-        inputs=tuple(variable.name for variable in plant.inputs),
-        outputs=tuple(outputs),
-        rest=(point.inputs, np.asarray(plant.functions["outputs"](*rest, derived).full())[rows, 0]),
-    )
+    point = operating_point(scene, position)
+    still = np.zeros(len(point.coordinates))
+    return _plant(scene).about((point.coordinates, still, still, point.inputs), outputs)
 
 
 def signal_label(name: str) -> str:
@@ -146,15 +121,6 @@ def signal_label(name: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def _plant(scene: Scene) -> tuple[SymbolicModel, casadi.DM, casadi.Function, casadi.Function]:
-    """The plant, its derived values, and the Jacobians of residual and outputs by coordinates, rates, accelerations and inputs."""
-    plant = torque_driven_plant(scene)
-    n, m = len(plant.unknowns), len(plant.inputs)
-    arguments = [casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m))]
-    derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
-
-    def jacobians(name: str) -> casadi.Function:
-        expression = plant.functions[name](*arguments, derived)
-        return casadi.Function(name, arguments, [casadi.jacobian(expression, x) for x in arguments])
-
-    return plant, derived, jacobians("residual"), jacobians("outputs")
+def _plant(scene: Scene) -> Linearisation:
+    """The plant with its Jacobians."""
+    return Linearisation.of(torque_driven_plant(scene))

@@ -18,6 +18,7 @@ import numpy as np
 from flexfmu.model import time_derivatives
 from flexfmu.model.choice_text import choice_notes
 from flexfmu.model.closure import ProjectedForces
+from flexfmu.model.contract import contract_functions
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.robot import Family
 from flexfmu.model.scene.assembly import WORKING_MODES, bases, elbows, motor_angles
@@ -73,29 +74,10 @@ class PlantEquations:
 
 def make_plant(scene: Scene, five_bar: FiveBar, equations: PlantEquations) -> SymbolicModel:
     """The symbolic model of a plant."""
-    # symbols of the motion, of the parameters p and of the derived values d
     motion, residual = equations.motion, equations.residual
     outputs = casadi.vertcat(*(casadi.SX(expression) for _, expression in equations.outputs))
-    y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
-    # derived values and start values, from the parameters
     derived = five_bar.registry.resolved()
-    start = casadi.vertcat(derived, equations.initial_coordinates)
     side = 1 if scene.mechanism.assembly_mode == "left" else -1
-    # the functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`
-    results = {
-        "derive": ([p], derived),
-        "initial_inputs": ([p], equations.initial_inputs),
-        "initial_coordinates": ([p], equations.initial_coordinates),
-        "start_forward": time_derivatives.forward([p], start),
-        "residual": ([y, v, a, u, d], residual),
-        "mass_matrix": ([y, u, d], casadi.tril2symm(casadi.tril(casadi.jacobian(residual, a)))),
-        "outputs": ([y, v, a, u, d], outputs),
-        "motion_forward": time_derivatives.motion_forward(motion, residual, outputs, d),
-        "motion_rate1": time_derivatives.motion_rate1(motion, residual, outputs, d),
-        "motion_rate2": time_derivatives.motion_rate2(motion, residual, outputs, d),
-        "singularity": ([y, u, d], side * five_bar.closure.sine),
-        "error_scale": ([d], equations.error_scale),
-    }
     return SymbolicModel(
         name=scene.name,
         description=equations.description,
@@ -103,10 +85,15 @@ def make_plant(scene: Scene, five_bar: FiveBar, equations: PlantEquations) -> Sy
         inputs=equations.inputs,
         parameters=five_bar.registry.variables,
         outputs=tuple(variable for variable, _ in equations.outputs),
-        functions={
-            name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
-            for name, (arguments, result) in results.items()
-        },
+        functions=contract_functions(
+            motion,
+            residual,
+            outputs,
+            (five_bar.registry.p, five_bar.registry.d),
+            (derived, equations.initial_inputs, equations.initial_coordinates),
+            side * five_bar.closure.sine,
+            equations.error_scale,
+        ),
         acceleration_terms=time_derivatives.acceleration_terms(motion, outputs),
         feedthrough=_feedthrough(equations),
         static_start=scene.cosimulation.initial == "static",

@@ -8,6 +8,10 @@ torque-driven plant: actuated and elastic coordinates)::
 with the inputs ``u`` and the derived values ``d``, computed once from the FMI parameters ``p``. The mass matrix M is
 symmetric and positive definite; a build refuses one that isn't symmetric, or not the Jacobian of r by y''.
 
+Any equations fit (`flexfmu.fmu_build.own_models` makes them of a user's): a state x of first order, x' = f, is the rate of an unknown
+on whose coordinate, the integral of x, nothing depends; time is an unknown with the rate 1. Neither the integral nor time is a state
+of the FMU. The unknowns are those of second order, those of first order, and time.
+
 A block is a discrete-time system: a controller, shaper or imperfection. Its Python slave and its FMU have the same
 equations, so their results are the same. At its sample instants t_k = offset + k * sample_time it reads its inputs u,
 sets its outputs y and updates its states x::
@@ -33,7 +37,7 @@ Causality = Literal["input", "parameter", "output"]
 FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "derive": (("p",), "d"),
     "initial_inputs": (("p",), "u"),
-    "initial_coordinates": (("p",), "y"),
+    "initial_coordinates": (("p",), "start"),
     "start_forward": (("p", "dp"), "start_rates"),
     "residual": (("y", "v", "a", "u", "d"), "r"),
     "mass_matrix": (("y", "u", "d"), "m"),
@@ -176,6 +180,11 @@ class SymbolicModel:
         effects: documentation of the effects in the model.
         drawing: drawing of the mechanism, or None.
         pose: names of the outputs that give the pose in messages.
+        first_order: number of unknowns of first order; their names are those of their rates, the states.
+        has_clock: whether the last unknown is the time.
+        nominals: usual sizes of the states, positive, in their order; the tolerance is relative to them, or to the largest value that a
+            state has had. Empty for a model with an error norm of its own, at rest at the start; otherwise
+            `initial_coordinates` gives the rates behind the coordinates.
     """
 
     name: str
@@ -199,6 +208,16 @@ class SymbolicModel:
     effects: tuple[EffectNote, ...] = ()
     drawing: Drawing | None = None
     pose: tuple[str, ...] = ()
+    first_order: int = 0
+    has_clock: bool = False
+    nominals: tuple[float, ...] = ()
+
+    @property
+    def states(self) -> tuple[int, ...]:
+        """Which of [y, v] (2 n) are states."""
+        n = self.degrees_of_freedom
+        rates = n - self.has_clock
+        return (*range(rates - self.first_order), *range(n, n + rates))
 
     @property
     def degrees_of_freedom(self) -> int:

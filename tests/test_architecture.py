@@ -45,8 +45,8 @@ UNKNOWN: Mapping[str, tuple[str, ...]] = {
 }
 """Room → rooms below it that it must not know."""
 
-TYPES = ("model.symbolic",)
-"""All that `fmu_build` knows of the model: the types of what it is given."""
+TYPES = ("model.symbolic", "model.contract", "model.time_derivatives")
+"""All that `fmu_build` knows of the model: the types of what it is given, and the functions of any model from its equations."""
 
 OPTIONAL = ("distributed", "exudyn", "mcap", "pandas", "pyarrow", "ruckig", "toppra", "xarray")
 """Libraries that a user may not have or seldom needs: they may be imported within functions."""
@@ -99,7 +99,6 @@ ALONE = {
     "cosim.studies.workprec.solver_trials": "other solvers and equations for them, which hard cases use too",
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
-    "model.time_derivatives": "derivatives of the equations along a motion, for the runtime",
     "model.multipliers": "the second form of the equations",
     "model.reference_design.optimal_control": "sequential convex programmes",
     "model.reference_design.robust_correction": "correction over a band",

@@ -3,6 +3,7 @@ file, checks of any FMU, and where built FMUs are kept."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from math import gcd, inf
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flexfmu.cosim.cli import console
-from flexfmu.cosim.engine.errors import FmuFileError
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import Naming
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from flexfmu.cosim.engine.master.system import System
     from flexfmu.cosim.exchange.slave_export import ExportedSystem
+    from flexfmu.fmu_build.build import BuiltFmu
 
 
 def build(
@@ -31,16 +33,20 @@ def build(
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
-    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange.
+    """Build the FMI 2.0 FMU of a scene, or of a model from equations, for co-simulation and model exchange.
 
     Args:
-        output (--output, -o FILE.fmu): Default: the scene's name, here.
+        scene: A scene, or MODEL.py:NAME, a Python file, which is run, and the name of its model from flexfmu.ode, second_order, lagrangian
+            or dae.
+        output (--output, -o FILE.fmu): Default: the scene's or model's name, here.
         enumerations: Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.
     """
     from flexfmu.cosim.experiment.scene_build import build_scene
     from flexfmu.cosim.reports.summary import choice_summary
     from flexfmu.model.choice_text import choice_sentence
 
+    if (own := re.fullmatch(r"(.+\.py):(\w+)", scene)) is not None:
+        return _build_own(Path(own[1]), own[2], output, platform, naming, enumerations, settings, json)
     # choose effects where the scene leaves them open, then build
     robot = console.load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
@@ -59,12 +65,54 @@ def build(
         )
     choice = choice_summary(robot)
     data = asdict(built) | {"path": str(built.path)} | ({"effect_choice": choice} if choice else {})
+    sentences = [choice_sentence(robot)] if robot.effects.choice is not None else []
+    console.print_result(json, data, *sentences, _where(built))
+    return 0
+
+
+def _where(built: BuiltFmu) -> str:
+    """A line on a built FMU."""
     origin = "taken from the cache" if built.cached else "built"
-    where = (
+    return (
         f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
         f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}"
     )
-    console.print_result(json, data, *([choice_sentence(robot)] if robot.effects.choice is not None else []), where)
+
+
+def _build_own(
+    file: Path,
+    name: str,
+    output: Path | None,
+    platform: list[str] | None,
+    naming: Naming,
+    enumerations: bool,
+    settings: list[str] | None,
+    json: bool,
+) -> int:
+    """Build the FMU of the model with a name in a Python file, which is run."""
+    from flexfmu.cosim.experiment.user_slaves import from_source
+    from flexfmu.fmu_build.build import build_fmu
+    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
+
+    if settings:
+        raise InputError(f"--set changes a scene; {file} has a model: change it there, or set the FMU's parameters")
+    if not file.is_file():
+        raise InputError(f"there is no file {file}")
+    model = from_source(f"{file.stem}:{name}", {}, file.parent)
+    if not isinstance(model, SymbolicModel | SymbolicBlock):
+        raise InputError(
+            f"{name} of {file} is a {type(model).__name__}, not a model; make it with flexfmu.ode, second_order, lagrangian or dae"
+        )
+    with console.progress() as show:
+        built = build_fmu(
+            model,
+            output or Path(f"{model.name}.fmu"),
+            platforms=platform or None,
+            naming=naming,
+            enumerations=enumerations,
+            progress=lambda text: show(text, None),
+        )
+    console.print_result(json, asdict(built) | {"path": str(built.path)}, _where(built))
     return 0
 
 

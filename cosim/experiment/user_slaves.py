@@ -15,6 +15,7 @@ from typing import Any
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Slave
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.loop import RESERVED
 
 
@@ -57,26 +58,30 @@ class SlaveNames:
 
 
 def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = None) -> Slave:
-    """Make a slave from a function with `flexfmu.controller`, a block, a python-control system, the path of an FMU, or a slave.
+    """Make a slave from a model of equations, a function with `flexfmu.controller`, a block, a python-control system, the path of an FMU,
+    or a slave.
 
     The FMU of a block has the sample time of the block; an FMU without variable step is sampled at the step size of its
     default experiment; all others make communication steps. For another sample time use
     `flexfmu.cosim.engine.fmu.sampled_slave.fmu_slave`.
 
     Args:
-        source: function, block, python-control system, path or slave.
+        source: model, function, block, python-control system, path or slave.
         names: names assigned so far.
         name: name of the slave; by default from the block, file or slave.
 
     Raises:
         InputError: the source is none of these, the name is taken, or the FMU can't be loaded.
+        BuildError: the FMU of a model can't be built.
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
     from flexfmu.cosim.control.controllers.own_function import FunctionController
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
-    from flexfmu.model.symbolic import SymbolicBlock
+    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
 
     names = names or SlaveNames()
+    if isinstance(source, SymbolicModel):
+        return fmu_slave(build_fmu(source).path, names.of_file(source.name, name))
     if isinstance(source, SymbolicBlock):
         return BlockSlave(source, names.chosen(name, source.name))
     if isinstance(source, FunctionController):
@@ -94,7 +99,7 @@ def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = No
             slave.name = name  # type: ignore[misc]
         return slave
     raise InputError(
-        f"a {type(source).__name__} can't be a slave: take a function with @flexfmu.controller, a SymbolicBlock, a slave, a "
+        f"a {type(source).__name__} can't be a slave: take a model, a function with @flexfmu.controller, a SymbolicBlock, a slave, a "
         "python-control system or an FMU's path"
     )
 

@@ -332,7 +332,9 @@ def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Rea
         initialize_perturbed(instance)
         if not all(instance.step(n) for n in range(begin)):
             return np.array(jets)
-        for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps - begin, MOST_POINTS)):
+        # no further than the stop time
+        within = (fmu.all_steps - begin) * parts if fmu.has_variable_step else fmu.steps - begin
+        for n in range(min(within, MOST_POINTS)):
             if not instance.step(begin + n / parts, parts):
                 break
             jets.append(jet(instance))

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from flexfmu.cosim.engine.errors import InputError, LoopWarning, RunWarning, suggestion
@@ -20,9 +21,11 @@ from flexfmu.cosim.experiment.run_options import RunOptions
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.model.scene.file import as_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicModel
 from flexfmu.systems import Part, Parts, listed, with_parts
 
 if TYPE_CHECKING:
@@ -226,29 +229,38 @@ def compare(
 
 
 def build(
-    scene: SceneSource,
+    scene: SceneSource | SymbolicModel,
     output: str | Path | None = None,
     *,
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
+    step: float | None = None,
+    stop_time: float | None = None,
+    tolerance: float | None = None,
 ) -> Path:
-    """Build the FMI 2.0 FMU of a scene's robot, for co-simulation and model exchange, or take it from the cache.
+    """Build the FMI 2.0 FMU of a scene's robot or of a model from equations, for co-simulation and model exchange, or take it from the
+    cache.
 
-    `flexfmu.cosim.experiment.scene_build.build_scene` does the same and also returns GUID, size and build time.
+    `flexfmu.cosim.experiment.scene_build.build_scene` and `flexfmu.fmu_build.build.build_fmu` do the same and also return GUID, size and
+    build time.
 
     Args:
-        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        scene: a scene, the path of a scene file, or the name of a shipped scene; or what `flexfmu.ode`, `second_order`, `lagrangian` or
+            `dae` returns.
         output: file to write; None leaves the FMU in the cache.
         platforms: FMI platforms whose binaries the FMU gets: linux64, win64, darwin64, aarch64-linux, aarch64-darwin; None
             for this machine's.
         naming: names of the FMU's variables, ``structured`` (``link11.bending[1]``) or ``flat`` (``link11_bending_1``).
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI Enumerations instead of Integers.
+        step, stop_time, tolerance: communication step [s], end [s] and relative tolerance of a model's default experiment; None for
+            0.2 ms, 1 s and 1e-6. A scene has its own.
 
     Returns:
         The path of the FMU.
 
     Raises:
+        InputError: step, stop time or tolerance are given for a scene.
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
         BuildError: a platform is unknown, there is no compiler, the compiler fails, or the file can't be written.
         TrajectoryError, ResultsError: with ``select = "auto"``, the motion is not feasible, or a run that verifies the choice
@@ -256,6 +268,14 @@ def build(
         TypeError: ``scene`` is of another type.
     """
     target = None if output is None else Path(output)
+    usual = {"step": step, "stop_time": stop_time, "tolerance": tolerance}
+    experiment: dict[str, Any] = {name: value for name, value in usual.items() if value is not None}
+    if isinstance(scene, SymbolicModel):
+        return build_fmu(
+            scene, target, platforms=platforms, naming=naming, enumerations=enumerations, **experiment
+        ).path
+    if experiment:
+        raise InputError(f"{min(experiment)} is for models from equations; a scene has its own, under [cosimulation]")
     chosen = resolved(as_scene(scene))
     return build_scene(chosen, output=target, platforms=platforms, naming=naming, enumerations=enumerations).path
 
@@ -392,33 +412,51 @@ def modes(scene: SceneSource, poses: int = 11) -> ModesAlongPath:
 
 
 def linearize(
-    scene: SceneSource, position: tuple[float, float], outputs: Sequence[str] | None = None
+    scene: SceneSource | SymbolicModel,
+    position: tuple[float, float] | Mapping[str, float] = MappingProxyType({}),
+    outputs: Sequence[str] | None = None,
 ) -> control.StateSpace:
-    """Linearise the torque-driven robot about its static equilibrium at a pose, for python-control.
+    """Linearise the torque-driven robot about its static equilibrium at a pose, or a model about a point, for python-control.
 
-    Calls `flexfmu.model.linear.linearize`.
+    Calls `flexfmu.model.linear.linearize`, and for a model `flexfmu.fmu_build.own_models.linear_about`.
+
+        flexfmu.linearize(cart_pole, {"theta": 0.0}, ["theta"])
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive the robot whatever its
-            ``cosimulation.drive``.
-        position: x, y of the rigid end effector at the pose [m].
+            ``cosimulation.drive``. Or a model from equations.
+        position: x, y of the rigid end effector at the pose [m]. For a model the values of states and inputs at the point; the start
+            value for others.
         outputs: names of FMU variables, for example ``["joint1.position"]``; None for all outputs of the FMU.
 
     Returns:
         The state space dx/dt = A x + B u, y = C x + D u in deviations from the equilibrium. The states are the coordinates
         [q_a, q_e] (motor angles, elastic coordinates) and their rates, the inputs ``joint1_torque``, ``joint2_torque`` [N.m],
         ``force_x`` and ``force_y`` [N]. Signals have the names and units of the FMU's variables, with underscores for dots.
+        A model's states are coordinates, rates, and states of first order.
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        InputError: the position isn't that of a scene.
+        ModelError: a state, input or output of a model is unknown, or the model gives no finite number at the point.
         ValueError: an output is unknown, or the position is out of reach.
         EquilibriumError: the robot has no static equilibrium at the pose.
         TrajectoryError, BuildError, ResultsError: with ``select = "auto"``, the motion is not feasible, or a run that verifies
             the choice of effects can't be built or failed.
         TypeError: ``scene`` is of another type.
     """
-    from flexfmu.model.linear import linearize as linearize_scene  # needs CasADi, which `run` does without
+    from flexfmu.fmu_build.own_models import linear_about  # needs CasADi, which `run` does without
+    from flexfmu.model.linear import linearize as linearize_scene
+    from flexfmu.model.linear import state_space
 
+    if isinstance(scene, SymbolicModel):
+        if not isinstance(position, Mapping):
+            raise InputError(
+                f"the point of a model gives values by name, {{'theta': 0.0}} for example, got {position!r}"
+            )
+        return state_space(scene, linear_about(scene, position, outputs))
+    if isinstance(position, Mapping):
+        raise InputError("linearize needs the position x, y [m] of the end effector of a scene")
     return linearize_scene(resolved(as_scene(scene)), position, outputs)
 
 

@@ -17,8 +17,10 @@ from flexfmu.cosim.engine.master.system import connect as connect_slaves
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
+from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
+from flexfmu.model.symbolic import SymbolicModel
 
 Part = Any
 """A part of the loop: what a function of `flexfmu.control`, `flexfmu.shapers` ... returns, the same as a table (dict), a function with
@@ -127,14 +129,15 @@ def slave(
     parameters: Mapping[str, float | int | bool | str] | None = None,
     sample_time: float | None = None,
 ) -> Slave:
-    """Make a slave for `simulate` of an FMU, a function with `flexfmu.controller`, a python-control system, a block or an object.
+    """Make a slave for `simulate` of an FMU, a model from equations (`flexfmu.ode` ...), a function with `flexfmu.controller`, a
+    python-control system, a block or an object.
 
         motor = flexfmu.slave("motor.fmu", "motor", parameters={"inertia": 0.1})
 
     Args:
         source: path of an FMU, or one of the others.
-        name: name of the slave; None for that of the file, function or object.
-        parameters: name → start value, of an FMU.
+        name: name of the slave; None for that of the file, model, function or object.
+        parameters: name → start value, of an FMU or a model.
         sample_time: period [s] at which an FMU is stepped; None for its own, or every communication step.
 
     Returns:
@@ -143,17 +146,19 @@ def slave(
     Raises:
         InputError: the source can't be a slave, the FMU can't be loaded or lacks a parameter, or parameters or a sample time are
             given for something else.
+        BuildError: the FMU of a model can't be built.
     """
-    if isinstance(source, str | PathLike):
-        path = fspath(source)
-        return fmu_slave(path, SlaveNames(()).of_file(path, name), dict(parameters or {}), sample_time=sample_time)
+    if isinstance(source, str | PathLike | SymbolicModel):
+        path = fspath(build_fmu(source).path if isinstance(source, SymbolicModel) else source)
+        known = SlaveNames(()).of_file(source.name if isinstance(source, SymbolicModel) else path, name)
+        return fmu_slave(path, known, dict(parameters or {}), sample_time=sample_time)
     if parameters or sample_time is not None:
         raise InputError(f"parameters and sample_time are those of an FMU, got {type(source).__name__}: leave them out")
     return as_slave(source, SlaveNames(()), name)
 
 
 def simulate(
-    slaves: Iterable[Any],
+    slaves: Iterable[Any] | SymbolicModel | str | PathLike[str],
     connections: Mapping[str, str] | None = None,
     *,
     stop_time: float,
@@ -165,13 +170,13 @@ def simulate(
     loops: bool = False,
     progress: Progress | None = None,
 ) -> Simulation:
-    """Co-simulate slaves without a scene: FMUs of any tool, Python objects, python-control systems.
+    """Co-simulate slaves without a scene: FMUs of any tool, models from equations, Python objects, python-control systems.
 
         found = flexfmu.simulate(["drive.fmu", "load.fmu"], {"load.torque": "drive.torque"}, stop_time=1.0, step=1e-3)
         found.recording["load.speed"].values, found.outcome
 
     Args:
-        slaves: what `slave` makes, or takes.
+        slaves: what `slave` makes, or takes; a model or the path of an FMU alone too.
         connections: ``slave.input`` → ``slave.output``.
         stop_time, start_time: [s].
         step: communication step [s]; instants of sampled slaves are met exactly beside it.
@@ -191,6 +196,7 @@ def simulate(
             times don't fit together.
     """
     names = SlaveNames(())  # nothing is reserved without a scene
+    slaves = [slaves] if isinstance(slaves, SymbolicModel | str | PathLike) else slaves
     made = [as_slave(each, names) for each in listed(slaves, "slaves")]
     if not made:
         raise InputError("there is nothing to simulate: give at least one slave")

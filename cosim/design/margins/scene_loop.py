@@ -25,7 +25,8 @@ from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 from flexfmu.cosim.experiment.wiring import wire
 from flexfmu.fmu_build.cache import content_hash, package_fingerprint, read_cached, store
-from flexfmu.model.linear import LinearPlant, linear_plant, without_coulomb_friction
+from flexfmu.model.contract import LinearPlant
+from flexfmu.model.linear import linear_plant, without_coulomb_friction
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray

@@ -51,6 +51,10 @@ typedef struct {
   int n_locked;     /* the first unknowns are actuated: given at the start, held there while the others find their static
                        equilibrium; each belongs to the input of the same index, a generalised force that enters the
                        residual with the factor -1 and holds the equilibrium unless it is set */
+  int n_first;      /* so many unknowns after the others are of first order: their rates v are the states, and nothing depends
+                       on their coordinates y, the integrals of these */
+  int has_clock;    /* 1 = the last unknown is the time: y = t, v = 1; it is no state */
+  int n_start;      /* numbers that `initial_coordinates` gives: n at rest, 2 n with the rates */
   int n_inputs;     /* m */
   int n_rate_inputs; /* the last inputs are rates, zero at rest: the static equilibrium doesn't see them */
   int n_parameters; /* FMI parameters p */
@@ -60,8 +64,8 @@ typedef struct {
 
   const flex_variable *input_variables, *parameter_variables, *output_variables;
 
-  const int *state_outputs;     /* which output shows each of the 2 n states y and v; NULL if none does */
-  const double *state_nominals; /* their usual sizes [2 n], positive; NULL for 1 */
+  const int *state_outputs;     /* which output shows each of the states, coordinates then rates; NULL if none does */
+  const double *state_nominals; /* their usual sizes, positive; NULL for 1 */
 
   int n_acceleration_terms;
   const flex_term *acceleration_terms; /* the entries of do/da that motion_forward gives; NULL if there are none */
@@ -74,13 +78,14 @@ typedef struct {
 
   int static_start;          /* start value of `initial`: 1 = static equilibrium, 0 = undeformed */
   int is_damped;             /* 1 = something takes energy out of the vibrations */
+  int sizes_grow;            /* 1 = the weights of `error_scale` are 1 / size^2, with sizes that grow with the motion */
   double default_tolerance;  /* relative tolerance where fmi2SetupExperiment gives none */
   double minimum_margin;     /* smallest admissible value of `singularity` */
   const char *margin_name;   /* what `singularity` measures, for messages */
 
   flex_function derive;         /* (p) -> d */
   flex_function initial_inputs; /* (p) -> u: inputs at the start pose, for inputs that were never set */
-  flex_function initial_coordinates; /* (p) -> y at the start, undeformed */
+  flex_function initial_coordinates; /* (p) -> y at the start, undeformed; [y, v] where n_start is 2 n */
   flex_function residual;       /* (y, v, a, u, d) -> r [n] */
   /* the residual of four points side by side: four numbers for each coordinate and input. NULL where the compiler or the
    * equations have no lanes */
@@ -92,7 +97,7 @@ typedef struct {
    * share most of their operations, so one function gives both, without what changes of the acceleration add: M da to dr,
    * do/da da to do. */
   flex_function motion_forward; /* (y, v, a, u, d, dy, dv, du, dd) -> [dr (n), do (n_outputs), entries of do/da] */
-  flex_function start_forward;  /* (p, dp) -> [dd, dy] of derive and initial_coordinates */
+  flex_function start_forward;  /* (p, dp) -> [dd, dy] of derive and initial_coordinates, with dv where that gives v */
 
   /* time derivatives along the motion without what the jerk j = da/dt adds, M j and do/da j; u1 = du/dt */
   flex_function motion_rate1; /* (y, v, a, u, u1, d) -> [dr/dt (n), do/dt (n_outputs), entries of do/da] */
@@ -106,6 +111,10 @@ typedef struct {
                                 relative to the running maximum of the motion's own norm, at least floor; positions of
                                 locked unknowns have an arbitrary origin and don't count in that maximum */
 } flex_model;
+
+/* how many coordinates, and how many rates, are states: those of the first unknowns */
+static inline int flex_state_coordinates(const flex_model *model) { return model->n - model->n_first - model->has_clock; }
+static inline int flex_state_rates(const flex_model *model) { return model->n - model->has_clock; }
 
 /* the one model of this binary, defined by the generated file */
 FLEX_PRIVATE const flex_model flex_the_model;

@@ -10,23 +10,23 @@
 
 #define refuse(plant, ...) flex_refuse((plant)->message, __VA_ARGS__)
 
-// index of the state that an output shows, y and v one after the other; -1 if it shows none
+// index of the state that an output shows, coordinates and rates one after the other; -1 if it shows none
 static int state_of(const flex_model *model, unsigned output) {
-  for (int i = 0; model->state_outputs && i < 2 * model->n; i++)
+  for (int i = 0; model->state_outputs && i < flex_state_coordinates(model) + flex_state_rates(model); i++)
     if (model->state_outputs[i] == (int)output) return i;
   return -1;
 }
 
 // where the change of an output belongs, if it shows a state; NULL after saying why there is no such place
 static double *place_of_state(flex_plant *plant, unsigned output) {
-  int n = plant->model->n, state = state_of(plant->model, output);
+  int coordinates = flex_state_coordinates(plant->model), state = state_of(plant->model, output);
   const char *name = plant->model->output_variables[output].name;
   if (state < 0)
     refuse(plant, "%s is neither an input nor a parameter nor a state, nothing can be differentiated by it", name);
   else if (!plant->record->is_moving)
     refuse(plant, "%s follows from inputs and parameters before the motion, nothing can be differentiated by it", name);
   else
-    return state < n ? plant->tangent.y + state : plant->tangent.v + (state - n);
+    return state < coordinates ? plant->tangent.y + state : plant->tangent.v + (state - coordinates);
   return NULL;
 }
 
@@ -62,12 +62,14 @@ static int follow_parameters(flex_plant *plant) {
   for (int i = 0; i < model->n_parameters; i++) changed |= tangent->p[i] != 0.0;
   if (!changed) return 0;
 
-  // derived parameters follow always, start coordinates only before the motion
+  // derived parameters follow always, the start only before the motion
   const double *const arguments[] = {plant->p, tangent->p};
   if (flex_call(&plant->equations, &model->start_forward, 2, arguments, tangent->start)) return 1;
   memcpy(tangent->d, tangent->start, (size_t)model->n_derived * sizeof(double));
-  if (!plant->record->is_moving)
-    memcpy(tangent->y, tangent->start + model->n_derived, (size_t)model->n * sizeof(double));
+  if (plant->record->is_moving) return 0;
+  const double *start = tangent->start + model->n_derived;
+  memcpy(tangent->y, start, (size_t)model->n * sizeof(double));
+  if (model->n_start > model->n) memcpy(tangent->v, start + model->n, (size_t)model->n * sizeof(double));
   return 0;
 }
 

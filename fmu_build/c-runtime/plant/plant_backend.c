@@ -143,7 +143,7 @@ int flex_backend_differentiate(flex_backend *backend, const flex_direction *dire
 }
 
 size_t flex_backend_states(void) {
-  return 2 * (size_t)flex_the_model.n;
+  return (size_t)(flex_state_coordinates(&flex_the_model) + flex_state_rates(&flex_the_model));
 }
 
 void flex_backend_set_time(flex_backend *backend, double time) {

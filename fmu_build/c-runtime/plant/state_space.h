@@ -1,4 +1,4 @@
-/* The plant as a system dx/dt = f(t, x, u) whose states the importer integrates: x = [y, v], 2 n numbers. */
+/* The plant as a system dx/dt = f(t, x, u) whose states the importer integrates: x = [y, v], without those that are no states. */
 #ifndef FLEXFMU_STATE_SPACE_H
 #define FLEXFMU_STATE_SPACE_H
 

@@ -89,8 +89,22 @@ flex_outcome flex_step_check_margin(flex_integrator *integrator, const real *u, 
   return *margin >= model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
 }
 
+// 1 / size^2 with a size of at least |x|; a coordinate without weight stays without one
+static void grow_size(real *weight, real x) {
+  *weight = flex_if_positive(*weight * x * x - flex_real(1.0), flex_real(1.0) / (x * x), *weight);
+}
+
+void flex_step_grow_sizes(flex_integrator *integrator) {
+  if (!integrator->stages.equations->model->sizes_grow) return;
+  for (int c = 0; c < integrator->n; c++) {
+    grow_size(integrator->stages.position_weight + c, integrator->y[c]);
+    grow_size(integrator->stages.rate_weight + c, integrator->v[c]);
+  }
+}
+
 void flex_step_count(flex_integrator *integrator) {
   flex_integrator_record *record = integrator->record;
+  flex_step_grow_sizes(integrator);
   record->scale = flex_larger(record->scale, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
   record->steps++;
 }

@@ -51,6 +51,9 @@ flex_outcome flex_step_check_margin(flex_integrator *integrator, const real *u, 
 /* keeps a step whose stages are solved for interpolation, before the motion goes to its end */
 void flex_integrator_keep_segment(flex_integrator *integrator, double t, double h);
 
+/* where sizes grow: those of the error norm, at least the present coordinates and rates */
+void flex_step_grow_sizes(flex_integrator *integrator);
+
 /* counts a step whose end was reached with everything belonging to it, and follows the size of the motion */
 void flex_step_count(flex_integrator *integrator);
 

@@ -22,8 +22,10 @@
 /* a longer step that the error admits is taken up in the middle of a communication step if it is so much longer */
 #define REPLANNED_GROWTH 1.15
 
-/* a step below this part of the communication step, or this many roundings of the time, cannot help */
+/* a step below this part of the communication step, or this many roundings of the time, cannot help; where sizes grow, the first
+ * moments of a long communication step may take steps of many decades */
 #define MIN_STEP_SHARE 1e-10
+#define MIN_GROWING_STEP_SHARE 1e-18
 #define MIN_STEP_ROUNDINGS 16.0
 
 /* no importer can stop a communication step that has begun: after so many steps, some seconds, the importer gets a message */
@@ -119,6 +121,7 @@ void flex_integrator_start(flex_integrator *integrator) {
   integrator->work_left = FLEX_WORK_AT_START;
   record->step = 0.0;
   record->is_ahead = record->patience = record->drops = 0;
+  flex_step_grow_sizes(integrator);
   record->scale = flex_larger(*integrator->floor, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
   flex_step_restart(integrator);
 }
@@ -194,7 +197,8 @@ static flex_failure advance(flex_integrator *integrator, double t0, double t1, l
   flex_integrator_record *record = integrator->record;
   flex_failure result = {FLEX_DONE, t0, 0.0};
   double attempts = 0.0, span = t1 - t0, fixed = *integrator->fixed_step;
-  double least = fmax(MIN_STEP_SHARE * span, MIN_STEP_ROUNDINGS * DBL_EPSILON * fmax(fabs(t0), fabs(t1)));
+  double share = integrator->stages.equations->model->sizes_grow ? MIN_GROWING_STEP_SHARE : MIN_STEP_SHARE;
+  double least = fmax(share * span, MIN_STEP_ROUNDINGS * DBL_EPSILON * fmax(fabs(t0), fabs(t1)));
 
   // first guess of the step size
   if (fixed > 0.0)

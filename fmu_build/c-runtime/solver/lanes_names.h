@@ -44,6 +44,7 @@
 #define flex_step_check_margin flex_step_check_margin_wide
 #define flex_step_count flex_step_count_wide
 #define flex_step_factor flex_step_factor_wide
+#define flex_step_grow_sizes flex_step_grow_sizes_wide
 #define flex_step_move flex_step_move_wide
 #define flex_step_reject flex_step_reject_wide
 #define flex_step_restart flex_step_restart_wide

@@ -135,6 +135,13 @@ void flex_plant_start_changed(flex_plant *plant) {
   plant->record->have &= ~(FLEX_HAVE_START | POINT);
 }
 
+void flex_plant_set_clock(flex_plant *plant) {
+  int last = plant->model->n - 1;
+  if (!plant->model->has_clock) return;
+  plant->integrator.y[last] = flex_real(plant->record->time);
+  plant->integrator.y_rest[last] = flex_real(0.0);
+}
+
 static flex_failure outcome_now(const flex_plant *plant, flex_outcome outcome, double value) {
   flex_failure failure = {outcome, plant->record->time, value};
   return failure;
@@ -169,7 +176,7 @@ static flex_outcome need_start_inputs(flex_plant *plant) {
   return flex_all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
 }
 
-// the undeformed pose at rest, which must be admissible
+// the undeformed pose, at rest unless the model gives rates, which lie behind the coordinates; it must be admissible
 static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   flex_integrator *integrator = &plant->integrator;
   const real *const p[] = {plant->p};
@@ -178,7 +185,8 @@ static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   memset(integrator->a, 0, size);
   for (int k = 0; k < plant->model->n_frictions; k++) flex_set_mode(&plant->equations, k, FLEX_FREE);
   if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, integrator->y)) return FLEX_NOT_FINITE;
-  if (!flex_all_finite(integrator->y, plant->model->n)) return FLEX_NOT_FINITE;
+  if (!flex_all_finite(integrator->y, plant->model->n) || !flex_all_finite(integrator->v, plant->model->n)) return FLEX_NOT_FINITE;
+  flex_plant_set_clock(plant);
   flex_outcome outcome = need_start_inputs(plant);
   if (outcome != FLEX_DONE) return outcome;
   if (flex_margin(&plant->equations, integrator->y, plant->u, margin)) return FLEX_NOT_FINITE;
@@ -224,7 +232,8 @@ static flex_outcome start_static(flex_plant *plant, double *value) {
   return outcome;
 }
 
-// whether a coordinate decays far faster than it vibrates, by the diagonals of mass, damping and stiffness at the start
+// whether a coordinate decays far faster than it vibrates, by the diagonals of mass, damping and stiffness at the start; states of
+// first order, whose rates of decay may grow by decades, always count as such
 static int find_overdamped(flex_plant *plant) {
   flex_integrator *integrator = &plant->integrator;
   flex_newton_matrix *matrix = &integrator->stages.matrix;
@@ -232,6 +241,7 @@ static int find_overdamped(flex_plant *plant) {
   int n = model->n, found = 0;
   long long evaluations = *plant->equations.evaluations;
   if (n == 0 || !model->is_damped) return 0;
+  if (model->n_first > 0) return 1;
   int refused = flex_newton_refresh(matrix, &plant->equations, integrator->y, integrator->v, integrator->a, plant->u,
                                     plant->scale, plant->scale + n, *integrator->floor);
 
@@ -360,6 +370,7 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
   for (int i = 0; i < plant->inputs.count; i++)
     if (plant->inputs.base[i] == record->time) plant->inputs.base[i] = t0;
   record->time = t0;
+  flex_plant_set_clock(plant);
 
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;

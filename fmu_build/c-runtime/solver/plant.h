@@ -87,6 +87,9 @@ static inline void flex_plant_inputs_changed(flex_plant *plant) {
   if (!plant->record->is_moving) flex_plant_start_changed(plant);
 }
 
+/* the unknown that is the time, if there is one, at the plant's time */
+void flex_plant_set_clock(flex_plant *plant);
+
 /* the importer has moved coordinates and rates */
 void flex_plant_moved(flex_plant *plant);
 

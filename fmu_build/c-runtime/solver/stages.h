@@ -39,7 +39,7 @@ typedef struct {
   flex_newton_matrix matrix;
 
   /* error norm: sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
-  const real *position_weight, *rate_weight;
+  real *position_weight, *rate_weight;
 
   real pace; /* of each lane's own time */
 

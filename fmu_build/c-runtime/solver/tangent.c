@@ -9,7 +9,7 @@ void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_aren
   tangent->y = flex_take_reals(arena, n);
   tangent->v = flex_take_reals(arena, n);
   tangent->u = flex_take_reals(arena, m);
-  tangent->start = flex_take_reals(arena, derived + n);
+  tangent->start = flex_take_reals(arena, derived + 2 * n);
   tangent->rest_u = flex_take_reals(arena, m);
   tangent->unit = flex_take_reals(arena, n);
   tangent->changes = flex_take_reals(arena, flex_changes_count(model));

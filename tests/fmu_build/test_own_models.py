@@ -1,0 +1,307 @@
+"""Models from equations: their motions against tight references, what tools say of their FMUs, and errors of bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import casadi
+import fmpy
+import numpy as np
+import pytest
+from command_line import flexfmu as run_command
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import flexfmu
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.own_models import rate_unit
+from flexfmu.fmu_build.validation.validate import validate_fmu
+from flexfmu.model.symbolic import SymbolicModel
+
+GRAVITY = 9.81
+
+Rates = Callable[[float, Any], Any]
+
+
+def van_der_pol(mu: float = 1.0) -> SymbolicModel:
+    """The oscillator of van der Pol."""
+    rhs = lambda x, u, p: [x.x1, p.mu * (1 - x.x0**2) * x.x1 - x.x0]  # noqa: E731
+    return flexfmu.ode("vdp", x={"x0": 2.0, "x1": flexfmu.variable(0.0, nominal=mu)}, p={"mu": mu}, rhs=rhs)
+
+
+def robertson() -> SymbolicModel:
+    """Robertson's reactions, by a dict and by expressions of symbols with the states' names."""
+    a, b, c = (casadi.SX.sym(name) for name in "abc")
+    slow, fast, faster = 0.04 * a, 1e4 * b * c, 3e7 * b**2
+    rates = {"c": faster, "a": fast - slow, "b": slow - fast - faster}
+    return flexfmu.ode("robertson", x={"a": 1.0, "b": flexfmu.variable(0.0, nominal=3e-5), "c": 0.0}, rhs=rates)
+
+
+def lotka() -> SymbolicModel:
+    """Prey and predators; their invariant is an output."""
+    return flexfmu.ode(
+        "lotka",
+        x={"prey": 1.0, "predators": 1.0},
+        p={"b": 1.5, "d": 3.0},
+        rhs=lambda x, p: [x.prey * (p.b - x.predators), x.predators * (x.prey - p.d)],
+        outputs={
+            "invariant": lambda x, p: x.prey - p.d * casadi.log(x.prey) + x.predators - p.b * casadi.log(x.predators)
+        },
+    )
+
+
+def cart_pole(**changes: Any) -> SymbolicModel:
+    """A pole on a cart, from its energies."""
+    equations: dict[str, Any] = {
+        "q": {"x": flexfmu.variable(0.0, "m"), "theta": flexfmu.variable(0.5, "rad")},
+        "p": {"m": 1.0, "cart": 2.0, "l": 0.5},
+        "derived": {"ml": lambda p: p.m * p.l},
+        "u": {"force": flexfmu.variable(0.3, "N")},
+        "kinetic": lambda q, v, p: (
+            0.5 * (p.cart + p.m) * v.x**2 + p.ml * casadi.cos(q.theta) * v.x * v.theta + 0.5 * p.ml * p.l * v.theta**2
+        ),
+        "potential": lambda q, p: GRAVITY * p.ml * casadi.cos(q.theta),
+        "forces": lambda u: {"x": u.force},
+    }
+    return flexfmu.lagrangian("cart", **(equations | changes))
+
+
+def cart_pole_rates(t: float, s: Any) -> Any:
+    """The same by hand."""
+    mass = np.array([[3.0, 0.5 * np.cos(s[1])], [0.5 * np.cos(s[1]), 0.25]])
+    loads = np.array([0.3 + 0.5 * np.sin(s[1]) * s[3] ** 2, GRAVITY * 0.5 * np.sin(s[1])])
+    return [s[2], s[3], *np.linalg.solve(mass, loads)]
+
+
+def forced() -> SymbolicModel:
+    """A driven oscillator with a rate at the start; its equations have the time and the other sign."""
+    return flexfmu.second_order(
+        "forced",
+        q={"y": flexfmu.variable(0.0, "m")},
+        rates={"y": 1.0},
+        p={"w": 3.0},
+        residual=lambda q, v, a, p, t: [casadi.sin(p.w * t) - a.y - 0.1 * v.y - 4 * q.y],
+    )
+
+
+def pendulum() -> SymbolicModel:
+    """A pendulum with its rod force as the variable of a constraint, which is linear in it."""
+    return flexfmu.dae(
+        "pendulum",
+        x={"x": 1.0, "y": 0.0, "vx": 0.0, "vy": 0.0},
+        z={"force": 0.0},
+        rhs=lambda x, z: [x.vx, x.vy, -z.force * x.x, -z.force * x.y - GRAVITY],
+        constraints=lambda x, z: x.vx**2 + x.vy**2 - z.force * (x.x**2 + x.y**2) - GRAVITY * x.y,
+    )
+
+
+def pendulum_rates(t: float, s: Any) -> Any:
+    """The same by hand."""
+    force = (s[2] ** 2 + s[3] ** 2 - GRAVITY * s[1]) / (s[0] ** 2 + s[1] ** 2)
+    return [s[2], s[3], -force * s[0], -force * s[1] - GRAVITY]
+
+
+def leak() -> SymbolicModel:
+    """A tank whose outflow follows from a cubic."""
+    return flexfmu.dae(
+        "leak", x={"x": 1.0}, z={"w": 0.5}, rhs=lambda z: -z.w, constraints=lambda x, z: z.w**3 + z.w - 2 * x.x
+    )
+
+
+def leak_rates(t: float, s: Any) -> Any:
+    """The same with a root finder."""
+    return [-float(brentq(lambda w: w**3 + w - 2 * s[0], -10.0, 10.0, xtol=1e-15))]
+
+
+CASES: Mapping[str, tuple[Callable[[], SymbolicModel], Rates, list[float], float, list[str]]] = {
+    "vdp": (van_der_pol, lambda t, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], [2, 0], 20.0, ["x0", "x1"]),
+    "robertson": (
+        robertson,
+        lambda t, s: [
+            1e4 * s[1] * s[2] - 0.04 * s[0],
+            0.04 * s[0] - 1e4 * s[1] * s[2] - 3e7 * s[1] ** 2,
+            3e7 * s[1] ** 2,
+        ],
+        [1, 0, 0],
+        40.0,
+        ["a", "b", "c"],
+    ),
+    "lotka": (lotka, lambda t, s: [s[0] * (1.5 - s[1]), s[1] * (s[0] - 3.0)], [1, 1], 20.0, ["prey", "predators"]),
+    "cart": (cart_pole, cart_pole_rates, [0, 0.5, 0, 0], 3.0, ["x", "theta", "der(x)", "der(theta)"]),
+    "forced": (forced, lambda t, s: [s[1], np.sin(3 * t) - 0.1 * s[1] - 4 * s[0]], [0, 1], 10.0, ["y", "der(y)"]),
+    "pendulum": (pendulum, pendulum_rates, [1, 0, 0, 0], 3.0, ["x", "y", "vx", "vy"]),
+    "leak": (leak, leak_rates, [1], 5.0, ["x"]),
+}
+"""Model, its rates by hand, start, end [s], outputs that show the states."""
+
+POINTS = 50
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_motion_is_that_of_the_equations(case: str) -> None:
+    """In co-simulation to the tolerance times what the problem makes of it; `flexfmu validate` finds nothing; fmpy's CVODE, by model
+    exchange, gets the same."""
+    make, rates, start, end, names = CASES[case]
+    model = make()
+    path = build_fmu(model, step=end / POINTS, stop_time=end).path
+    method = "Radau" if case == "robertson" else "DOP853"
+    reference = solve_ivp(rates, (0, end), start, method=method, rtol=1e-12, atol=1e-15, dense_output=True).sol
+    errors = []
+    for tolerance in (1e-5, 1e-9):
+        run = flexfmu.simulate(path, stop_time=end, step=end / POINTS, tolerance=tolerance).recording
+        slave = path.stem if f"{path.stem}.{names[0]}" in run else run.names[0].partition(".")[0]
+        values = np.array([run[f"{slave}.{name}"].values for name in names])
+        exact = reference(np.asarray(run.time))
+        errors.append((abs(values - exact).max(axis=1) / abs(exact).max(axis=1)).max())
+    assert errors[0] < 1e-3
+    assert errors[1] < 1e-7
+    # other tools
+    assert validate_fmu(path) == []
+    found = fmpy.simulate_fmu(
+        str(path),
+        fmi_type="ModelExchange",
+        solver="CVode",
+        relative_tolerance=1e-8,
+        stop_time=end,
+        output_interval=end / POINTS,
+        output=names,
+        fmi_call_logger=None,
+    )
+    exact = reference(found["time"])
+    for name, row in zip(names, exact, strict=True):
+        assert abs(found[name] - row).max() < 1e-3 * abs(row).max()
+
+
+def test_what_is_conserved_stays() -> None:
+    """The populations' invariant, and what reacts, to the tolerance."""
+    run = flexfmu.simulate(lotka(), stop_time=50.0, step=0.5, tolerance=1e-9).recording
+    assert np.ptp(run["lotka.invariant"].values) < 1e-6
+    run = flexfmu.simulate(robertson(), stop_time=1e5, step=1e4).recording
+    assert np.allclose(sum(run[f"robertson.{name}"].values for name in "abc"), 1.0, atol=1e-8)
+
+
+def test_starts_are_parameters_of_the_fmu() -> None:
+    """A built FMU runs from elsewhere; a tight tolerance is relative to nominals, or to what has been reached."""
+    half = flexfmu.slave(van_der_pol(), "half", parameters={"start.x0": 0.5, "mu": 0.0, "start.x1": 0.0})
+    run = flexfmu.simulate([half], stop_time=6.0, step=0.1, tolerance=1e-8).recording
+    assert np.allclose(run["half.x0"].values, 0.5 * np.cos(run.time), atol=1e-7)
+
+
+def test_linearised_about_a_point() -> None:
+    """The upright cart-pole has its textbook's poles, a state of first order its own, and other points those of differences."""
+    system = flexfmu.linearize(cart_pole(), {"theta": 0.0, "force": 0.0}, ["theta"])
+    assert list(system.state_labels) == ["x", "theta", "der(x)", "der(theta)"]
+    assert sorted(system.poles().real)[-1] == pytest.approx(np.sqrt(GRAVITY * 3.0 / (2.0 * 0.5)))
+    oscillator = flexfmu.linearize(van_der_pol(2.0), {"x0": 0.3, "x1": 0.7}, ["x1"])
+    assert np.allclose(oscillator.A, [[0, 1], [-1 - 4 * 0.3 * 0.7, 2 * (1 - 0.09)]])
+    assert list(oscillator.state_labels) == ["x0", "x1"]
+    driven = flexfmu.linearize(forced(), {"y": 1.0})
+    assert np.allclose(driven.A, [[0, 1], [-4, -0.1]])
+    with pytest.raises(ModelError, match="no state or input 'phi'"):
+        flexfmu.linearize(cart_pole(), {"phi": 0.0})
+    with pytest.raises(flexfmu.InputError, match="by name"):
+        flexfmu.linearize(cart_pole(), (0.0, 1.0))
+
+
+def test_command_builds_the_model_of_a_file(tmp_path: Path) -> None:
+    """`flexfmu build MODEL.py:NAME`; what isn't a model is named."""
+    file = tmp_path / "own.py"
+    file.write_text(
+        'import flexfmu\ndecay = flexfmu.ode("decay", x={"x": 1.0}, rhs=lambda x: -x.x)\nnumber = 1\n', encoding="utf-8"
+    )
+    target = tmp_path / "decay.fmu"
+    assert run_command("build", f"{file}:decay", "-o", target).exit_code == 0
+    assert flexfmu.simulate(target, stop_time=1.0, step=0.1).recording["decay.x"].values[-1] == pytest.approx(
+        np.exp(-1)
+    )
+    for name, text in (("number", "not a model"), ("other", "has no 'other'")):
+        failed = run_command("build", f"{file}:{name}")
+        assert failed.exit_code == 2
+        assert text in failed.output
+    assert run_command("build", f"{file}:decay", "--set", "payload.mass=1").exit_code == 2
+
+
+GOOD: dict[str, Any] = {"x": {"x": 1.0}, "rhs": lambda x: -x.x}
+
+BAD: list[tuple[str, Callable[[], object]]] = [
+    ("rhs of model 'm' gives 2 expressions", lambda: flexfmu.ode("m", x={"x": 1.0}, rhs=lambda x: [x.x, x.x])),
+    ("has no 'y'; it has x", lambda: flexfmu.ode("m", x={"x": 1.0}, rhs=lambda x: x.y)),
+    ("free symbol 'k'", lambda: flexfmu.ode("m", x={"x": 1.0}, rhs=lambda x: x.x * casadi.SX.sym("k"))),
+    ("takes 'w'; it may take", lambda: flexfmu.ode("m", x={"x": 1.0}, rhs=lambda w: w)),
+    ("start of x 'x' must be a finite number", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": float("nan")}})),
+    ("nominal of x 'x' must be a positive number", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": flexfmu.variable(1.0, nominal=0.0)}})),
+    ("unit 'furlong' isn't known", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": flexfmu.variable(1.0, "furlong")}})),
+    ("jumps \\(if_else\\)|jumps \\(<", lambda: flexfmu.ode("m", **GOOD | {"rhs": lambda x: casadi.if_else(x.x > 0, 1, -1)})),
+    ("jumps \\(sign\\)", lambda: flexfmu.ode("m", **GOOD | {"rhs": lambda x: casadi.sign(x.x)})),
+    ("has the number nan", lambda: flexfmu.ode("m", **GOOD | {"rhs": [float("nan")]})),
+    ("gives nothing for 'x'", lambda: flexfmu.ode("m", **GOOD | {"rhs": {}})),
+    ("has no states", lambda: flexfmu.ode("m", x={}, rhs=[])),
+    ("MX; use SX", lambda: flexfmu.ode("m", **GOOD | {"rhs": [casadi.MX.sym("x")]})),
+    ("ZeroDivisionError", lambda: flexfmu.ode("m", **GOOD | {"rhs": lambda x: x.x / (1 / 0)})),
+    ("has the name 'x' more than once", lambda: flexfmu.ode("m", **GOOD, p={"x": 1.0})),
+    ("needs one that comes later", lambda: flexfmu.ode("m", **GOOD, derived={"a": lambda p: p.b, "b": lambda p: 1.0})),
+    ("isn't symmetric: its entry \\(a, b\\)", lambda: flexfmu.second_order("m", q={"a": 0.0, "b": 0.0}, residual=lambda a: [a.a + a.b, a.b])),
+    ("is singular at the start: 'b'", lambda: flexfmu.second_order("m", q={"a": 0.0, "b": 0.0}, residual=lambda q, a: [a.a, q.b])),
+    ("is not definite", lambda: flexfmu.second_order("m", q={"a": 0.0, "b": 0.0}, residual=lambda a: [2 * a.a, -a.b])),
+    ("must be linear in them", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a**3)),
+    ("depends on rates", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda v, a: a.a * (1 + v.a**2))),
+    ("name 'b', which is no coordinate", lambda: flexfmu.second_order("m", q={"a": 0.0}, rates={"b": 0.0}, residual=lambda a: a.a)),
+    ("index is 2 or 3", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.0}, rhs=lambda z: z.z, constraints=lambda x: x.x - 1)),
+    ("can't be solved at the start", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.1}, rhs=lambda z: z.z, constraints=lambda z: z.z**2 + 1)),
+    ("is for models from equations", lambda: flexfmu.build("barnard2012-6kg", step=1.0)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("message", "make"), BAD, ids=[text for text, _ in BAD])
+def test_bad_input_is_named_in_one_line(message: str, make: Callable[[], object]) -> None:
+    """No traceback of CasADi."""
+    with pytest.raises(flexfmu.Error, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+THINGS = st.one_of(
+    st.none(), st.text(max_size=3), st.floats(), st.integers(-2, 2), st.lists(st.floats(), max_size=3), st.booleans()
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    entries=st.dictionaries(st.text(max_size=3), THINGS, max_size=3),
+    rhs=st.one_of(THINGS, st.dictionaries(st.text(max_size=3), THINGS)),
+)
+def test_anything_is_a_model_or_an_error_in_one_line(entries: dict[str, Any], rhs: Any) -> None:
+    """Whatever is given as states and their rates, in any of the four forms."""
+    for make in (
+        lambda: flexfmu.ode("m", x=entries, rhs=rhs, p=entries),
+        lambda: flexfmu.second_order("m", q=entries, residual=rhs),
+        lambda: flexfmu.lagrangian("m", q=entries, kinetic=rhs, forces=rhs),
+        lambda: flexfmu.dae("m", x=entries, z=entries, rhs=rhs, constraints=rhs),
+    ):
+        with suppress(flexfmu.Error):
+            make()
+
+
+CART = cart_pole()
+
+
+@settings(max_examples=200)
+@given(st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4))
+def test_lagrange_is_newton_for_any_motion(state: list[float]) -> None:
+    """The residual at the accelerations of the cart-pole by hand is zero."""
+    s, functions = np.array(state), CART.functions
+    derived = functions["derive"]([each.start for each in CART.parameters])
+    residual = functions["residual"](s[:2], s[2:], cart_pole_rates(0.0, s)[2:], [0.3], derived).full()
+    assert np.allclose(residual, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "rate"), [("1", "1/s"), ("m", "m/s"), ("m/s", "m/s2"), ("rad/s2", "rad/s3"), ("J/(kg.K)", "J/(kg.K.s)")])  # fmt: skip
+def test_units_of_rates(unit: str, rate: str) -> None:
+    """Per second once more."""
+    assert rate_unit(unit) == rate
