@@ -98,7 +98,11 @@ def variable(
             relative to the nominal, or to the largest value that a state has had.
         minimum, maximum: admissible range in ``unit`` of a parameter or input.
         description: one sentence.
+
+    Raises:
+        ModelError: the unit is unknown.
     """
+    unit_exponents(unit)
     return Declaration(value, unit, nominal, minimum, maximum, description)
 
 
