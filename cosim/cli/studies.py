@@ -233,7 +233,7 @@ def _study(
                 )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"{len(journal)} trials are kept in {folder.path}; the same command continues"
+                f"{journal.done} runs are kept in {folder.path}; the same command continues"
             ) from None
         folder.write("workprec.json", to_json(data(study)))
         folder.write("workprec.md", markdown(study))

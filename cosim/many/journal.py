@@ -96,6 +96,9 @@ class WorkJournal:
         note: is called with a sentence if there are finished units.
         total: number of all units; None where it isn't known before.
 
+    Attributes:
+        done: number of finished units.
+
     Raises:
         InputError: the folder has other work.
         ResultsError: the folder can't be read or written.
@@ -111,7 +114,7 @@ class WorkJournal:
         note: Callable[[str], object] = lambda text: None,
         total: int | None = None,
     ) -> None:
-        self._known, self._lines = dict[str, Any](), None
+        self._known, self._lines, self.done = dict[str, Any](), None, 0
         if folder is None:
             return
         self._lines = Journal(folder / FILE, restart=restart)
@@ -125,11 +128,9 @@ class WorkJournal:
                 f"{folder} has another {work}: {difference(before, head)}; choose another --out, or discard it with --restart"
             )
         self._known = {each[0]: each[1] for each in found[1:] if isinstance(each, list) and len(each) == 2}
-        if self._known:
-            note(f"continuing: {len(self._known)} {'' if total is None else f'of {total} '}done")
-
-    def __len__(self) -> int:
-        return len(self._known)
+        self.done = len(self._known)
+        if self.done:
+            note(f"continuing: {self.done} {'' if total is None else f'of {total} '}done")
 
     def __contains__(self, key: Any) -> bool:
         return _name(key) in self._known
@@ -156,6 +157,7 @@ class WorkJournal:
         found = compute()
         if self._lines is not None:
             self._lines.append(f"{_text([name, found])}\n")
+            self.done += 1
         return found
 
     def remove(self) -> None:

@@ -23,6 +23,7 @@ from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
+from flexfmu.cosim.reports.work_precision import by_line
 from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec.solver_trials import PAPER_LINE
 from flexfmu.cosim.studies.workprec.trial import (
@@ -346,10 +347,7 @@ def advantages(study: WorkPrecisionStudy) -> dict[str, tuple[float, float]]:
     """
     tools = study.family("tools")
     # a curve of the best settings for each tool
-    curves = {
-        line: WorkCurve.of(each for each in tools if each.line == line)
-        for line in dict.fromkeys(each.line for each in tools)
-    }
+    curves = {line: WorkCurve.of(each) for line, each in by_line(tools).items()}
     ours, found = curves.pop(OURS, WorkCurve(())), {}
     curves.pop(PAPER_LINE, None)  # our own solver, and the beginning of the motion alone
     for line, curve in curves.items():

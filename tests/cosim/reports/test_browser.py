@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flexfmu.benchmarks.hard_cases import suite
+from flexfmu.benchmarks.hard_cases.case import CaseReport
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
@@ -29,7 +31,7 @@ from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 pytestmark = pytest.mark.slow
 
 MakeRun = Callable[..., Run]
-PAGES = ("report", "failed", "comparison", "measured", "workprec", "paper")
+PAGES = ("report", "failed", "comparison", "measured", "workprec", "hard-cases", "paper")
 ARGUMENTS = [
     "--headless",
     "--no-sandbox",
@@ -76,6 +78,9 @@ def folder(run: Run, make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory
         "comparison": compare_runs(compared).page(),
         "measured": compare_runs(compared, late).page(),
         "workprec": html(WorkPrecisionStudy(run.scene, 0.68, 1e-3, None, "", tuple(trials))),
+        "hard-cases": suite.html(
+            [suite.HardCaseResult(case, CaseReport("so it was", ())) for case in suite.hard_cases()]
+        ),
         "paper": PaperReport().to_html(Path()),
     }
     out = tmp_path_factory.mktemp("pages")

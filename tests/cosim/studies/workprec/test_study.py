@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi
 import numpy as np
@@ -15,10 +16,12 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.effects.runs import is_smooth
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
+from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec import study as studys
@@ -277,6 +280,19 @@ def test_measured_trials_are_kept_and_failed_ones_tried_again(tmp_path: Path) ->
 
     assert trials() == trials()
     assert asked == ["measured", "failing", "failing"]
+
+
+def test_an_interruption_is_no_failed_trial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A run that Ctrl-C ends ends the study, which keeps none of it and says what it has."""
+
+    def interrupted(prepared: PreparedScene, *_: object) -> object:
+        return SimpleNamespace(outcome=Outcome.INTERRUPTED)
+
+    monkeypatch.setattr(PreparedScene, "run", interrupted)
+    for options in (["--of", "peak_torque_1"], ["--only", "integrators"]):
+        result = CliRunner().invoke(app, ["workprec", "barnard2012-6kg", "--out", str(tmp_path), "--restart", *options])
+        assert result.exit_code == 1
+        assert f"interrupted: 0 runs are kept in {tmp_path}; the same command continues" in result.stderr
 
 
 @pytest.mark.parametrize("profile", [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.125}])
