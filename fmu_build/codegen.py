@@ -74,8 +74,8 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
         or with_all_arguments(c_code(function))
         for name, function in prepared.items()
     }
-    if (statements := lanes_code(prepared["residual"])) is not None:
-        files[LANES_FILE] = render(LANES_FILE + ".j2", statements=statements)
+    if (lanes := lanes_code(prepared["residual"])) is not None:
+        files[LANES_FILE] = render(LANES_FILE + ".j2", function=lanes)
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
 
 

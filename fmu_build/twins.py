@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Set
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -216,7 +216,73 @@ def lanes_code(function: casadi.Function) -> str | None:
             form = re.sub(r"^(?=[a-z])", "flex_lanes_", OPERATIONS[name][0])
             lines.append(f"flex_lanes s{node}={form.format(*map(number, graph.operands(node)))};")
     lines += [f"flex_store(r + 4 * {k}, {number(node)});" for k, node in enumerate(graph.results)]
-    return "\n".join(f"  {line}" for line in lines)
+    return _c_function("FLEX_WIDE void", f"{function.name()}_lanes", LANES_PARAMETERS, lines)
+
+
+PARAMETERS = "const real **arg, real **res, int *iw, real *w, int mem"
+"""Parameters of generated functions, which are CasADi's."""
+
+LANES_PARAMETERS = "const double *y, const double *v, const double *a, const double *u, const double *d, double *r"
+"""Parameters of the residual in lanes."""
+
+LONG, PART = 1500, 300
+"""A function of more statements than the first is cut into parts of the second: the time of compilers grows faster than its length."""
+
+_STORES = {"real": "numbers", "flex_twin": "pairs", "flex_lanes": "lanes"}
+"""Type of a value → array that takes those which a later part needs."""
+
+_DEFINED, _NAME = re.compile(r"(\w+) ([st]\d+(?:_\d+)?)="), re.compile(r"\b[st]\d+(?:_\d+)?\b")
+
+
+def _c_function(kind: str, name: str, parameters: str, statements: Sequence[str], ending: Sequence[str] = ()) -> str:
+    """C code of a function of straight code; what its parts hand on lies in arrays, whose places are used again."""
+
+    def text(head: str, lines: Iterable[str]) -> str:
+        return "\n  ".join([f"{head} {{", *lines]) + "\n}\n"
+
+    if len(statements) <= LONG:
+        return text(f"{kind} {name}({parameters})", (*statements, *ending))
+    parts = [statements[k : k + PART] for k in range(0, len(statements), PART)]
+    # type and part of each value, and the last part that needs it
+    types, first, last = dict[str, str](), dict[str, int](), dict[str, int]()
+    for k, part in enumerate(parts):
+        for line in part:
+            if defined := _DEFINED.match(line):
+                types[defined[2]], first[defined[2]] = defined[1], k
+            last |= dict.fromkeys(_NAME.findall(line), k)
+    # parts that keep what later ones need, and fetch it before its first use
+    places, sizes = dict[str, str](), Counter[str]()
+    free: dict[str, list[str]] = {each: [] for each in _STORES}
+    codes = []
+    for k, part in enumerate(parts):
+        code, known = list[str](), dict[str, None]()
+        for line in part:
+            for used in _NAME.findall(line):
+                if first[used] < k and used not in known:
+                    known[used] = None
+                    code.append(f"{types[used]} {used}={places[used]};")
+            code.append(line)
+            if (defined := _DEFINED.match(line)) and last[defined[2]] > k:
+                number_type, value = defined[1], defined[2]
+                if not free[number_type]:
+                    free[number_type].append(f"{_STORES[number_type]}[{sizes[number_type]}]")
+                    sizes[number_type] += 1
+                places[value] = free[number_type].pop()
+                code.append(f"{places[value]}={value};")
+        for value in known:
+            if last[value] == k:
+                free[types[value]].append(places[value])
+        codes.append(code)
+    # the parts, and the function that calls one after the other
+    shared = ", ".join((parameters, *(f"{each} *restrict {_STORES[each]}" for each in sizes)))
+    arguments = ", ".join(each.split()[-1].lstrip("*") for each in shared.split(","))
+    helpers = [
+        text(f"static FLEX_APART {kind.replace('int', 'void')} {name}_{k}({shared})", code)
+        for k, code in enumerate(codes)
+    ]
+    arrays = [f"{each} {_STORES[each]}[{size}];" for each, size in sizes.items()]
+    calls = [f"{name}_{k}({arguments});" for k in range(len(parts))]
+    return "\n".join((*helpers, text(f"{kind} {name}({parameters})", (*arrays, *calls, *ending))))
 
 
 def _is_served(graph: Graph, operations: Set[str]) -> bool:
@@ -241,9 +307,8 @@ class _Writer:
             for unit in self._needed(self._unit(node), done):
                 self._write(unit)
             self._lines.append(f"res[0][{k}]={self._number(node)};")
-        body = "\n  ".join(self._lines)
         head = '#include <math.h>\n#include "elementary.h"\n#include "model_functions.h"\n#include "twins.h"\n'
-        return f"{head}\nint {name}(const real **arg, real **res, int *iw, real *w, int mem) {{\n  {body}\n  return 0;\n}}\n"
+        return f"{head}\n{_c_function('int', name, PARAMETERS, self._lines, ('return 0;',))}"
 
     def _unit(self, node: int) -> Unit:
         return self._twins.get(node, (node,))

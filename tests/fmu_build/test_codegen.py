@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.fmu_build import codegen
+from flexfmu.fmu_build import codegen, twins
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.sources import runtime_sources
 from flexfmu.fmu_build.templating import c_double, c_string
@@ -192,15 +192,19 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path) -> None:
-    """Side by side or not, with vector types or without: a compiler must not decide about an FMU's numbers."""
+def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Side by side or not, with vector types or without, whole or in parts: a compiler must not decide about an FMU's numbers."""
     model = _model({})
     function = _function(model, name)
     code = function_code(function, codegen.twin_arguments(model, name))
     assert code is not None
+    monkeypatch.setattr(twins, "LONG", 10)
+    monkeypatch.setattr(twins, "PART", 7)
+    parts = function_code(function, codegen.twin_arguments(model, name))
+    assert parts is not None
     points, results = _points(function, 20), []
     for number, (text, *flags) in enumerate(
-        ((codegen.with_all_arguments(codegen.c_code(function)),), (code,), (code, "-DFLEX_PLAIN"))
+        ((codegen.with_all_arguments(codegen.c_code(function)),), (code,), (code, "-DFLEX_PLAIN"), (parts,))
     ):
         library = _library({"function.c": text, "model_functions.h": REAL}, tmp_path / str(number), *flags)
         results.append(_results(library, function.name(), function, points))

@@ -110,4 +110,11 @@ static inline double elementary_fmax(double x, double y) {
 #define fmax(x, y) elementary_fmax(x, y)
 #endif
 
+/* a part of a long generated function, which stays by itself: compilers take more than in proportion to length */
+#ifdef __GNUC__
+#define FLEX_APART __attribute__((noinline))
+#else
+#define FLEX_APART
+#endif
+
 #endif
