@@ -19,6 +19,26 @@ _UNIT_SIZE = 100_000
 """Length of what is compiled as one [characters]; some units can be compiled in parallel."""
 
 
+_SELDOM = (
+    "accuracy",
+    "directional",
+    "fmi2_instance",
+    "fmi2_lifecycle",
+    "fmi2_snapshots",
+    "model_derive",
+    "model_error_scale",
+)
+_SELDOM += (
+    "model_exchange",
+    "model_initial_coordinates",
+    "model_initial_inputs",
+    "model_motion_forward",
+    "model_start_forward",
+)
+_SELDOM += ("state_space", "tangent")
+"""C files whose functions are called at a start, for a linearisation or by model exchange: not optimised as long as the others."""
+
+
 def compile_library(
     sources: Sources,
     compiler: toolchain.Compiler,
@@ -41,15 +61,18 @@ def compile_library(
     """
     # one job per unit, with flags for generated code or runtime
     # the table with the GUID stays by itself, since another payload changes it alone
-    runtime = _units(sources.runtime, lambda name: name not in sources.joined)
-    generated = _units(sources.generated, lambda name: sources.guid in sources.generated[name])
-    texts = sources.generated | sources.runtime | runtime | generated
+    texts = sources.generated | sources.runtime
     first = toolchain.FIRST_HEADER if toolchain.FIRST_HEADER[-1] in texts else ()
-    jobs = [
-        toolchain.CompileJob(name, (*flags, *first))
-        for units, flags in ((runtime, runtime_flags), (generated, generated_flags))
-        for name in units
-    ]
+    parts = (
+        (sources.runtime, lambda name: name not in sources.joined, runtime_flags),
+        (sources.generated, lambda name: sources.guid in sources.generated[name], generated_flags),
+    )
+    jobs = []
+    for part, is_separate, flags in parts:
+        for seldom, level in ((False, ()), (True, ("-O1",))):
+            units = _units({name: part[name] for name in part if (Path(name).stem in _SELDOM) == seldom}, is_separate)
+            texts |= units
+            jobs += [toolchain.CompileJob(name, (*flags, *level, *first)) for name in units]
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
     with _work_folder() as folder:
         for file, text in texts.items():

@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import casadi
 import numpy as np
-from scipy.linalg import eigh
 
 from flexfmu.model.numeric import NumericModel, numeric_model, standstill
 from flexfmu.model.scene.errors import EquilibriumError
@@ -127,6 +126,8 @@ def natural_frequencies(scene: Scene, joints: tuple[float, float] | RealArray) -
     if numeric_model(scene).n == 0:
         return np.empty(0)
     mass, _, stiffness = _matrices(scene, joints)
+    from scipy.linalg import eigh  # here, since building a model needs no scipy
+
     return np.asarray(np.sqrt(_stable(eigh(stiffness, mass, eigvals_only=True), joints)) / (2 * np.pi), dtype=float)
 
 
@@ -141,6 +142,8 @@ def damped_modes(scene: Scene, joints: tuple[float, float] | RealArray) -> Dampe
         return DampedModes(np.empty(0), np.empty(0))
     # first-order form in [x, x'] about a stable equilibrium
     mass, damping, stiffness = _matrices(scene, joints)
+    from scipy.linalg import eigh
+
     _stable(eigh(stiffness, mass, eigvals_only=True), joints)
     acceleration = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     values = np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), acceleration])).astype(complex)
