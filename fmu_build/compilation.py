@@ -18,24 +18,12 @@ if TYPE_CHECKING:
 _UNIT_SIZE = 100_000
 """Length of what is compiled as one [characters]; some units can be compiled in parallel."""
 
-
-_SELDOM = (
-    "accuracy",
-    "directional",
-    "fmi2_instance",
-    "fmi2_lifecycle",
-    "fmi2_snapshots",
-    "model_derive",
-    "model_error_scale",
+_SELDOM = frozenset(
+    (
+        "accuracy directional fmi2_instance fmi2_lifecycle fmi2_snapshots model_exchange state_space tangent "
+        "model_derive model_error_scale model_initial_coordinates model_initial_inputs model_motion_forward model_start_forward"
+    ).split()
 )
-_SELDOM += (
-    "model_exchange",
-    "model_initial_coordinates",
-    "model_initial_inputs",
-    "model_motion_forward",
-    "model_start_forward",
-)
-_SELDOM += ("state_space", "tangent")
 """C files whose functions are called at a start, for a linearisation or by model exchange: not optimised as long as the others."""
 
 
