@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 _UNIT_SIZE = 100_000
 """Length of what is compiled as one [characters]; some units can be compiled in parallel."""
 
-_SELDOM = frozenset(
-    (
-        "accuracy directional fmi2_instance fmi2_lifecycle fmi2_snapshots model_exchange state_space tangent "
-        "model_derive model_error_scale model_initial_coordinates model_initial_inputs model_motion_forward model_start_forward"
-    ).split()
+_SELDOM = (
+    "accuracy directional fmi2_instance fmi2_lifecycle fmi2_snapshots model_exchange state_space tangent "
+    "model_derive model_error_scale model_initial_coordinates model_initial_inputs model_motion_forward model_start_forward"
 )
 """C files whose functions are called at a start, for a linearisation or by model exchange: not optimised as long as the others."""
 
@@ -58,7 +56,9 @@ def compile_library(
     jobs = []
     for part, is_separate, flags in parts:
         for seldom, level in ((False, ()), (True, ("-O1",))):
-            units = _units({name: part[name] for name in part if (Path(name).stem in _SELDOM) == seldom}, is_separate)
+            units = _units(
+                {name: part[name] for name in part if (Path(name).stem in _SELDOM.split()) == seldom}, is_separate
+            )
             texts |= units
             jobs += [toolchain.CompileJob(name, (*flags, *level, *first)) for name in units]
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
