@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 _UNIT_SIZE = 100_000
 """Length of what is compiled as one [characters]; some units can be compiled in parallel."""
 
-_SELDOM = (
-    "accuracy directional fmi2_instance fmi2_lifecycle fmi2_snapshots model_exchange state_space tangent "
-    "model_derive model_error_scale model_initial_coordinates model_initial_inputs model_motion_forward model_start_forward"
-)
-"""C files whose functions are called at a start, for a linearisation or by model exchange: not optimised as long as the others."""
+_SELDOM = ("derive", "error_scale", "initial_coordinates", "initial_inputs", "motion_forward", "start_forward")
+"""Generated functions that are called at a start or for a linearisation: optimised less, which takes half the compiler's time."""
 
 
 def compile_library(
@@ -47,20 +44,19 @@ def compile_library(
     """
     # one job per unit, with flags for generated code or runtime
     # the table with the GUID stays by itself, since another payload changes it alone
-    texts = sources.generated | sources.runtime
-    first = toolchain.FIRST_HEADER if toolchain.FIRST_HEADER[-1] in texts else ()
-    parts = (
-        (sources.runtime, lambda name: name not in sources.joined, runtime_flags),
-        (sources.generated, lambda name: sources.guid in sources.generated[name], generated_flags),
+    runtime = _units(sources.runtime, lambda name: name not in sources.joined)
+    seldom = {name for name in sources.generated if name.removeprefix("model_").removesuffix(".c") in _SELDOM}
+    often, rest = (
+        _units(
+            {name: text for name, text in sources.generated.items() if (name in seldom) == is_seldom},
+            lambda name: sources.guid in sources.generated[name],
+        )
+        for is_seldom in (False, True)
     )
-    jobs = []
-    for part, is_separate, flags in parts:
-        for seldom, level in ((False, ()), (True, ("-O1",))):
-            units = _units(
-                {name: part[name] for name in part if (Path(name).stem in _SELDOM.split()) == seldom}, is_separate
-            )
-            texts |= units
-            jobs += [toolchain.CompileJob(name, (*flags, *level, *first)) for name in units]
+    texts = sources.generated | sources.runtime | runtime | often | rest
+    first = toolchain.FIRST_HEADER if toolchain.FIRST_HEADER[-1] in texts else ()
+    flags_of = ((runtime, runtime_flags), (often, generated_flags), (rest, (*generated_flags, "-O1")))
+    jobs = [toolchain.CompileJob(name, (*flags, *first)) for units, flags in flags_of for name in units]
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
     with _work_folder() as folder:
         for file, text in texts.items():

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from flexfmu.fmu_build import build, cache, toolchain
+from flexfmu.fmu_build import build, cache, compilation, toolchain
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.sources import Sources, generate_sources
 from flexfmu.fmu_build.toolchain import native_platform
-from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]
 
@@ -186,3 +186,8 @@ def test_a_changed_part_compiles_again_what_includes_it(changed: str) -> None:
     texts = {"whole.c": whole, "part.c": "static const double part = 1.25;\n", "part.h": "#define PART 3.5\n"}
     assert library(texts) == library(texts)
     assert library(texts) != library(texts | {changed: texts[changed].replace("5", "7")})
+
+
+def test_seldom_called_functions_exist() -> None:
+    """A function that gets another name is compiled like the others, which takes longer: this says so."""
+    assert {*compilation._SELDOM} <= {*FUNCTION_SIGNATURES}
