@@ -28,7 +28,7 @@ def smallest(
 
     Args:
         scenes: the sets.
-        estimator: sets whose estimated error is beyond ``margin * tolerance`` aren't run.
+        estimator: sets whose estimated error is beyond ``margin`` times what is allowed aren't run.
         error: runs a set and observes its error.
         tolerance: largest observed error.
         margin: infinite to run every set.
@@ -36,7 +36,7 @@ def smallest(
     runs = 0
     for _, same_size in itertools.groupby(sorted(scenes, key=set_size), key=set_size):
         ranked = sorted(((_estimate(estimator, each), each) for each in same_size), key=lambda pair: pair[0])
-        for candidate in (each for estimate, each in ranked if estimate <= margin * tolerance):
+        for candidate in (each for estimate, each in ranked if estimate <= margin):
             observed, runs = error(candidate), runs + 1
             if observed < tolerance:
                 return Smallest(candidate, observed, runs)

@@ -75,6 +75,8 @@ def schema() -> dict[str, Any]:
         name: {"description": f"{each.description} [{each.unit}]", **either}
         for name, each in ((name, definition(name)) for name in (*ALL_METRICS, *MARGINS))
     }
+    for name in ("Effects", "ChoiceSection"):
+        definitions[name]["properties"]["of"]["items"]["enum"] = [*accuracy["properties"]]
     _allow_shorthands(whole, definitions)
     return {"$schema": DRAFT, "title": "Scene of flexfmu", **whole, "definitions": definitions}
 

@@ -15,8 +15,10 @@ _FAMILIES: Mapping[str, str] = {
 }
 
 
-def percent(value: float) -> str:
-    """A relative error in percent with two significant digits."""
+def percent(value: float | None) -> str:
+    """A relative error in percent with two significant digits; a dash for an unknown one."""
+    if value is None:
+        return "–"
     if value >= 0.1:
         return f"{100.0 * value:.0f} %"
     return "0" if value == 0.0 else f"{100.0 * value:.2g} %" if value >= 1e-6 else "< 0.0001 %"
@@ -46,7 +48,8 @@ def choice_sentence(scene: Scene) -> str:
     errors = ", ".join(f"{name} {percent(value)}" for name, value in zip(choice.of, known, strict=True))
     how = "estimated errors" if choice.verified is None else "errors beside the richest set"
     alone = ", of the motion alone" if choice.verified_in == "motion" else ""
-    beyond = [name for name, value in zip(choice.of, choice.verified or (), strict=False) if value > choice.tolerance]
+    pairs = zip(choice.of, choice.verified or (), strict=False)
+    beyond = [name for name, value in pairs if value is not None and value > choice.tolerance]
     missed = (
         f"; NOT within {percent(choice.tolerance)}: {', '.join(beyond)}, with a tolerance of the FMU of "
         f"{scene.cosimulation.tolerance:g}; leave out `cosimulation.tolerance` and `cosimulation.integrator_step`, or ask for less"
@@ -63,7 +66,9 @@ def choice_notes(scene: Scene) -> tuple[EffectNote, ...]:
         return ()
     # effects left out, each with the largest of its estimated contributions
     left_out = ", ".join(
-        f"{each.effect} ({each.change}) {percent(max(each.contribution))}" for each in choice.effects if not each.chosen
+        f"{each.effect} ({each.change}) {percent(max((x for x in each.contribution if x is not None), default=None))}"
+        for each in choice.effects
+        if not each.chosen
     )
     sentence = choice_sentence(scene)
     return (

@@ -222,7 +222,7 @@ def _health(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
 def _beyond_tolerance(run: Run, measurements: Mapping[str, Metric]) -> Iterator[str]:
     """Yield a sentence for each metric of an automatic choice whose numerical error is larger than what was asked for."""
     choice = run.scene.effects.choice
-    for name in () if choice is None else choice.of:
+    for name in () if choice is None else (each for each in choice.of if each in measurements):
         found, peak = measurements[name], measurements["peak_position_error"].value
         error = found.own_error
         if choice is None or found.value is None or error is None:

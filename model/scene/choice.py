@@ -18,7 +18,7 @@ MeasureName = Literal[
     "residual_vibration_amplitude",
     "residual_vibration_rms",
 ]
-"""Metrics whose error an automatic choice can limit."""
+"""Metrics whose error an automatic choice estimates; of other metrics runs alone show it."""
 
 MEASURES: tuple[MeasureName, ...] = get_args(MeasureName)
 
@@ -37,15 +37,16 @@ SMALLEST, LARGEST = LEAST_TOLERANCE / INTEGRATOR_SHARE, 10.0
 ChoiceTolerance = Annotated[float, quantity("1", ge=SMALLEST, le=LARGEST)]
 """Relative error; from 1 on, all deflections may be neglected."""
 
-MeasureNames = Annotated[tuple[MeasureName, ...], BeforeValidator(as_tuple)]
+MetricNames = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
+"""Any metrics of a scene, margins of its loop included."""
 
 LOOSEST_INTEGRATOR = 1e-3
 """Largest FMU tolerance of an automatic choice: 1e-2 would save only 2 % of the time, and its error would hide that
 of neglected effects."""
 
 
-Shares = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-"""A relative change for each metric of the choice, in the same order."""
+Shares = Annotated[tuple[float | None, ...], BeforeValidator(as_tuple)]
+"""A relative change for each metric of the choice, in the same order; None for one that isn't estimated."""
 
 
 def _asked(value: Any) -> float | str:
@@ -74,13 +75,13 @@ class EstimatedEffect(Section):
 class ChoiceSection(Section):
     """Result of an automatic choice of effects; written by `flexfmu`, not by hand.
 
-    `error` is the estimated error of each metric due to neglected effects, relative to the metric's scale. `verified` is the error
+    `error` is the estimated error of each metric due to neglected effects, relative to the metric's scale. `verified` bounds the error
     of the run against that of the richest set, of effects and integration together: of the scene as it runs, or of its motion alone
     where its loop can't run.
     """
 
     tolerance: ChoiceTolerance
-    of: MeasureNames
+    of: MetricNames
     error: Shares
     verified: Shares | None = None
     verified_in: Literal["scene", "motion"] = "scene"

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MeasureNames
+from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MetricNames
 from flexfmu.model.scene.section import LARGEST, NOT_TINY, Section, as_tuple, named_kind, quantity
 
 MAXIMUM_MODES = 40
@@ -162,7 +162,7 @@ class Effects(Section):
     reactions: bool = False
     select: Literal["auto"] | None = None
     tolerance: ChoiceTolerance | None = None
-    of: MeasureNames | None = None
+    of: MetricNames | None = None
     choice: ChoiceSection | None = None
 
     @model_validator(mode="after")

@@ -5,7 +5,8 @@ more mode of every family changes by at most `CONVERGED` of what is allowed, int
 effects that are left out (a run at `EXACT` beside the richest model's), the numerics (the setting beside its own run at `EXACT`, and
 that of the next tighter tolerance, which may not be worse), and what the richest model itself isn't known to. Sets of effects are a
 ladder and, where it has a gap, what the linear estimates of `flexfmu.cosim.design.effects.estimator` choose; runs decide. Tolerances are
-tightened from the loosest on, and left where another setting is cheaper already.
+tightened from the loosest on, and left where another setting is cheaper already. The choice of effects alone
+(`flexfmu.cosim.design.effects.choice`) is the same with the communication step and the integrator of the scene.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
 from flexfmu.cosim.design.effects.runs import MARGINS, ObservedFigures, SceneRuns, followed, is_smooth, with_settled
-from flexfmu.cosim.design.effects.search import SAFETY, cheapest, one_more, rich_enough
+from flexfmu.cosim.design.effects.search import CONVERGED, SAFETY, one_more, rich_enough, smallest_set
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError, suggestion
 from flexfmu.cosim.engine.files import to_json
 from flexfmu.cosim.engine.showing import UNITS, ShowProgress, quiet
@@ -38,7 +39,7 @@ from flexfmu.cosim.experiment.accuracy import (
     quantity_of,
 )
 from flexfmu.cosim.experiment.timing import fastest_in_turns
-from flexfmu.cosim.many.journal import WorkJournal, about_scene
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
 from flexfmu.fmu_build.cache import cache_folder, content_hash, package_fingerprint, read_cached, store
@@ -51,14 +52,14 @@ from flexfmu.model.scene.loop import SampledSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
-CONVERGED = 0.1
-"""Largest change of the richest set's figures by one more mode of every family, in units of what is allowed."""
-
 TINY = 1e-300
 """Change that stands for zero in ratios."""
 
 EXACT = 1e-11
 """Tolerance of runs that show the error of a set of effects; the richest one's is compared with a tenth of it."""
+
+EXACT_EFFECTS = 1e-9
+"""The same where effects alone are chosen, with the communication step and the integrator of the scene: small enough that only they differ."""
 
 MOST_COORDINATES = 44
 """Largest number of coordinates of a richest set: more take a minute to build."""
@@ -81,7 +82,10 @@ SHARE = 0.5
 """Share of the allowed error for the effects, by which estimates choose them; runs then decide by the sum."""
 
 ROUNDS = 5
-"""Largest number of sets that estimates choose, each for a smaller error."""
+"""Largest number of sets that estimates choose, each with larger safety factors for the figures that runs have shown to be wrong."""
+
+WITHOUT_ERROR = 1e12
+"""Safety factor with which only the richest set is within a limit."""
 
 TOLERANCES = tuple(each * 10.0**-k for k in range(1, 11) for each in (1.0, 0.3))
 INTEGRATORS = ("automatic", "gauss3", "gauss4")
@@ -158,8 +162,8 @@ def with_numerics(scene: Scene, step: float | None, integrator: str, tolerance: 
     )
 
 
-def check_figures(scene: Scene, asked: Mapping[str, float | str]) -> None:
-    """Check names and values of what is asked for.
+def check_figures(scene: Scene, asked: Mapping[str, float | str], key: str = "accuracy") -> None:
+    """Check names and values of what is asked for by a key of the scene.
 
     Raises:
         InputError: there is no such figure of this robot, or an absolute error has another unit or isn't above zero.
@@ -167,12 +171,12 @@ def check_figures(scene: Scene, asked: Mapping[str, float | str]) -> None:
     known = (*ALL_METRICS, *MARGINS)
     for name, value in asked.items():
         if name not in known:
-            raise InputError(f"`accuracy` names {name!r}, which is no metric; {suggestion(name, known)}")
+            raise InputError(f"`{key}` names {name!r}, which is no metric; {suggestion(name, known)}")
         if name in MARGINS and not scene.controller:
-            raise InputError(f"`accuracy.{name}` is a margin of a loop, and scene {scene.name} has no controller")
+            raise InputError(f"`{key}` names {name}, a margin of a loop, and scene {scene.name} has no controller")
         if name.startswith(("residual", "settling")) and not scene.trajectory.dwell:
             raise InputError(
-                f"`accuracy.{name}` needs a standstill after the motion: give `trajectory.dwell` above 0 s"
+                f"`{key}` names {name}, which needs a standstill after the motion: give `trajectory.dwell` above 0 s"
             )
         if not isinstance(value, str):
             continue
@@ -188,6 +192,10 @@ def check_figures(scene: Scene, asked: Mapping[str, float | str]) -> None:
             raise InputError(f"`accuracy.{name}` = {value!r} must be above 0 {unit}")
 
 
+class NotConvergedError(ResultsError):
+    """A figure keeps changing with the number of modes."""
+
+
 class Chooser:
     """Searches the cheapest settings of a scene for what is asked.
 
@@ -195,11 +203,20 @@ class Chooser:
         scene: with the default settings; its own elastic effects are a set among others.
         asked: figure → relative error, or text of an absolute one.
         show: called with the current activity and the finished fraction.
-        journal: where runs are kept.
+        journal: where estimates and runs are kept.
+        floor: None where effects and numerics are chosen. Where effects alone are: the smallest position to which an error is relative,
+            as a fraction of the peak position error, which must be asked for if positions are.
+
+    Attributes:
+        richest, reference: the scene with the richest set, and its figures.
+        allowed: largest error of each figure [SI].
+        known: error of each figure of the richest model itself [SI].
+        is_estimated: whether linear estimates are of this scene, not of a loop, and have all figures.
 
     Raises:
         InputError: as for `check_figures`, or a figure has no value.
-        ResultsError: the figures don't converge with the number of modes, or a run of the richest set failed.
+        NotConvergedError: the figures don't converge with the number of modes.
+        ResultsError: a run of the richest set failed.
     """
 
     def __init__(
@@ -207,7 +224,8 @@ class Chooser:
         scene: Scene,
         asked: Mapping[str, float | str],
         show: ShowProgress = quiet,
-        journal: WorkJournal | None = None,
+        journal: WorkJournal = NOWHERE,
+        floor: float | None = None,
     ) -> None:
         check_figures(scene, asked)
         self.scene, self.asked, self._show = (
@@ -215,11 +233,14 @@ class Chooser:
             dict(asked),
             show,
         )
-        self._journal = WorkJournal() if journal is None else journal
-        self._runs = SceneRuns(self.asked, show, self._journal)
+        self._journal, self._floor = journal, floor
+        self._runs = SceneRuns(self.asked, show, journal, timed=floor is None)
         section = scene.cosimulation
         motion = scene.trajectory.duration
         self._is_smooth = is_smooth(scene)
+        # whether estimates, of motors that follow the motion exactly, are of this scene, and of all its figures
+        self._is_followed = self._is_smooth if floor is None else not scene.controller
+        self.is_estimated = self._is_followed and self.asked.keys() <= {*MEASURES}
         finest = min(section.communication_step, motion / 2000.0) if self._is_smooth else section.communication_step
         self._exact_step = finest if self._is_smooth else finest / 2**HALVINGS
         self.trials: dict[str, SettingTrial] = {}
@@ -229,15 +250,24 @@ class Chooser:
 
     def _converge(self) -> None:
         """Find the richest set, its figures, what is allowed of each, and how well the richest model itself is known."""
-        first = richest(self.scene)
-        found = self._exact(first, "running the richest set")
-        self.allowed = np.array([self._allowed(name, found.values[0][k]) for k, name in enumerate(self.asked)])
-        most = first
-        if self._is_smooth:
+        most = richest(self.scene)
+        found = self.exact_figures(most, "running the richest set")
+        values = dict(zip(self.asked, found.values[0], strict=True))
+        self.allowed = np.array([self._allowed(name, values) for name in self.asked])
+        if self._is_followed:
             self._show("estimating how many modes matter", None)
-            units = self._units(Estimator(self.scene, self._motion, self._measures), found)
-            most = rich_enough(self.scene, self._motion, 1.0, self._measures, units=units)
-            found = self._exact(most, "running the richest set")
+            units = self._units(Estimator(self.scene, self._motion, self._measures, journal=self._journal), found)
+            bends = 1.0 if self._floor is None else min(map(float, self.asked.values()))
+            most, change = rich_enough(self.scene, self._motion, units, bends, self._journal)
+            found = self.exact_figures(most, "running the richest set")
+        self.richest, self.reference = most, found
+        if self._floor is not None and self.is_estimated and max(change.values()) <= CONVERGED:
+            # estimates that agree with the run tell what more modes change
+            values, estimated = dict(zip(self.asked, found.values[0], strict=True)), self.estimates.reference
+            if all(abs(values[name] - estimated[name]) <= units[name] for name in self._measures):
+                changes = {str(name): each for name, each in change.items()}
+                self.known = self.allowed * np.array([changes[name] for name in self.asked])
+                return
         rest = earlier = np.full(self.allowed.shape, np.inf)
         before = most
         while (rest > CONVERGED * self.allowed).any():
@@ -258,20 +288,24 @@ class Chooser:
                     if isfinite(change)
                     else f"by estimates {set_size(most)} coordinates don't suffice"
                 )
-                raise ResultsError(f"{name} doesn't converge as far as asked: {how}; ask for less accuracy")
-            better = self._exact(finer, "running one more mode of every family")
+                raise NotConvergedError(f"{name} doesn't converge as far as asked: {how}; ask for less accuracy")
+            better = self.exact_figures(finer, "running one more mode of every family")
             earlier, rest, before = rest, better.change(found), most
             most, found = finer, better
         self.richest, self.reference = most, found
-        # and how well it is integrated
-        twice = self._observe(
-            with_numerics(most, 0.5 * self._exact_step, "automatic", 0.1 * EXACT),
-            "running the richest set, more precisely",
-        )
-        self.known = rest + twice.change(found)
+        self.known = rest
+        if self._floor is None:
+            # and how well it is integrated
+            twice = self._observe(
+                with_numerics(most, 0.5 * self._exact_step, "automatic", 0.1 * EXACT),
+                "running the richest set, more precisely",
+            )
+            self.known = rest + twice.change(found)
 
-    def _allowed(self, name: str, value: float) -> float:
-        asked = self.asked[name]
+    def _allowed(self, name: str, values: Mapping[str, float]) -> float:
+        asked, value, key = self.asked[name], values[name], "accuracy" if self._floor is None else "effects.of"
+        if self._floor is not None and definition(name).unit == "m" and isfinite(value):
+            value = max(abs(value), self._floor * values["peak_position_error"])
         if isinstance(asked, str):
             number, unit = quantity_of(asked, name)
             if not isfinite(value):
@@ -279,8 +313,9 @@ class Chooser:
             return number * UNITS.get(unit, (unit, 1.0))[1]
         if not isfinite(value) or value == 0.0:
             which = "is 0" if value == 0.0 else "has no value"
-            remedy = "; ask for an absolute error, a text with its unit" if value == 0.0 else ""
-            raise InputError(f"`accuracy` names {name}, which {which} in scene {self.scene.name}{remedy}")
+            is_mendable = value == 0.0 and self._floor is None
+            remedy = "; ask for an absolute error, a text with its unit" if is_mendable else ""
+            raise InputError(f"`{key}` names {name}, which {which} in scene {self.scene.name}{remedy}")
         return float(asked * abs(value))
 
     @property
@@ -299,21 +334,38 @@ class Chooser:
         allowed = dict(zip(self.asked, self.allowed.tolist(), strict=True))
         return {name: allowed.get(name, ratio * abs(value)) for name, value in estimates.reference.items()}
 
-    def _exact(self, base: Scene, activity: str) -> ObservedFigures:
-        return self._observe(with_numerics(base, self._exact_step, "automatic", EXACT), activity)
+    def exact(self, base: Scene) -> Scene:
+        """Return the scene with a set of effects, integrated such that only the effects make an error."""
+        if self._floor is None:
+            return with_numerics(base, self._exact_step, "automatic", EXACT)
+        return base.replace({"cosimulation.integrator_step": 0.0, "cosimulation.tolerance": EXACT_EFFECTS})
+
+    def exact_figures(self, base: Scene, activity: str = "") -> ObservedFigures:
+        """Return the figures of an `exact` run; errors as for `SceneRuns.observe`."""
+        return self._observe(self.exact(base), activity or f"running {set_text(base)}")
 
     def _observe(self, scene: Scene, activity: str) -> ObservedFigures:
         return self._runs.observe(scene, activity)
 
     # Sets of effects
 
+    def smallest(self, target: float) -> Scene:
+        """Return a set with few coordinates whose error is at most ``target`` times what is allowed, the richest where none is.
+
+        Estimates choose it and runs confirm it; where estimates are of another system, or of other figures, it is part of the first
+        set of the ladder that suffices.
+        """
+        ladder = () if self.is_estimated else self._ladder
+        first = next((each for each in ladder if self.model_share(each) <= target), None)
+        return next(self._estimated(target, target, first), first or self.richest)
+
     def _sets(self, target: float) -> Iterator[Scene]:
         """Yield sets whose model error leaves room for the numerics, in units of ``target`` times what is allowed: few coordinates first."""
-        own = [name for name in self._measures if name in self.asked] if self._is_smooth else []
+        own = [name for name in self._measures if name in self.asked] if self._is_followed else []
         fitting = list[Scene]()
-        for each in sorted([*self.ladder.values()][:-1], key=set_size):
+        for each in self._ladder:
             # what estimates call hopeless isn't built
-            if any(self._estimates.errors(each.effects)[name] > HOPELESS * target for name in own):
+            if any(self.estimates.errors(each.effects)[name] > HOPELESS * target for name in own):
                 continue
             if (share := self.model_share(each)) <= target:
                 fitting.append(each)
@@ -322,29 +374,36 @@ class Chooser:
                 break
         first = fitting[0] if fitting else self.richest
         if set_size(first):
-            fitting += self._estimated(target, first)
+            fitting += self._estimated(target, SHARE * target, first)
         yield from sorted([*fitting, self.richest], key=set_size)
 
-    def _estimated(self, target: float, most: Scene) -> Iterator[Scene]:
-        """Yield the part of a set that the estimates choose, if it has fewer coordinates; with ever smaller limits until a run confirms it."""
-        estimates, limit = self._estimates, SHARE / SAFETY * target
-        if not (self._is_smooth and self.asked.keys() <= {*MEASURES}):
-            limit *= HOPELESS  # of another system, or of other figures
+    def _estimated(self, target: float, limit: float, most: Scene | None) -> Iterator[Scene]:
+        """Yield the part of a set that estimates choose for a limit, if it has fewer coordinates; more carefully until a run confirms it.
+
+        Figures that a run has shown to be wrong get larger safety factors; where estimates don't have such a figure, all others do.
+        """
+        # of another system, or of other figures, estimates may be far too large
+        safety = dict.fromkeys(self._measures, SAFETY if self.is_estimated else SAFETY / HOPELESS)
         for _ in range(ROUNDS):
             self._show("choosing a set of effects", None)
-            found = cheapest(
-                most,
-                with_set(self.scene, {}),
-                lambda each: max(estimates.errors(each.effects, sharp=False).values()),
-                lambda each: max(estimates.errors(each.effects).values()),
-                limit,
-            )
-            if set_size(found) >= set_size(most):
+            found = smallest_set(self.estimates, safety, limit, most)
+            if most is not None and set_size(found) >= set_size(most):
                 return
-            if (share := self.model_share(found)) <= target:
+            shares = dict(zip(self.asked, self.model_shares(found).tolist(), strict=True))
+            if (worst := max(shares.values())) <= target:
                 yield found
                 return
-            limit /= max(2.0, min(share / target, 1e3))
+            for name, estimated in self.estimates.errors(found.effects).items():
+                if (share := shares.get(name, worst)) > target:
+                    grown = SAFETY * share / max(estimated, 1e-12)
+                    safety[name] = min(max(2.0 * safety[name], grown), WITHOUT_ERROR)
+            if self.estimates.richest != self.richest:
+                del self.estimates  # of the first richest set, which sufficed to estimates
+
+    @property
+    def _ladder(self) -> list[Scene]:
+        """The ladder and the scene's own set, few coordinates first."""
+        return sorted([*self.ladder.values()][:-1], key=set_size)
 
     @cached_property
     def ladder(self) -> dict[str, Scene]:
@@ -360,21 +419,26 @@ class Chooser:
         return followed(self.scene)
 
     @cached_property
-    def _estimates(self) -> Estimator:
+    def estimates(self) -> Estimator:
         """Linear estimates, in units of what is allowed; for figures that they don't have, of the usual ones."""
-        found = Estimator(self.scene, self._motion, self._measures, most=self.richest)
+        found = Estimator(self.scene, self._motion, self._measures, self.richest, self._journal)
         return found.scaled(self._units(found, self.reference))
 
-    def model_share(self, base: Scene) -> float:
-        """Return the largest error by the effects that a set leaves out, with what the reference isn't known to, in units of what is allowed."""
+    def model_shares(self, base: Scene) -> RealArray:
+        """Return each figure's error by the effects that a set leaves out, with what the reference isn't known to, in units of what is allowed."""
         try:
-            return float(((self.model_errors(base) + self.known) / self.allowed).max())
+            found: RealArray = (self.model_errors(base) + self.known) / self.allowed
         except CosimError:
-            return inf
+            found = np.full(self.allowed.shape, inf)
+        return found
+
+    def model_share(self, base: Scene) -> float:
+        """Return the largest of the `model_shares`."""
+        return float(self.model_shares(base).max())
 
     def model_errors(self, base: Scene) -> RealArray:
         """Return the error of each figure by the effects that a set leaves out [SI]; errors as for `SceneRuns.observe`."""
-        return self._exact(base, f"running {set_text(base)}").change(self.reference)
+        return self.exact_figures(base).change(self.reference)
 
     # Numerics
 
@@ -388,7 +452,7 @@ class Chooser:
         """Return a setting's errors and time; errors as for `SceneRuns.observe`."""
         key = scene.model_dump_json(include={"effects", "cosimulation"})
         if key not in self.trials:
-            exact = self._exact(scene, f"running {set_text(scene)}")
+            exact = self.exact_figures(scene)
             found = self._observe(scene, "; ".join(reversed(setting_text(scene).split("; "))))
             model, numerics = exact.change(self.reference), found.change(exact)
             share = float(((model + numerics + self.known) / self.allowed).max())

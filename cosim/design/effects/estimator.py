@@ -10,7 +10,7 @@ that deflect statically are added by the mode acceleration method.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +21,7 @@ import numpy as np
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.model.scene.choice import NAMED_FLOOR, MeasureName
+from flexfmu.model.scene.choice import MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.linearized_motion import LinearizedMotion, Outputs
@@ -58,10 +58,6 @@ def with_set(scene: Scene, chosen: Mapping[str, Any]) -> Scene:
 def richest(scene: Scene) -> Scene:
     """Return the scene with the set `RICHEST`."""
     return with_set(scene, RICHEST)
-
-
-FLOOR = 0.1
-"""Smallest scale of a position metric that the user hasn't named, as a fraction of the peak position error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,22 +137,6 @@ class EstimatedSolution:
         return found
 
 
-def scales(reference: Mapping[MeasureName, float], named: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
-    """Return the scale of each metric, to which its errors are relative, in the metric's unit.
-
-    The scale is the metric's magnitude, for positions at least `FLOOR` times the peak position error, which the
-    reference must contain: a decayed residual vibration is near zero and no useful scale.
-
-    Args:
-        reference: metrics of the richest set.
-        named: metrics that the user named, for which `NAMED_FLOOR` replaces `FLOOR`.
-    """
-    # positions have a smallest scale, other metrics have none
-    peak = reference["peak_position_error"]
-    floors = {name: peak * (NAMED_FLOOR if name in named else FLOOR) for name in reference if METRICS[name].unit == "m"}
-    return {name: max(abs(value), floors.get(name, 0.0)) for name, value in reference.items()}
-
-
 class Estimator:
     """Estimates the metrics of a scene's motion for any set of effects.
 
@@ -164,13 +144,11 @@ class Estimator:
         scene: robot and loads; its own elastic effects are ignored.
         motion: the planned motion of its motors.
         of: the metrics.
-        named: metrics that the user named, see `scales`.
         most: the scene with the richest set, `richest(scene)` when None.
         journal: where estimates are kept.
 
     Attributes:
         richest: the scene with the richest set.
-        named: metrics that the user named.
     """
 
     def __init__(
@@ -178,11 +156,10 @@ class Estimator:
         scene: Scene,
         motion: Trajectory,
         of: tuple[MeasureName, ...],
-        named: Collection[MeasureName] = (),
         most: Scene | None = None,
         journal: WorkJournal = NOWHERE,
     ) -> None:
-        self.richest, self._of, self.named = richest(scene) if most is None else most, of, named
+        self.richest, self._of = richest(scene) if most is None else most, of
         self._journal = journal
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
@@ -196,13 +173,12 @@ class Estimator:
     @cached_property
     def reference(self) -> MetricValues:
         """Metrics with the richest set, in SI units."""
-        return {name: self._full[name] for name in self._of}
+        return self.metrics(self.richest.effects)
 
     @cached_property
     def scales(self) -> MetricValues:
-        """Scale of each metric, see the function `scales`."""
-        units = scales(self._full, self.named)
-        return {name: units[name] for name in self._of}
+        """What errors are relative to: the metrics' own magnitudes, unless they are `scaled` [SI]."""
+        return {name: abs(value) for name, value in self.reference.items()}
 
     @cached_property
     def largest_deflection(self) -> float:
@@ -217,12 +193,6 @@ class Estimator:
             for i, name in enumerate(robot.names)
             if name.endswith("bending[1]")
         )
-
-    @cached_property
-    def _full(self) -> MetricValues:
-        """Metrics with the richest set, those that the scales need included."""
-        needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
-        return self._solution(self.richest.effects, sharp=True).metrics(needed)
 
     def scaled(self, units: MetricValues) -> Estimator:
         """Return the same estimates, whose errors are relative to these units [SI]."""

@@ -19,6 +19,7 @@ from flexfmu.cosim.design.effects.estimator import richest
 from flexfmu.cosim.design.margins.scene_margins import scene_margins
 from flexfmu.cosim.engine.errors import InputError, LearningWarning, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.results import EVERYTHING
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
@@ -103,10 +104,13 @@ class SceneRuns:
         names: the figures, of `ALL_METRICS` and `MARGINS`.
         show: called with the current activity and the finished fraction.
         journal: where figures are kept.
+        timed: whether short runs are repeated to time them, and record what the scene says alone.
     """
 
-    def __init__(self, names: Collection[str], show: ShowProgress = quiet, journal: WorkJournal = NOWHERE) -> None:
-        self.names, self.count = tuple(names), 0
+    def __init__(
+        self, names: Collection[str], show: ShowProgress = quiet, journal: WorkJournal = NOWHERE, *, timed: bool = True
+    ) -> None:
+        self.names, self._timed = tuple(names), timed
         self._metrics = tuple(name for name in names if name in ALL_METRICS)
         self._show, self._journal = show, journal
         self._known: dict[str, ObservedFigures | str] = {}
@@ -119,10 +123,9 @@ class SceneRuns:
             ResultsError: a run failed, or the loop is unstable.
             BuildError, InputError: the FMU can't be built, or the settings don't go together.
         """
-        key = scene.model_dump_json(include={"effects", "cosimulation"})
+        key = scene.model_dump_json(include={"effects", "cosimulation", "payload", "trajectory"})
         if key not in self._known:
             self._show(activity, None)
-            self.count += 1
             self._known[key] = self._journal.kept(key, ObservedFigures | str, lambda: self._observed(scene))
         found = self._known[key]
         if isinstance(found, str):
@@ -134,7 +137,7 @@ class SceneRuns:
             warnings.simplefilter("ignore", LearningWarning)  # it is given once, of the scene with the chosen settings
             robot = with_settled(scene)
         try:
-            prepared = PreparedScene(robot)
+            prepared = PreparedScene(robot, record=None if self._timed else EVERYTHING)
         except InputError as error:
             return str(error)
         key = "payload.mass" if scene.payload.mass else "mechanism.material.density"
@@ -156,7 +159,7 @@ class SceneRuns:
             values = {**dict(measured), **margins}
             rows.append(tuple(float(values[name]) for name in self.names))  # a metric without a value is NaN
         # short runs again: the first ones have loaded everything
-        while len(times) < len(NEIGHBOURS) + REPETITIONS and sum(times) < ENOUGH:
+        while self._timed and len(times) < len(NEIGHBOURS) + REPETITIONS and sum(times) < ENOUGH:
             begin = process_time()
             prepared.run()
             times.append(process_time() - begin)
@@ -164,7 +167,10 @@ class SceneRuns:
 
     def _margins(self, scene: Scene) -> dict[str, float]:
         """The margins of a scene, which its numerics don't change."""
-        wanted, key = [name for name in self.names if name in MARGINS], scene.effects.model_dump_json()
+        wanted, key = (
+            [name for name in self.names if name in MARGINS],
+            scene.model_dump_json(include={"effects", "payload"}),
+        )
         if wanted and key not in self._known_margins:
             worst = scene_margins(scene).worst
             values = {name: float(getattr(worst, name)) for name in wanted}

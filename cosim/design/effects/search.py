@@ -7,15 +7,15 @@ are estimated too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import get_args
 
 from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, richest, with_set
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.metrics.small_deflections import MOST_FOUND
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
-from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, MeasureName
-from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
+from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.scene.effects import CHOOSABLE, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -23,37 +23,37 @@ SAFETY = 1.5
 """Safety factor on estimated errors: one Newton iteration and finite time steps leave an error of some percent."""
 
 CONVERGED = 0.1
-"""Largest difference of the richest set from the next richer one, in units of the tolerance."""
+"""Largest difference of the richest set from the next richer one, in units of what is allowed."""
 
 MOST_MODES = 8
 """Largest number of modes of a family in the richest set."""
 
 
 def rich_enough(
-    scene: Scene,
-    motion: Trajectory,
-    tolerance: float,
-    of: tuple[MeasureName, ...],
-    named: Collection[MeasureName] = (),
-    journal: WorkJournal = NOWHERE,
-    units: MetricValues | None = None,
-) -> Scene:
-    """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
+    scene: Scene, motion: Trajectory, units: MetricValues, tolerance: float, journal: WorkJournal = NOWHERE
+) -> tuple[Scene, MetricValues]:
+    """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED`, and these changes.
 
-    The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the
-    number of modes and is left out meanwhile. Bending is geometrically exact if that makes a difference of `CONVERGED` tolerances.
+    The set starts as `RICHEST`; modes are added by the size of their contribution, up to `MOST_MODES`. Foreshortening hardly depends
+    on the number of modes and is left out meanwhile. Bending is geometrically exact if that makes a difference of `CONVERGED`.
 
-    Arguments as for `choose_effects`; `named` and `journal` as for `Estimator`; `units` for `scaled`.
+    Args:
+        scene, motion, journal: as for `Estimator`.
+        units: what is allowed of each metric [SI].
+        tolerance: relative error of the path below which bending needn't be exact.
     """
+
+    def estimator_of(most: Scene) -> Estimator:
+        return Estimator(scene, motion, tuple(units), most, journal).scaled(units)
+
     most = richest(scene)
     while True:
         # compare with one more mode of every family
         grown_most = one_more(most, get_args(FamilyName))
         plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
-        estimator = Estimator(scene, motion, of, named, grown, journal)
-        estimator = estimator if units is None else estimator.scaled(units)
+        estimator = estimator_of(grown)
         # add the mode with the largest contribution until the rest is negligible
-        while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
+        while max((change := estimator.errors(plain.effects)).values()) > CONVERGED:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]
             plain = min(
                 (each for each in steps if estimator.covers(each.effects) and each != plain),
@@ -67,9 +67,9 @@ def rich_enough(
     # geometrically exact bending, where links bend so far that it can matter
     exact = most.replace({"effects.foreshortening": "exact"})
     if MOST_FOUND[True] * estimator.largest_deflection**2 <= CONVERGED * tolerance:
-        return most
-    change = Estimator(scene, motion, of, named, exact, journal).errors(most.effects)
-    return exact if max(change.values()) > CONVERGED * tolerance else most
+        return most, change
+    bends = max(estimator_of(exact).errors(most.effects).values()) > CONVERGED
+    return exact if bends else most, change
 
 
 def one_more(scene: Scene, families: Sequence[str]) -> Scene:
@@ -77,55 +77,23 @@ def one_more(scene: Scene, families: Sequence[str]) -> Scene:
     return scene.replace({f"effects.{key}": min(getattr(scene.effects, key) + 1, MOST_MODES) for key in families})
 
 
-def choose_effects(
-    scene: Scene,
-    motion: Trajectory,
-    tolerance: float,
-    of: tuple[MeasureName, ...],
-    estimator: Estimator | None = None,
-    safety: Mapping[MeasureName, float] | None = None,
+def smallest_set(
+    estimates: Estimator, safety: Mapping[MeasureName, float], limit: float, most: Scene | None = None
 ) -> Scene:
-    """Return the scene with the cheapest set of effects whose estimated errors are within their share of the tolerance.
-
-    The other share is the integrator's, `INTEGRATOR_SHARE`. The scene's ``effects.choice`` has the estimates.
+    """Return the scene with the cheapest part of a set whose estimated errors, each with its safety factor, are within a limit.
 
     Args:
-        scene: robot, loads and motion; its own elastic effects are ignored.
-        motion: the planned motion of its motors.
-        tolerance: largest relative error of the metrics.
-        of: the metrics.
-        estimator: of this scene, motion and metrics; a new one when None.
-        safety: safety factor on the estimated errors of each metric; `SAFETY` when None.
+        estimates: of the errors.
+        safety: safety factor of each metric.
+        limit: largest error.
+        most: the scene with the set; the estimates' richest when None.
     """
-    estimates = estimator or Estimator(scene, motion, of, most=rich_enough(scene, motion, tolerance, of))
-    limit, factor = (1.0 - INTEGRATOR_SHARE) * tolerance, safety or dict.fromkeys(of, SAFETY)
+    most = most or estimates.richest
 
     def error(each: Scene, sharp: bool) -> float:
-        return max(factor[name] * value for name, value in estimates.errors(each.effects, sharp=sharp).items())
+        return max(safety[name] * value for name, value in estimates.errors(each.effects, sharp=sharp).items())
 
-    chosen = cheapest(
-        estimates.richest, with_set(scene, {}), lambda each: error(each, False), lambda each: error(each, True), limit
-    )
-    # contribution of every effect: change of the metrics without it, or with it where it is not in the set
-    worth = tuple(
-        EstimatedEffect(
-            effect=each.effect,
-            change=each.change,
-            chosen=is_chosen,
-            contribution=tuple(estimates.changes(chosen.effects, each.scene.effects).values()),
-        )
-        for each, is_chosen in neighbours(estimates, chosen)
-    )
-    error_of = estimates.errors(chosen.effects)
-    choice = ChoiceSection(
-        tolerance=tolerance, of=of, error=tuple(factor[name] * error_of[name] for name in of), effects=worth
-    )
-    return chosen.replace({"effects.choice": choice.model_dump()})
-
-
-def estimated_errors(estimator: Estimator, scene: Scene) -> Mapping[MeasureName, float]:
-    """Return the estimated errors of a scene's set of effects relative to the metrics' scales, `SAFETY` included."""
-    return {name: SAFETY * value for name, value in estimator.errors(scene.effects).items()}
+    return cheapest(most, with_set(most, {}), lambda each: error(each, False), lambda each: error(each, True), limit)
 
 
 def neighbours(estimator: Estimator, chosen: Scene) -> list[tuple[Neighbour, bool]]:
@@ -183,32 +151,3 @@ def poorer(scene: Scene) -> Iterator[Neighbour]:
 def richer(scene: Scene) -> Iterator[Neighbour]:
     """Return all scenes with one effect or mode more."""
     return (neighbour for neighbour in enrichments(scene) if neighbour.effect in CHOOSABLE)
-
-
-def effects_of_loads(
-    estimator: Estimator,
-    chosen: Scene,
-    motion: Trajectory,
-    measured: Callable[[Scene], MetricValues | None] = lambda scene: None,
-) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
-    """Yield, for each load of the robot, the scene without it and the change of the metrics.
-
-    Args:
-        estimator: of the scene.
-        chosen: the scene with a set of effects.
-        motion: the planned motion of its motors.
-        measured: metrics of a scene's run where it needs one; None where estimates, of motors that follow the motion exactly, suffice
-            or it can't run.
-    """
-    metrics, scales, known = estimator.metrics(chosen.effects), estimator.scales, measured(chosen)
-    for without in (each for each in reductions(chosen) if each.effect in LOADS):
-        others = Estimator(without.scene, motion, tuple(metrics), most=without.scene).metrics(without.scene.effects)
-        observed = None if known is None else measured(without.scene)
-        first, second = (metrics, others) if known is None or observed is None else (known, observed)
-        shares = tuple(abs(second[name] - first[name]) / scales[name] for name in metrics)
-        yield (without, EstimatedEffect(effect=without.effect, change=without.change, chosen=True, contribution=shares))
-
-
-def absent_effects(scene: Scene) -> tuple[str, ...]:
-    """Return the keys of loads that the robot doesn't have."""
-    return tuple(key for key in LOADS if key not in scene.loads)

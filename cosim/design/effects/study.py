@@ -14,28 +14,24 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.design.effects.choice import EXACT, Observed, choose_verified, named_metrics, observe, requirements
-from flexfmu.cosim.design.effects.estimator import Estimator, MetricValues, scales
-from flexfmu.cosim.design.effects.runs import followed
-from flexfmu.cosim.design.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
+from flexfmu.cosim.design.effects.choice import EffectChoice, choose_effects, requirements
+from flexfmu.cosim.design.effects.estimator import Estimator
+from flexfmu.cosim.design.effects.runs import followed, with_settled
+from flexfmu.cosim.design.effects.search import SAFETY, neighbours, richer
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
-from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.choice_text import choice_sentence, percent, set_text
-from flexfmu.model.enrichment import Neighbour
+from flexfmu.model.enrichment import Neighbour, reductions
 from flexfmu.model.numeric import NumericModel, numeric_model
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.scene.choice import (
-    INTEGRATOR_SHARE,
-    ChoiceSection,
-    EstimatedEffect,
-    MeasureName,
-    integrator_tolerance,
-)
+from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, integrator_tolerance
+from flexfmu.model.scene.effects import LOADS
 from flexfmu.model.scene.schema import Scene
 
 Place = Literal["in", "out", "given"]
@@ -83,27 +79,28 @@ class EffectStudy:
     """A choice of effects, with contribution and cost of each effect.
 
     Attributes:
-        scene: with the chosen set; ``scene.effects.choice`` has the estimates.
-        estimator: of the scene.
+        chosen: the choice, with its runs and estimates.
         cost: of the chosen set.
         rows: every effect: those in the set, those out of it, then the loads.
     """
 
-    scene: Scene
-    estimator: Estimator
+    chosen: EffectChoice
     cost: Cost
     rows: tuple[EffectRow, ...]
 
     def __str__(self) -> str:
-        """The chosen effects and their estimated errors, in one line."""
+        """The chosen effects and their errors, in one line."""
         return choice_sentence(self.scene)
 
     @property
+    def scene(self) -> Scene:
+        """The scene with the chosen set."""
+        return self.chosen.scene
+
+    @property
     def choice(self) -> ChoiceSection:
-        """How the effects were chosen: tolerance, metrics, estimated errors and contributions."""
-        choice = self.scene.effects.choice
-        assert choice is not None  # `choose_effects` sets it
-        return choice
+        """How the effects were chosen: tolerance, metrics, errors and contributions."""
+        return self.chosen.section
 
 
 @one_blas_thread()
@@ -128,36 +125,48 @@ def study_effects(
         SceneError: the tolerance or a metric is impossible.
         TrajectoryError: the motion isn't feasible.
     """
-    limit, names = requirements(scene, tolerance, of)
+    limit, _ = requirements(scene, tolerance, of)
     stated = scene.effects.tolerance
     if stated is None or scene.cosimulation.tolerance == integrator_tolerance(stated):
         # an integrator's tolerance that belongs to another choice, or to none, is replaced
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     # the choice, and every set that differs by one effect or load
-    joints = followed(scene)
-    chosen, estimator = choose_verified(scene, joints, limit, names, named_metrics(scene, of), show, journal)
+    choice = choose_effects(scene, tolerance, of, show, journal)
     show("looking at what the robot gives", None)
-    choice = chosen.effects.choice
-    assert choice is not None  # `choose_effects` sets it
-    elastic = zip(neighbours(estimator, chosen), choice.effects, strict=True)
-
-    def measured(each: Scene) -> MetricValues | None:
-        """Metrics of a run in the loop, whose motors don't follow exactly; a loop may need the load that is left out."""
-        if not chosen.controller or choice.verified_in == "motion":
-            return None
-        with suppress(CosimError):
-            return observe(each, names, EXACT).metrics
-        return None
-
-    loads = effects_of_loads(estimator, chosen, joints, measured)
+    elastic = zip(neighbours(choice.chooser.estimates, choice.scene), choice.section.effects, strict=True)
     found: list[tuple[Place, Scene, EstimatedEffect]] = [
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
-        *(("given", each.scene, estimate) for each, estimate in loads),
+        *(("given", each.scene, estimate) for each, estimate in effects_of_loads(choice)),
     ]
     show("timing the equations", None)
-    own, *others = costs([chosen, *(other for _, other, _ in found)])
+    own, *others = costs([choice.scene, *(other for _, other, _ in found)])
     rows = tuple(EffectRow(place, each, cost) for (place, _, each), cost in zip(found, others, strict=True))
-    return EffectStudy(chosen, estimator, own, rows)
+    return EffectStudy(choice, own, rows)
+
+
+def effects_of_loads(choice: EffectChoice) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
+    """Yield, for each load of the robot, the scene without it and the change of the metrics.
+
+    It is that of runs where a controller acts, whose motors don't follow exactly, and of estimates where the loop can't run without the
+    load, as often without the motors' inertia.
+    """
+    chosen, estimates = choice.scene, choice.chooser.estimates
+    metrics, scales = estimates.metrics(chosen.effects), choice.scales
+    for without in (each for each in reductions(chosen) if each.effect in LOADS):
+        found = dict[str, float]()
+        if chosen.controller and choice.section.verified_in == "scene":
+            with suppress(CosimError):
+                found = choice.change(chosen, without.scene)
+        if not found:
+            others = Estimator(without.scene, followed(chosen), tuple(metrics), without.scene).reference
+            found = {name: abs(others[name] - metrics[name]) / scales[name] for name in metrics if name in scales}
+        shares = tuple(found.get(name) for name in choice.section.of)
+        yield (without, EstimatedEffect(effect=without.effect, change=without.change, chosen=True, contribution=shares))
+
+
+def absent_effects(scene: Scene) -> tuple[str, ...]:
+    """Return the keys of loads that the robot doesn't have."""
+    return tuple(key for key in LOADS if key not in scene.loads)
 
 
 def costs(scenes: Sequence[Scene]) -> list[Cost]:
@@ -183,21 +192,21 @@ class EffectComparison:
 
     Attributes:
         effect, change: effect that the richer set adds, and how.
-        estimated: estimated change of each metric.
+        estimated: estimated change of each metric that has an estimate.
         observed: change of each metric between the two runs.
         slower: processor time of the richer set's run divided by that of the chosen set's.
     """
 
     effect: str
     change: str
-    estimated: Mapping[MeasureName, float]
-    observed: Mapping[MeasureName, float]
+    estimated: Mapping[str, float]
+    observed: Mapping[str, float]
     slower: float
 
     @property
     def effectivity(self) -> float | None:
         """Effectivity index: largest estimated change divided by the largest observed one; None where none was observed."""
-        observed = max(self.observed.values())
+        observed = max((self.observed[name] for name in self.estimated), default=0.0)
         return max(self.estimated.values()) / observed if observed else None
 
 
@@ -219,36 +228,34 @@ def comparisons(
         BuildError: an FMU can't be built.
         ResultsError: a run failed.
     """
-    # the runs to compare with
-    chosen, estimator = study.scene, study.estimator
-    names, is_alone = tuple(estimator.reference), study.choice.verified_in == "motion"
-    show("running the chosen set", None)
-    base = observe(chosen, names, EXACT, is_alone=is_alone)
+    chosen, chooser = study.chosen, study.chosen.chooser
+    estimates, tolerance = chooser.estimates, study.choice.tolerance
+
+    def compare(effect: str, change: str, other: Scene, factor: float = 1.0) -> EffectComparison:
+        # estimated errors are in units of what is allowed
+        most = other if estimates.covers(other.effects) else estimates.richest
+        estimated = estimates.changes(study.scene.effects, most.effects)
+        observed = chosen.change(study.scene, other)
+        settled = (with_settled(chooser.exact(chosen.as_run(each))) for each in (study.scene, other))
+        own, longer = fastest_in_turns([PreparedScene(each).run for each in settled])
+        shares: dict[str, float] = {
+            name: factor * tolerance * each for name, each in estimated.items() if name in observed
+        }
+        return EffectComparison(effect, change, shares, observed, longer / own)
+
     show("running the richest set", None)
-    full = observe(estimator.richest, (*names, "peak_position_error"), EXACT, is_alone=is_alone)
-    units = scales(full.metrics, estimator.named)
-
-    def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> EffectComparison:
-        observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
-        own, longer = fastest_in_turns([base.run, other.run])
-        return EffectComparison(effect, change, estimated, observed, longer / own)
-
-    def one_more(each: Neighbour) -> EffectComparison:
-        estimated = estimator.changes(chosen.effects, each.scene.effects)
-        return compare(each.effect, each.change, estimated, observe(each.scene, names, EXACT, is_alone=is_alone))
-
-    yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
-    # one more of each effect within the estimator's richest set
-    for each in richer(chosen):
-        if estimator.covers(each.scene.effects):
+    yield compare(EVERYTHING, "the richest set", chooser.richest, SAFETY)
+    # one more of each effect within the richest set
+    for each in richer(study.scene):
+        if estimates.covers(each.scene.effects):
             show(f"running with {each.effect}: {each.change}", None)
-            unit = "check", chosen.effects.model_dump_json(), each.scene.effects.model_dump_json()
-            yield journal.kept(unit, EffectComparison, partial(one_more, each))
+            unit = "check", study.scene.effects.model_dump_json(), each.scene.effects.model_dump_json()
+            yield journal.kept(unit, EffectComparison, partial(compare, each.effect, each.change, each.scene))
 
 
 def contribution_table(study: EffectStudy) -> Table:
     """Tabulate every effect with its contribution to each metric and its cost."""
-    metrics = [f"{METRICS[name].label} {name}" for name in study.choice.of]
+    metrics = [f"{definition(name).label} {name}" for name in study.choice.of]
     table = titled_table(
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
         *(" ", "Effect", "Change"),
@@ -275,7 +282,7 @@ def comparison_table(comparisons: Iterable[EffectComparison]) -> Table:
     )
     # the largest change over the metrics of each comparison
     for each in comparisons:
-        estimated, observed = max(each.estimated.values()), max(each.observed.values())
+        estimated, observed = max(each.estimated.values(), default=None), max(each.observed.values())
         ratio = "–" if each.effectivity is None else f"{each.effectivity:.2f}"
         table.add_row(each.effect, each.change, percent(estimated), percent(observed), ratio, f"{each.slower:.2f} x")
     return table
@@ -288,7 +295,7 @@ def study_data(study: EffectStudy, comparisons: Iterable[EffectComparison]) -> d
         "scene": study.scene.name,
         **choice_summary(study.scene),
         "limit": (1.0 - INTEGRATOR_SHARE) * choice.tolerance,
-        "scales": dict(study.estimator.scales),
+        "scales": study.chosen.scales,
         "cost": vars(study.cost),
         "absent": absent_effects(study.scene),
         "effects": [
@@ -314,16 +321,18 @@ def report(study: EffectStudy) -> list[RenderableType]:
     choice, absent = study.choice, ", ".join(absent_effects(study.scene))
     worst, verified = (
         ", ".join(
-            f"{METRICS[name].label.lower()} {percent(each)}" for name, each in zip(choice.of, values, strict=True)
+            f"{definition(name).label.lower()} {percent(each)}" for name, each in zip(choice.of, values, strict=True)
         )
         for values in (choice.error, choice.verified or choice.error)
     )
-    limit = (1.0 - INTEGRATOR_SHARE) * choice.tolerance
+    limit = f"it may be {percent((1.0 - INTEGRATOR_SHARE) * choice.tolerance)}"
+    if not study.chosen.chooser.is_estimated:
+        limit = "of motors that follow the motion exactly, or of other metrics: runs have decided"
     # tables, then sentences
     lines = [
         *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
         f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",
-        f"estimated error of this set: {worst}; it may be {percent(limit)}",
+        f"estimated error of this set: {worst}; {limit}",
         f"error of its run beside the richest set, integration included: {verified}",
         f"tolerance of the FMU: {study.scene.cosimulation.tolerance:g}",
     ]

@@ -66,6 +66,8 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
     scene, trajectory = result.scene, result.chosen.candidate.trajectory
     data = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     data["name"] = f"{scene.name}-planned"
+    if scene.effects.choice is not None and None in scene.effects.choice.error:
+        del data["effects"]["choice"]  # TOML has no null for errors that aren't estimated
     written = list[Path]()
     if trajectory is not None:
         table = path.with_suffix(".csv")

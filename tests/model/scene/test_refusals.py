@@ -155,7 +155,6 @@ REFUSED: list[tuple[Changes, str]] = [
     (auto(tolerance=None), '`tolerance` is missing: `select = "auto"` needs `tolerance = 0.01`'),
     (auto(tolerance=1e-30), "`effects.tolerance` must be at least 2e-12, got 1e-30"),
     (auto(of=[]), "`of` is missing"),
-    (auto(of=["settling_time"]), "`effects.of[0]` must be 'peak_torque_1', "),
     (auto(select=None, basis="craig-bampton"), '`tolerance` belongs to `select = "auto"`: add that, or remove'),
     (auto() | {"trajectory.dwell": 0.0}, "names residual_vibration_amplitude, but `trajectory.dwell` is 0 s"),
     # co-simulation
