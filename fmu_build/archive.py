@@ -154,5 +154,5 @@ def fmu_facts(content: bytes) -> tuple[str, int]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         description = archive.read("modelDescription.xml").decode()
         sizes = [e.file_size for e in archive.infolist() if re.fullmatch(r"sources/model_\w+\.[ch]", e.filename)]
-    guid = re.search(r'\bguid="([^"]*)"', description)
+    guid = re.search(r'\b(?:guid|instantiationToken)="([^"]*)"', description)
     return guid.group(1) if guid else "", sum(sizes)

@@ -21,6 +21,7 @@ from flexfmu.model.symbolic import SymbolicBlock
 if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
+    from flexfmu.fmu_build.toolchain import FmiVersion
     from flexfmu.fmu_build.trajectory_build import Motion
     from flexfmu.model.symbolic import SymbolicModel
 
@@ -66,10 +67,11 @@ def build_fmu(
     stop_time: float | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
+    fmi: FmiVersion = "2",
     cache: bool = True,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
-    """Build an FMU 2.0, unless an equal one is in the cache: of a plant for co-simulation and model exchange, of a block
+    """Build an FMU 2.0 or 3.0, unless an equal one is in the cache: of a plant for co-simulation and model exchange, of a block
     (`flexfmu.fmu_build.block_build`) or a motion (`flexfmu.fmu_build.trajectory_build`) for co-simulation.
 
     Args:
@@ -77,13 +79,14 @@ def build_fmu(
         output: file to write; None leaves the FMU in the cache.
         key: text that determines the model; the cache also considers the package's sources and the versions of flexfmu
             and CasADi. Without a key, the generated C code determines whether the FMU is in the cache.
-        platforms: FMI 2.0 platform names; None for this machine's.
+        platforms: FMI 2.0 platform names, also for an FMU 3.0; None for this machine's.
         step: communication step [s] of the default experiment; None for a block's sample time, a millisecond for a motion.
         tolerance: relative tolerance of the default experiment, also used if the importer passes none.
         stop_time: end [s] of the default experiment; None for a thousand samples of a block, or the duration of a motion.
         naming: naming convention of the variables, see `flexfmu.fmu_build.naming`.
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI enumerations instead of Integers; not
             every importer accepts enumerations (Maestro 3.1.1 doesn't).
+        fmi: version of FMI.
         cache: False builds again and replaces the FMU in the cache.
         progress: called at the beginning of each stage.
 
@@ -112,7 +115,7 @@ def build_fmu(
         progress("building the model")
         symbolic = model() if callable(model) else model
         progress("generating C")
-        return generate_sources(symbolic, experiment, naming, enumerations)
+        return generate_sources(symbolic, experiment, naming, enumerations, fmi)
 
     # without a key, the GUID is the key
     make = make_sources
@@ -120,7 +123,7 @@ def build_fmu(
         sources = make_sources()
         key, make = sources.guid, lambda: sources
     else:
-        key = f"{naming} {enumerations} {key}"
+        key = f"{naming} {enumerations} {fmi} {key}"
 
     # an intact FMU from the cache, or a new one
     versions = version("casadi"), version("flexfmu")
@@ -130,7 +133,7 @@ def build_fmu(
     content = read_cached(name) if cache else None
     is_cached = content is not None
     if content is None:
-        content = _build(make, targets, cache, progress)
+        content = _build(make, targets, fmi, cache, progress)
         stored = _keep(name, content, is_needed=output is None)
     if output is not None:
         write_atomically(output, content)
@@ -151,7 +154,11 @@ def _keep(name: str, content: bytes, is_needed: bool) -> Path:
 
 
 def _build(
-    make_sources: Callable[[], Sources], platforms: tuple[Platform, ...], cache: bool, progress: BuildProgress
+    make_sources: Callable[[], Sources],
+    platforms: tuple[Platform, ...],
+    fmi: FmiVersion,
+    cache: bool,
+    progress: BuildProgress,
 ) -> bytes:
     compilers = [find_compiler(platform) for platform in platforms]  # fail early if a compiler is missing
     sources = make_sources()
@@ -163,8 +170,10 @@ def _build(
     files = sources.archive_files()
     for compiler in compilers:
         progress(f"compiling for {compiler.platform.name}")
-        library = f"binaries/{compiler.platform.name}/{sources.model_identifier}{compiler.platform.suffix}"
-        files[library] = compile_library(sources, compiler, cache=cache)
-        files |= {f"binaries/{compiler.platform.name}/{name}": each.content for name, each in sources.libraries.items()}
+        folder = f"binaries/{compiler.platform.folder(fmi)}"
+        files[f"{folder}/{sources.model_identifier}{compiler.platform.suffix}"] = compile_library(
+            sources, compiler, cache=cache
+        )
+        files |= {f"{folder}/{name}": each.content for name, each in sources.libraries.items()}
     progress("packing")
     return pack(files)

@@ -12,11 +12,11 @@ from flexfmu.fmu_build.choices import ChoiceParameter, annotation
 from flexfmu.fmu_build.codegen import identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import FmiVariable, Interface
+from flexfmu.fmu_build.interface import FmiVariable, Interface, unique_interface
 from flexfmu.fmu_build.naming import NAMES, Naming, namer, structured_names
 from flexfmu.fmu_build.picture import FONT_SIZE, Picture
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.toolchain import FMI_HEADERS, fmi_header_folder
+from flexfmu.fmu_build.toolchain import FMI_HEADERS, FmiVersion, fmi_header_folder
 from flexfmu.fmu_build.units import RealType, displayed, real_types, unit_definitions
 from flexfmu.model.symbolic import SharedLibrary
 
@@ -115,7 +115,11 @@ class Content:
 
 
 def description_xml(
-    description: Description, guid: str, experiment: DefaultExperiment, source_files: tuple[str, ...]
+    description: Description,
+    guid: str,
+    experiment: DefaultExperiment,
+    source_files: tuple[str, ...],
+    fmi: FmiVersion = "2",
 ) -> str:
     """The text of modelDescription.xml, without a date, so that equal FMUs have equal descriptions.
 
@@ -123,7 +127,8 @@ def description_xml(
         description: content of the description.
         guid: GUID of the FMU, also compiled into the binary.
         experiment: default experiment.
-        source_files: C files below ``sources/`` from which the binary can be built again.
+        source_files: C files below ``sources/`` from which the binary can be built again; FMI 3.0 has them in the build description.
+        fmi: version of FMI.
 
     Raises:
         ModelError: a variable has no flat name, or that of another one, if these are asked for.
@@ -132,12 +137,26 @@ def description_xml(
     derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
     annotations: dict[str, Mapping[str, str]] = dict(derivatives) if description.max_input_order else {}
     annotations |= annotation(description.choices) | dict(description.annotations)
+    # variables and structure by the version
+    interface = description.interface
+    variables, more = interface.variables, {}
+    structure: Mapping[str, Mapping[int, Any]] = interface.structure()
+    if fmi == "3":
+        unique = unique_interface(interface, description.n_event_indicators, description.max_input_order)
+        variables, parts = unique.variables, interface.structure(unique.references)
+        names = {"Outputs": "Output", "Derivatives": "ContinuousStateDerivative", "InitialUnknowns": "InitialUnknown"}
+        structure = {names[part]: unknowns for part, unknowns in parts.items()} | {
+            "EventIndicator": dict.fromkeys(unique.indicators)
+        }
+        # events of friction change rates
+        states = {unique.references[each.derivative] for each in variables if each.derivative}
+        more = {"references": unique.references, "reinitialised": states if description.n_event_indicators else ()}
     if description.naming == "flat":
-        annotations[NAMES] = structured_names(each.name for each in description.interface.variables)
+        annotations[NAMES] = structured_names(each.name for each in variables)
     return render(
-        "modelDescription.xml.j2",
+        "modelDescription.xml.j2" if fmi == "2" else "modelDescription3.xml.j2",
         name=description.name,
-        description=description.text,
+        description=by_version(description.text, fmi),
         model_identifier=identifier(description.name),
         guid=guid,
         author=AUTHOR,
@@ -158,9 +177,26 @@ def description_xml(
         naming=description.naming,
         name_of=namer(description.naming),
         annotations=annotations,
-        variables=description.interface.variables,
-        structure=description.interface.structure(),
+        variables=variables,
+        structure=structure,
+        **more,
     )
+
+
+_FMI3_TERMS = {
+    "fmi2SetRealInputDerivatives": "the arrays derivatives.*",
+    "fmi2GetRealOutputDerivatives": "fmi3GetOutputDerivatives",
+    "fmi2SetupExperiment": "fmi3EnterInitializationMode",
+    "FMI 2.0": "FMI 3.0",
+}
+"""What texts for FMI 2.0 call the same in FMI 3.0."""
+
+
+def by_version(text: str, fmi: FmiVersion) -> str:
+    """A text for FMI 2.0 with the terms of a version."""
+    for term, other in _FMI3_TERMS.items() if fmi == "3" else ():
+        text = text.replace(term, other)
+    return text
 
 
 def copyright_line() -> str:
@@ -184,7 +220,9 @@ MIT No Attribution licence (https://github.com/casadi/casadi/issues/3015).
 """
 
 
-def documentation(content: Content, naming: Naming, experiment: DefaultExperiment) -> dict[str, str]:
+def documentation(
+    content: Content, naming: Naming, experiment: DefaultExperiment, fmi: FmiVersion = "2"
+) -> dict[str, str]:
     """Files of the folder ``documentation/`` of any FMU: path below the FMU's root → text."""
     variables = content.description.interface.variables
     page = render(
@@ -208,9 +246,9 @@ def documentation(content: Content, naming: Naming, experiment: DefaultExperimen
         **content.values,
     )
     # licences of the content
-    licences = {"license": render("license.txt"), "fmi-headers": _header_licence(), "casadi-generated": _CASADI}
+    licences = {"license": render("license.txt"), "fmi-headers": _header_licence(fmi), "casadi-generated": _CASADI}
     return {
-        "documentation/index.html": page,
+        "documentation/index.html": by_version(page, fmi),
         **{f"documentation/licenses/{name}.txt": text for name, text in licences.items()},
     }
 
@@ -235,9 +273,9 @@ def _limits_text(variable: FmiVariable) -> str:
     return f"{'−∞' if low is None else f'{low:g}'} … {'∞' if high is None else f'{high:g}'}"
 
 
-def _header_licence() -> str:
+def _header_licence(fmi: FmiVersion) -> str:
     """The licence of the FMI standard's headers, copied from the first of them."""
-    header = (fmi_header_folder() / FMI_HEADERS[0]).read_text(encoding="utf-8")
+    header = (fmi_header_folder() / FMI_HEADERS[fmi][0]).read_text(encoding="utf-8")
     found = re.search(r"^[ ]*Copyright.*?^[ ]*-{20,}.*?^[ ]*-{20,}", header, re.MULTILINE | re.DOTALL)
     text = found.group() if found else header
-    return f"Of the FMI standard: {', '.join(FMI_HEADERS)} in the folder sources/.\n\n{text}\n"
+    return f"Of the FMI standard: {', '.join(FMI_HEADERS[fmi])} in the folder sources/.\n\n{text}\n"

@@ -46,6 +46,7 @@ class FmiVariable:
         declared_type: name of the type, which is the physical quantity.
         unit, display_unit: None for dimensionless variables.
         derivative: name of the continuous state of which this variable is the time derivative.
+        size: number of elements; more than one make an array, which FMI 2.0 doesn't have.
     """
 
     name: str
@@ -63,6 +64,7 @@ class FmiVariable:
     maximum: float | None = None
     nominal: float | None = None
     derivative: str | None = None
+    size: int = 1
 
 
 @dataclass(frozen=True)
@@ -92,9 +94,13 @@ class Interface:
         if twice:
             raise ModelError(f"variable '{twice[0]}' is there more than once; names must be unique")
 
-    def structure(self) -> dict[str, dict[int, list[int]]]:
-        """Parts of the model structure: name → index of each unknown, from 1 → indices that it depends on."""
-        index = {variable.name: number for number, variable in enumerate(self.variables, 1)}
+    def structure(self, numbers: Mapping[str, int] | None = None) -> dict[str, dict[int, list[int]]]:
+        """Parts of the model structure: name → number of each unknown → numbers that it depends on.
+
+        Args:
+            numbers: number of each variable; None for its index, from 1.
+        """
+        index = numbers or {variable.name: number for number, variable in enumerate(self.variables, 1)}
 
         def part(dependencies: Mapping[str, Iterable[str]]) -> dict[int, list[int]]:
             return {index[name]: sorted(index[each] for each in on) for name, on in dependencies.items()}
@@ -104,6 +110,73 @@ class Interface:
             "Derivatives": part({name: self.outputs[name] for name in self.derivatives}),
             "InitialUnknowns": part(dict.fromkeys(self.initial_unknowns, self.initial_knowns)),
         }
+
+
+FIRST_INTEGER, TIME, FIRST_INDICATOR, FIRST_DERIVATIVES = (sort << 28 for sort in range(1, 5))
+"""First value references of FMI 3.0, where they are unique: of Integers, the time, event indicators and the derivatives of inputs;
+Reals begin at 0. See ``c-runtime/fmi3/fmi3_instance.h``."""
+
+
+@dataclass(frozen=True)
+class UniqueInterface:
+    """The variables of an FMU as FMI 3.0 has them, with unique value references.
+
+    States are outputs: the local aliases, which Maestro needs in FMI 2.0, are left out. As <Alias> elements they would make fmpy 0.3.32
+    reject the description, which expects aliases of outputs among the initial unknowns.
+
+    Attributes:
+        variables: in the order of FMI 2.0, then those that only FMI 3.0 has: the time, event indicators, and for each input an array
+            with its time derivatives of orders 1, 2, ..
+        references: name → value reference, also of the aliases.
+        indicators: value references of the event indicators.
+    """
+
+    variables: tuple[FmiVariable, ...]
+    references: Mapping[str, int]
+    indicators: tuple[int, ...]
+
+
+def unique_interface(interface: Interface, n_indicators: int, max_input_order: int) -> UniqueInterface:
+    """The variables of ``interface`` with those that only FMI 3.0 has.
+
+    Args:
+        interface: the variables of FMI 2.0.
+        n_indicators: number of event indicators.
+        max_input_order: highest order of input derivatives.
+
+    Raises:
+        ModelError: a variable has the name of one of the further ones.
+    """
+    time = FmiVariable("time", TIME, "Real", "Time", "independent", "continuous")
+    indicators = [
+        FmiVariable(name, FIRST_INDICATOR + k, "Real", "Event indicator", "local", "continuous", "calculated")
+        for k, name in enumerate(f"event_indicator[{k + 1}]" for k in range(n_indicators))
+    ]
+    derivatives = [
+        FmiVariable(
+            prefixed("derivatives", each.name),
+            FIRST_DERIVATIVES + each.value_reference,
+            "Real",
+            f"Time derivatives of {each.name}, orders 1 to {max_input_order}, in SI units; zero after it is set",
+            "input",
+            "continuous",
+            start=0.0,
+            size=max_input_order,
+        )
+        for each in interface.variables
+        if each.causality == "input" and max_input_order
+    ]
+    further = replace(interface, variables=(*interface.variables, time, *indicators, *derivatives))
+    numbered = [
+        replace(each, value_reference=each.value_reference + FIRST_INTEGER) if each.kind == "Integer" else each
+        for each in further.variables
+    ]
+    shown = {each.value_reference for each in numbered if each.causality != "local"}
+    return UniqueInterface(
+        variables=tuple(each for each in numbered if each.causality != "local" or each.value_reference not in shown),
+        references={each.name: each.value_reference for each in numbered},
+        indicators=tuple(each.value_reference for each in indicators),
+    )
 
 
 def build_interface(model: SymbolicModel) -> Interface:
@@ -274,8 +347,13 @@ class States:
 
 def state_name(output: str) -> str:
     """Name of the state that equals an output: ``state.joint1.position``, ``der(state.link11.bending[1])``."""
-    head, name = ("der(", output.removeprefix("der(")) if output.startswith("der(") else ("", output)
-    return f"{head}state.{name}"
+    return prefixed("state", output)
+
+
+def prefixed(prefix: str, name: str) -> str:
+    """The structured name with another component in front, which is within ``der(..)``."""
+    head, inner = ("der(", name.removeprefix("der(")) if name.startswith("der(") else ("", name)
+    return f"{head}{prefix}.{inner}"
 
 
 def find_states(model: SymbolicModel) -> States:

@@ -25,7 +25,7 @@ from flexfmu.fmu_build.interface import build_interface, find_states
 from flexfmu.fmu_build.naming import Naming, named, namer
 from flexfmu.fmu_build.picture import plant_picture
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, fmi_header_folder
+from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, FmiVersion, fmi_header_folder
 from flexfmu.fmu_build.trajectory_build import Motion, motion_content
 from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock, SymbolicModel
 
@@ -42,14 +42,37 @@ OPTIONS = ("-O2", *COMMON_FLAGS)
 """Options for GCC and Clang that reproduce the numbers of the binaries; other compilers only need C99."""
 
 _FOLDERS: Mapping[str, tuple[str, ...]] = {
-    "plant": ("base", "fmi2", "inputs", "math", "lanes", "solver", "plant"),
-    "block": ("base", "fmi2", "inputs", "math", "block"),
-    "trajectory": ("base", "fmi2", "math", "trajectory"),
+    "plant": ("base", "inputs", "math", "lanes", "solver", "plant"),
+    "block": ("base", "inputs", "math", "block"),
+    "trajectory": ("base", "math", "trajectory"),
     "batch": ("base", "inputs", "math", "lanes", "solver", "batch"),
     "elementary": ("math", "lanes"),
     "processor": ("lanes",),
 }
 """What is compiled → folders of ``c-runtime`` that it needs; their files lie side by side in an FMU."""
+
+_FMI_FOLDERS: Mapping[tuple[str, FmiVersion], tuple[str, ...]] = {
+    ("plant", "2"): ("fmi2", "fmi2-exchange"),
+    ("block", "2"): ("fmi2",),
+    ("trajectory", "2"): ("fmi2",),
+    **{(kind, "3"): ("fmi2", "fmi2-exchange", "fmi3", f"fmi3-{kind}") for kind in ("plant", "block", "trajectory")},
+}
+"""Kind of FMU and version of FMI → further folders."""
+
+_FMI3_TEXTS = (
+    ("fmi2Component c,", "fmi3Instance c,"),
+    ("FMUstate", "FMUState"),
+    ("DeSerialize", "Deserialize"),
+    ("flex_allocate(&instance->callbacks, ", "calloc(1, "),
+    ("flex_release(&instance->callbacks, ", "free("),
+    ("  instance->reason[0] = '\\0';\n", ""),
+    ("fmi2", "fmi3"),
+)
+"""What makes the functions of FMI 3.0 for saved states of those of FMI 2.0: the importer gives no memory, and no step is asked for its
+status."""
+
+_SHARED = ("backend.h", "model_exchange.h", "fmi2_snapshots.c", "old_glibc.h")
+"""Files of the layer of FMI 2.0 that FMI 3.0 has too."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +120,14 @@ def generate_sources(
     experiment: DefaultExperiment,
     naming: Naming = "structured",
     enumerations: bool = False,
+    fmi: FmiVersion = "2",
 ) -> Sources:
     """Generate all text files of an FMU; the GUID is the hash of C code and description with a blank GUID.
 
     Args:
         model: a plant, a block or a motion.
         experiment: default experiment.
-        naming, enumerations: as for `flexfmu.fmu_build.build.build_fmu`.
+        naming, enumerations, fmi: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         ModelError: the model violates its contract, or a C file of a block has the name of one of the runtime or a generated one.
@@ -118,7 +142,7 @@ def generate_sources(
     description = replace(content.description, naming=naming, enumerations=enumerations)
     icon = "block" if isinstance(model, SymbolicModel) and model.drawing is None else content.kind
     # C code with a blank GUID, and the runtime
-    runtime, blank = runtime_sources(content.kind), content.code("")
+    runtime, blank = runtime_sources(content.kind, fmi), content.code("")
     taken = sorted(set(content.c_files) & {*runtime, *blank})
     if taken:
         raise ModelError(
@@ -128,16 +152,16 @@ def generate_sources(
     runtime |= content.c_files
     names = c_files((*blank, *runtime))
     # the hash of these texts, spelt {8-4-4-4-12}
-    parts = (description_xml(description, "", experiment, names), *_flatten(blank), *_flatten(runtime))
+    parts = (description_xml(description, "", experiment, names, fmi), *_flatten(blank), *_flatten(runtime))
     digits = content_hash(part.encode() for part in parts)
     guid = "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
     return Sources(
         identifier(description.name),
         guid,
-        description_xml(description, guid, experiment, names),
+        description_xml(description, guid, experiment, names, fmi),
         content.code(guid),
         runtime,
-        documentation(content, naming, experiment),
+        documentation(content, naming, experiment, fmi),
         (files(__package__) / "templates" / f"{icon}.png").read_bytes(),
         content.libraries,
         joined,
@@ -206,20 +230,31 @@ def plant_description(model: SymbolicModel) -> Description:
     )
 
 
-def runtime_sources(kind: RuntimeKind = "plant") -> dict[str, str]:
+def runtime_sources(kind: RuntimeKind = "plant", fmi: FmiVersion = "2") -> dict[str, str]:
     """C files and headers of the runtime, name → text, with the standard's headers where it has the FMI layer.
 
     Args:
         kind: kind of FMU; ``batch``: the solver of variants in lockstep, without FMI; ``elementary``: the functions (sin, exp, ...),
             scalar and on lanes, that generated code calls; ``processor``: tells how many lanes this processor has.
+        fmi: version of FMI.
     """
     root = files("flexfmu.fmu_build") / "c-runtime"
+    layer = _FMI_FOLDERS.get((kind, fmi), ())
     entries = [
-        entry for folder in _FOLDERS[kind] for entry in (root / folder).iterdir() if entry.name.endswith((".c", ".h"))
+        entry
+        for folder in (*_FOLDERS[kind], *layer)
+        for entry in (root / folder).iterdir()
+        if entry.name.endswith((".c", ".h")) and (fmi == "2" or not folder.startswith("fmi2") or entry.name in _SHARED)
     ]
-    headers = [fmi_header_folder() / name for name in FMI_HEADERS] if "fmi2" in _FOLDERS[kind] else []
-    ordered = sorted([*entries, *headers], key=lambda each: each.name)
-    return {entry.name: entry.read_text(encoding="utf-8") for entry in ordered}
+    headers = [fmi_header_folder() / name for name in FMI_HEADERS[fmi]] if layer else []
+    texts = {entry.name: entry.read_text(encoding="utf-8") for entry in (*entries, *headers)}
+    # saved states are the same in both versions but for names
+    if fmi == "3" and layer:
+        text = texts.pop("fmi2_snapshots.c")
+        for old, new in _FMI3_TEXTS:
+            text = text.replace(old, new)
+        texts["fmi3_snapshots.c"] = text
+    return dict(sorted(texts.items()))
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The platforms of FMI 2.0, and the C compiler for each: finds one, compiles in parallel, links a shared library."""
+"""The versions and platforms of FMI, and the C compiler for each: finds one, compiles in parallel, links a shared library."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from flexfmu.fmu_build.errors import CompileError, MissingCompilerError, PlatformError
+
+FmiVersion = Literal["2", "3"]
+"""Version of the FMI standard of an FMU: 2.0 or 3.0."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class Platform:
     """A target platform.
 
     Attributes:
-        name: folder below ``binaries/``.
+        name: folder below ``binaries/`` in FMI 2.0.
         suffix: file suffix of shared libraries.
         zig_target: target triple for ``zig cc``; on Linux with an old glibc, so that the FMU runs on old systems.
         compile_flags: flags for position-independent code.
@@ -36,6 +40,11 @@ class Platform:
     compile_flags: tuple[str, ...]
     link_flags: tuple[str, ...]
     zig_link_flags: tuple[str, ...] = ()
+
+    def folder(self, fmi: FmiVersion) -> str:
+        """Folder below ``binaries/``; in FMI 3.0 the platform tuple, which names the processor on every machine."""
+        processor, system = self.zig_target.split("-")[:2]
+        return self.name if fmi == "2" else f"{processor}-{'darwin' if system.startswith('macos') else system}"
 
 
 def _linux(name: str, processor: str) -> Platform:
@@ -122,8 +131,11 @@ COMMON_FLAGS = (
 FIRST_HEADER = ("-include", "old_glibc.h")
 """Flags that include this header first in every source of an FMU, so that binaries run with an old glibc."""
 
-FMI_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
-"""Headers of the FMI 2.0 standard."""
+FMI_HEADERS: Mapping[FmiVersion, tuple[str, ...]] = {
+    "2": ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h"),
+    "3": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),
+}
+"""Headers of the FMI standard."""
 
 _COMPILERS = (("cc",), ("gcc",), ("clang",))
 _REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without t
 from object_files import COMPILER, object_files, program, run
 
 from flexfmu.fmu_build.sources import RuntimeKind, c_files, runtime_sources
-from flexfmu.fmu_build.toolchain import fmi_header_folder
+from flexfmu.fmu_build.toolchain import FmiVersion, fmi_header_folder
 
 RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
 TESTS = Path(__file__).parent / "c-runtime"
@@ -53,12 +53,21 @@ def test_c(plain: Path, name: str) -> None:
     run(plain, name)
 
 
+def written(folder: Path, kind: RuntimeKind, fmi: FmiVersion) -> list[Path]:
+    """The C files of the runtime, as an FMU has them."""
+    texts = runtime_sources(kind, fmi)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in c_files(texts)]
+
+
+@pytest.mark.parametrize("fmi", ["2", "3"])
 @pytest.mark.parametrize("kind", ["plant", "block", "trajectory", "batch", "elementary"])
-def test_files_compile_as_one(kind: RuntimeKind, tmp_path: Path) -> None:
+def test_files_compile_as_one(kind: RuntimeKind, fmi: FmiVersion, tmp_path: Path) -> None:
     """The build reads many files as one unit: a name that two of them define for themselves would break it."""
-    joined = [name for name in c_files(runtime_sources(kind)) if not name.startswith("lanes_collocation")]
+    joined = [path.name for path in written(tmp_path, kind, fmi) if not path.name.startswith("lanes_collocation")]
     (tmp_path / "all.c").write_text("".join(f'#include "{name}"\n' for name in joined))
-    object_files(tmp_path, [tmp_path / "all.c"], *FLAGS, *INCLUDES, "-O1")
+    object_files(tmp_path, [tmp_path / "all.c"], *FLAGS, f"-I{tmp_path}", "-O1")
 
 
 def test_lists_all_tests(plain: Path) -> None:
@@ -86,13 +95,16 @@ def test_has_no_writable_globals(plain: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
-def test_exports_the_fmi_functions_only(plain: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_exports_the_fmi_functions_only(fmi: FmiVersion, tmp_path: Path) -> None:
     """Two FMUs in one process would otherwise call into each other."""
     library = tmp_path / "library.so"
-    objects = [plain.with_name(f"{source.stem}.o") for source in [*SOURCES, TESTS / "models.c"]]
+    objects = object_files(
+        tmp_path, [*written(tmp_path, "plant", fmi), TESTS / "models.c"], *FLAGS, f"-I{tmp_path}", "-O1"
+    )
     run(COMPILER, "-shared", *objects, "-lm", "-o", library)
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
-    functions = {name for name in exported if name.startswith("fmi2")}
+    functions = {name for name in exported if name.startswith(f"fmi{fmi}")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()
-    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (fmi_header_folder() / "fmi2Functions.h").read_text()))
+    declared = set(re.findall(r"FullName\((fmi\w+)\)", (fmi_header_folder() / f"fmi{fmi}Functions.h").read_text()))
     assert functions == declared

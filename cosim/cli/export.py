@@ -15,6 +15,7 @@ from flexfmu.cosim.cli import console
 from flexfmu.cosim.engine.errors import FmuFileError, InputError
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import Naming
+from flexfmu.fmu_build.toolchain import FmiVersion
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,10 +31,11 @@ def build(
     platform: list[str] | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
+    fmi: FmiVersion = "2",
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
-    """Build the FMI 2.0 FMU of a scene, or of a model from equations, for co-simulation and model exchange.
+    """Build the FMU of a scene, or of a model from equations, for co-simulation and model exchange.
 
     Args:
         scene: A scene, or MODEL.py:NAME, a Python file, which is run, and the name of its model from flexfmu.ode, second_order, lagrangian
@@ -46,7 +48,7 @@ def build(
     from flexfmu.model.choice_text import choice_sentence
 
     if (own := re.fullmatch(r"(.+\.py):(\w+)", scene)) is not None:
-        return _build_own(Path(own[1]), own[2], output, platform, naming, enumerations, settings, json)
+        return _build_own(Path(own[1]), own[2], output, platform, naming, enumerations, fmi, settings, json)
     # choose effects where the scene leaves them open, then build
     robot = console.load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
@@ -61,6 +63,7 @@ def build(
             platforms=platform or None,
             naming=naming,
             enumerations=enumerations,
+            fmi=fmi,
             progress=lambda text: show(text, None),
         )
     choice = choice_summary(robot)
@@ -86,6 +89,7 @@ def _build_own(
     platform: list[str] | None,
     naming: Naming,
     enumerations: bool,
+    fmi: FmiVersion,
     settings: list[str] | None,
     json: bool,
 ) -> int:
@@ -110,6 +114,7 @@ def _build_own(
             platforms=platform or None,
             naming=naming,
             enumerations=enumerations,
+            fmi=fmi,
             progress=lambda text: show(text, None),
         )
     console.print_result(json, asdict(built) | {"path": str(built.path)}, _where(built))
@@ -122,6 +127,7 @@ def fmus(
     slave: list[str] | None = None,
     platform: list[str] | None = None,
     naming: Naming = "structured",
+    fmi: FmiVersion = "2",
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -141,7 +147,7 @@ def fmus(
     with console.progress() as show:
         show("building the FMU of the robot", None)
         system = export_slaves(
-            robot, folder, names=slave or None, platforms=platform or None, naming=naming, progress=show
+            robot, folder, names=slave or None, platforms=platform or None, naming=naming, fmi=fmi, progress=show
         )
     # slaves by the names that the connections refer to
     slaves = [

@@ -25,6 +25,7 @@ from flexfmu.cosim.experiment.system import PLANT, scene_system
 from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.naming import Naming, namer
+from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.model.scene.schema import Scene
 
@@ -73,6 +74,7 @@ def export_slaves(
     loop: Loop | None = None,
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
+    fmi: FmiVersion = "2",
     cache: bool = True,
     progress: ShowProgress = quiet,
 ) -> ExportedSystem:
@@ -87,7 +89,7 @@ def export_slaves(
         names: names of the slaves to export; None for all.
         loop: controllers, shapers and imperfections as objects, instead of the scene's own.
         platforms: as for `flexfmu.fmu_build.build.build_fmu`.
-        naming: as for `flexfmu.fmu_build.build.build_fmu`.
+        naming, fmi: as for `flexfmu.fmu_build.build.build_fmu`.
         cache: as for `flexfmu.fmu_build.build.build_fmu`.
         progress: called with the current activity and the finished fraction.
 
@@ -107,6 +109,7 @@ def export_slaves(
     options: dict[str, Any] = {
         "platforms": None if platforms is None else tuple(platforms),
         "naming": naming,
+        "fmi": fmi,
         "cache": cache,
     }
     flat = namer(naming)

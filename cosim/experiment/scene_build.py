@@ -12,6 +12,7 @@ from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.naming import Naming
+from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.model.scene.disturbances import disturbance_inputs
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
@@ -97,6 +98,7 @@ def build_scene(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
+    fmi: FmiVersion = "2",
     cache: bool = True,
     shared: bool = False,
     progress: BuildProgress = lambda message: None,
@@ -107,7 +109,7 @@ def build_scene(
 
     Args:
         scene: the scene.
-        output, platforms, naming, enumerations, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        output, platforms, naming, enumerations, fmi, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
         shared: whether the FMU may be that of another scene with other values of its parameters and another motion, for runs that
             set all of them; its start values and default experiment are those of the first such scene, or usual ones.
 
@@ -136,6 +138,7 @@ def build_scene(
         stop_time=experiment.stop_time,
         naming=naming,
         enumerations=enumerations,
+        fmi=fmi,
         cache=cache,
         progress=progress,
     )

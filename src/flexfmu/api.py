@@ -23,6 +23,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.naming import Naming
+from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.model.scene.file import as_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicModel
@@ -235,12 +236,12 @@ def build(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
+    fmi: FmiVersion = "2",
     step: float | None = None,
     stop_time: float | None = None,
     tolerance: float | None = None,
 ) -> Path:
-    """Build the FMI 2.0 FMU of a scene's robot or of a model from equations, for co-simulation and model exchange, or take it from the
-    cache.
+    """Build the FMU of a scene's robot or of a model from equations, for co-simulation and model exchange, or take it from the cache.
 
     `flexfmu.cosim.experiment.scene_build.build_scene` and `flexfmu.fmu_build.build.build_fmu` do the same and also return GUID, size and
     build time.
@@ -253,6 +254,7 @@ def build(
             for this machine's.
         naming: names of the FMU's variables, ``structured`` (``link11.bending[1]``) or ``flat`` (``link11_bending_1``).
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI Enumerations instead of Integers.
+        fmi: version of FMI, ``"2"`` for 2.0 or ``"3"`` for 3.0.
         step, stop_time, tolerance: communication step [s], end [s] and relative tolerance of a model's default experiment; None for
             0.2 ms, 1 s and 1e-6. A scene has its own.
 
@@ -272,12 +274,14 @@ def build(
     experiment: dict[str, Any] = {name: value for name, value in usual.items() if value is not None}
     if isinstance(scene, SymbolicModel):
         return build_fmu(
-            scene, target, platforms=platforms, naming=naming, enumerations=enumerations, **experiment
+            scene, target, platforms=platforms, naming=naming, enumerations=enumerations, fmi=fmi, **experiment
         ).path
     if experiment:
         raise InputError(f"{min(experiment)} is for models from equations; a scene has its own, under [cosimulation]")
     chosen = resolved(as_scene(scene))
-    return build_scene(chosen, output=target, platforms=platforms, naming=naming, enumerations=enumerations).path
+    return build_scene(
+        chosen, output=target, platforms=platforms, naming=naming, enumerations=enumerations, fmi=fmi
+    ).path
 
 
 def reference_motion(scene: SceneSource, trajectory: OwnMotion | Trajectory | None = None) -> MotionPlan:

@@ -31,6 +31,7 @@ from flexfmu.cosim.engine.fmu.variables import flattened, structural_sizes
 from flexfmu.fmu_build.archive import open_archive
 from flexfmu.fmu_build.choices import ANNOTATION
 from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.interface import FIRST_DERIVATIVES
 from flexfmu.fmu_build.naming import NAMES
 from flexfmu.fmu_build.temporary import temporary_folder
 
@@ -143,15 +144,16 @@ class UnpackedFmu:
 
     @property
     def highest_input_derivative(self) -> int:
-        """Order of the highest input derivative that the FMU takes; 0 if it doesn't interpolate inputs.
+        """Order of the highest input derivative that the FMU takes; 0 if it doesn't interpolate inputs, as FMUs of FMI 3.0 but ours.
 
         Raises:
             FmuFileError: ``maxOrder`` of our own FMUs' annotation isn't a whole number.
         """
-        if not self.description.coSimulation.canInterpolateInputs:
+        interpolates = bool(self.description.coSimulation.canInterpolateInputs)
+        if not interpolates and not (self.is_fmi3 and self.is_ours):
             return 0
         stated = _annotation(self.path, self.folder, "InputDerivatives", lambda at: int(at["maxOrder"]))
-        return INTERPOLATION_ORDER if stated is None else stated
+        return INTERPOLATION_ORDER * interpolates if stated is None else stated
 
     @property
     def fixed_step(self) -> float | None:
@@ -269,6 +271,11 @@ def _unpack(digest: str, path: Path) -> _Content:
                     f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without "
                     "them, for co-simulation"
                 )
+            # input derivatives of our own FMUs, which aren't signals
+            if str(description.generationTool).startswith("flexfmu "):
+                description.modelVariables = [
+                    each for each in description.modelVariables if each.valueReference < FIRST_DERIVATIVES
+                ]
             description = attempt(path, lambda: flattened(description, folder, {}))
         content.description = description
         _unpacked[digest] = content
@@ -340,7 +347,9 @@ def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[st
     Raises:
         FmuFileError: the annotation is invalid.
     """
-    found = attempt(path, lambda: parsed(folder)).find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
+    root = attempt(path, lambda: parsed(folder))
+    places = "VendorAnnotations/Tool[@name='flexfmu']", "Annotations/Annotation[@type='flexfmu']"
+    found = next((each for place in places if (each := root.find(f"{place}//{element}")) is not None), None)
     if found is None:
         return None
     try:

@@ -120,6 +120,7 @@ class Instance(ABC):
         name: name of the slave.
         no_rollback: 1 until a state is saved, then 0; argument of doStep.
         instances: number of instances so far.
+        input_order: highest order of input derivatives that the FMU takes.
         epoch: changes whenever the FMU's inputs may differ from those set last (new instance, restored state).
     """
 
@@ -131,6 +132,7 @@ class Instance(ABC):
         self.log = FmuLog()
         self.name, self.no_rollback, self.instances, self.epoch = "", 1, 0, 0
         self._fmu = fmu
+        self.input_order = fmu.highest_input_derivative
         self._guid = fmu.description.guid.encode()
         self._initialized = self._fatal = False
         # saved states, whose memory is reused, and the time of the next event after each of them
@@ -376,7 +378,8 @@ class Fmi3Instance(Instance):
 
     def _instantiated(self, name: bytes) -> int | None:
         """Return a new instance with or without event mode; None if the FMU refuses."""
-        flags = False, False, self._events, self._events and self._returns_early
+        # other FMUs may log a lot; ours say only so why a step was discarded
+        flags = False, self._fmu.is_ours, self._events, self._events and self._returns_early
         arguments = name, self._guid, self._resources, *flags, None, 0, None, self._receive, None
         found: int | None = self.calls["fmi3InstantiateCoSimulation"](*arguments)
         return found

@@ -21,11 +21,8 @@ from flexfmu.cosim.engine.fmu.calls import WARNING, address, value_references
 from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, Fmi2Instance, Fmi3Instance, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.transfers import StartValues, Transfers
-from flexfmu.cosim.engine.fmu.variables import FmuVariables, Handle, Value, read_variables
+from flexfmu.cosim.engine.fmu.variables import COUNTERS, FmuVariables, Handle, Value, read_variables
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
-
-PREFIX = "statistics."
-"""Prefix of the names of the counters."""
 
 LISTED = 5
 """Largest number of names in a sentence; there may be hundreds."""
@@ -88,8 +85,8 @@ class FmuSlave:
         # the instance, transfers of its variables, and calls that set start values
         self._instance: Instance = (Fmi3Instance if self._fmu.is_fmi3 else Fmi2Instance)(self._fmu)
         self._transfers = Transfers(self._instance)
-        counters = {n: each for n, each in known.others.items() if n.startswith(PREFIX) and each.kind == "Integer"}
-        self._counters, self._counts = [name.removeprefix(PREFIX) for name in counters], np.zeros(len(counters))
+        counters = {n: each for n, each in known.others.items() if n.startswith(COUNTERS) and each.kind == "Integer"}
+        self._counters, self._counts = [name.removeprefix(COUNTERS) for name in counters], np.zeros(len(counters))
         self._count = self._transfers.get([*counters.values()], self._counts)
         self._starts = StartValues(self._fmu, self._instance, self._transfers, self._given)
         self._presets: dict[int, float] = {}

@@ -30,6 +30,7 @@ from flexfmu.cosim.engine.fmu.variables import (
     settings,
 )
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
+from flexfmu.fmu_build.interface import FIRST_DERIVATIVES
 
 
 class Transfers:
@@ -99,10 +100,28 @@ class Transfers:
         return self._derivatives(self._instance.version.output_derivatives, handles, derivatives, absent)
 
     def set_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
-        """Return a call that sets input derivatives from ``derivatives`` (orders, n), of Real inputs only; FMI 3.0 has none."""
+        """Return a call that sets input derivatives from ``derivatives`` (orders, n), of Real inputs only.
+
+        FMI 3.0 has no function for them; our own FMUs take them as arrays, other FMUs not at all.
+        """
         if self._instance.version.counts_values:
-            return lambda: OK
+            return self._derivative_arrays(handles, derivatives)
         return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
+
+    def _derivative_arrays(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
+        """Return the call of FMI 3.0 for input derivatives (orders, n); higher ones are zero."""
+        columns = [column for column, each in enumerate(handles) if each.kind == "Real"]
+        if not self._instance.input_order or not columns:
+            return lambda: OK
+        values = np.zeros((len(columns), self._instance.input_order))
+        references = value_references([FIRST_DERIVATIVES + handles[column].reference for column in columns])
+        component, send = self._instance.component, self._instance.calls["fmi3SetFloat64"]
+
+        def call() -> int:
+            values[:, : len(derivatives)] = derivatives[:, columns].T
+            return int(send(component, address(references), references.size, address(values), values.size))
+
+        return call
 
     def setting(self, setting: Setting) -> StatusCall:
         """Return a call that sets a start value; a structural parameter in configuration mode."""

@@ -30,6 +30,9 @@ Value = float | int | bool | str
 _BOOLEANS = {"true": True, "false": False}
 """Booleans as FMI spells them."""
 
+COUNTERS = "statistics."
+"""Prefix of the names of counters."""
+
 ROUNDING = 1e-12
 """Relative tolerance of values read back: an FMU that converts units may round them a few times."""
 
@@ -281,9 +284,10 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
     _add_ranges(description, folder)
     elements: dict[int, list[Element]] = {}
     variables: list[Element] = []
-    # inputs, outputs, parameters, and variables that may be set before initialisation
+    # inputs, outputs, parameters, counters, and variables that may be set before initialisation
     for variable in description.modelVariables:
         shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
+        shown = shown or variable.name.startswith(COUNTERS)
         used = shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
         if used and variable.type not in ("Binary", "Clock"):
             scalars = list(_elements(variable, sizes))

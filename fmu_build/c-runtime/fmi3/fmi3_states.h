@@ -1,0 +1,70 @@
+/* Which FMI function may be called in which state of an instance: FMI 3.0, sections 2.3, 3.2 and 4.2.
+ *
+ * There is nothing to configure and no intermediate update, so that their states do not exist. After an error the standard allows
+ * no more than reading, rollback and reset; here the instance stays in its state. */
+#ifndef FLEXFMU_FMI3_STATES_H
+#define FLEXFMU_FMI3_STATES_H
+
+typedef enum {
+  INSTANTIATED = 1 << 0,
+  INITIALISATION_MODE = 1 << 1,
+  STEP_MODE = 1 << 2,
+  EVENT_MODE = 1 << 3,
+  CONTINUOUS_TIME_MODE = 1 << 4,
+  TERMINATED = 1 << 5
+} flex_phase;
+
+/* which instances have a function: those for co-simulation, those for model exchange, or both */
+typedef enum { STEPPING = 1 << 0, EXCHANGE = 1 << 1, BOTH = STEPPING | EXCHANGE } flex_kind;
+
+#define SOLVED_PHASE (EVENT_MODE | CONTINUOUS_TIME_MODE)
+#define RUNNING_PHASE (STEP_MODE | SOLVED_PHASE)
+#define SETTABLE_PHASE (INSTANTIATED | INITIALISATION_MODE | STEP_MODE | EVENT_MODE)
+#define READABLE_PHASE (INITIALISATION_MODE | RUNNING_PHASE | TERMINATED)
+#define ANY_PHASE (INSTANTIATED | READABLE_PHASE)
+
+/* X(function, kinds, phases); what is missing is refused always, see fmi3_unsupported.c */
+#define FLEX_FMI3_CALLS(X)                                       \
+  X(fmi3SetDebugLogging, BOTH, ANY_PHASE)                        \
+  X(fmi3EnterInitializationMode, BOTH, INSTANTIATED)             \
+  X(fmi3ExitInitializationMode, BOTH, INITIALISATION_MODE)       \
+  X(fmi3EnterEventMode, BOTH, STEP_MODE | CONTINUOUS_TIME_MODE)  \
+  X(fmi3Terminate, BOTH, RUNNING_PHASE)                          \
+  X(fmi3Reset, BOTH, ANY_PHASE)                                  \
+  X(fmi3GetFloat64, BOTH, ANY_PHASE)                             \
+  X(fmi3GetInt32, BOTH, ANY_PHASE)                               \
+  X(fmi3GetInt64, BOTH, ANY_PHASE)                               \
+  X(fmi3SetFloat64, BOTH, SETTABLE_PHASE | CONTINUOUS_TIME_MODE) \
+  X(fmi3SetInt32, BOTH, SETTABLE_PHASE)                          \
+  X(fmi3SetInt64, BOTH, SETTABLE_PHASE)                          \
+  X(fmi3GetFMUState, BOTH, ANY_PHASE)                            \
+  X(fmi3SetFMUState, BOTH, ANY_PHASE)                            \
+  X(fmi3FreeFMUState, BOTH, ANY_PHASE)                           \
+  X(fmi3SerializedFMUStateSize, BOTH, ANY_PHASE)                 \
+  X(fmi3SerializeFMUState, BOTH, ANY_PHASE)                      \
+  X(fmi3DeserializeFMUState, BOTH, ANY_PHASE)                    \
+  X(fmi3GetDirectionalDerivative, BOTH, READABLE_PHASE)          \
+  X(fmi3GetAdjointDerivative, BOTH, READABLE_PHASE)              \
+  X(fmi3UpdateDiscreteStates, BOTH, EVENT_MODE)                  \
+  X(fmi3EnterContinuousTimeMode, EXCHANGE, EVENT_MODE)           \
+  X(fmi3CompletedIntegratorStep, EXCHANGE, CONTINUOUS_TIME_MODE) \
+  X(fmi3SetTime, EXCHANGE, SOLVED_PHASE)                         \
+  X(fmi3SetContinuousStates, EXCHANGE, CONTINUOUS_TIME_MODE)     \
+  X(fmi3GetContinuousStateDerivatives, EXCHANGE, READABLE_PHASE) \
+  X(fmi3GetEventIndicators, EXCHANGE, READABLE_PHASE)            \
+  X(fmi3GetContinuousStates, EXCHANGE, READABLE_PHASE)           \
+  X(fmi3GetNominalsOfContinuousStates, EXCHANGE, ANY_PHASE)      \
+  X(fmi3GetNumberOfEventIndicators, EXCHANGE, ANY_PHASE)         \
+  X(fmi3GetNumberOfContinuousStates, EXCHANGE, ANY_PHASE)        \
+  X(fmi3EnterStepMode, STEPPING, EVENT_MODE)                     \
+  X(fmi3GetOutputDerivatives, STEPPING, READABLE_PHASE)          \
+  X(fmi3DoStep, STEPPING, STEP_MODE)
+
+/* call_fmi3DoStep and so on */
+typedef enum {
+#define X(function, kinds, phases) call_##function,
+  FLEX_FMI3_CALLS(X)
+#undef X
+} flex_call_id;
+
+#endif

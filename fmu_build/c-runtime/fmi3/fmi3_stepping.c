@@ -1,0 +1,76 @@
+/* Communication steps and events. */
+#include <math.h>
+#include <string.h>
+
+#include "clock.h"
+#include "fmi3_instance.h"
+
+// whether a communication step can be made at all
+static int is_possible(const flex_instance *instance, double point, double step) {
+  const flex_session *session = &instance->session;
+  double present = *instance->backend->time;
+  if (!isfinite(point) || !isfinite(step) || !(step > 0.0))
+    flex_log(instance, fmi3Error, LOG_ERROR, "the communication step size must be positive and finite, got %g s at %.9g s",
+             step, point);
+  else if (fabs(point - present) > flex_time_slack(present, step))
+    flex_log(instance, fmi3Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s", present,
+             point);
+  else if (!isfinite(point + step) || !(point + step > point))
+    flex_log(instance, fmi3Error, LOG_ERROR, "a communication step of %g s from %.17g s has no end beyond it", step, point);
+  else if (session->has_stop_time && point + step > session->stop_time + flex_time_slack(session->stop_time, step))
+    flex_log(instance, fmi3Error, LOG_ERROR, "a step of %g s from %.17g s goes beyond the stop time %.17g s", step, point,
+             session->stop_time);
+  else
+    return 1;
+  return 0;
+}
+
+/* Events within a step are handled within it. A step that fails is discarded: as the standard demands, everything is as it was
+ * before. */
+fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
+                      fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
+                      fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
+  (void)noSetFMUStatePriorToCurrentPoint;
+  const flex_call_id call = call_fmi3DoStep;
+  flex_instance *ours = flex_checked(instance, call);
+  if (!ours || flex_lacks(ours, call, "a place for eventHandlingNeeded", eventHandlingNeeded, 1) ||
+      flex_lacks(ours, call, "a place for terminateSimulation", terminateSimulation, 1) ||
+      flex_lacks(ours, call, "a place for earlyReturn", earlyReturn, 1) ||
+      flex_lacks(ours, call, "a place for lastSuccessfulTime", lastSuccessfulTime, 1) ||
+      !is_possible(ours, currentCommunicationPoint, communicationStepSize))
+    return fmi3Error;
+
+  flex_backend *backend = ours->backend;
+  memcpy(ours->before, backend->state, backend->state_size);
+  double end = currentCommunicationPoint + communicationStepSize;
+  fmi3Status status = fmi3OK;
+  if (flex_backend_advance(backend, currentCommunicationPoint, end)) {
+    status = flex_log(ours, fmi3Discard, LOG_DISCARD, "%s", backend->message);
+    memcpy(backend->state, ours->before, backend->state_size);
+    flex_backend_restored(backend);
+  }
+  *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+  *lastSuccessfulTime = *backend->time;
+  return status;
+}
+
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
+                                    fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
+                                    fmi3Float64 *nextEventTime) {
+  flex_instance *ours = flex_checked(instance, call_fmi3UpdateDiscreteStates);
+  if (!ours) return fmi3Error;
+  fmi3Boolean *const flags[] = {discreteStatesNeedUpdate, terminateSimulation, nominalsOfContinuousStatesChanged,
+                                valuesOfContinuousStatesChanged, nextEventTimeDefined};
+  int lacks = flex_lacks(ours, call_fmi3UpdateDiscreteStates, "a place for nextEventTime", nextEventTime, 1);
+  for (size_t i = 0; i < sizeof flags / sizeof *flags && !lacks; i++)
+    lacks = flex_lacks(ours, call_fmi3UpdateDiscreteStates, "a place for what happened", flags[i], 1);
+  if (lacks) return fmi3Error;
+
+  // in co-simulation the steps handle the events themselves
+  int states_changed = 0;
+  if (ours->session.kind == EXCHANGE && flex_backend_handle_event(ours->backend, &states_changed)) return flex_log_refusal(ours);
+  for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) *flags[i] = fmi3False;
+  *valuesOfContinuousStatesChanged = states_changed != 0;
+  return fmi3OK;
+}

@@ -1,0 +1,204 @@
+/* Values of variables and their derivatives. */
+#include <limits.h>
+#include <string.h>
+
+#include "fmi3_instance.h"
+
+static size_t size_of(fmi3ValueReference reference) {
+  return FLEX_SORT_OF(reference) == FLEX_INPUT_DERIVATIVES ? (size_t)flex_backend_max_input_order() : 1;
+}
+
+// 1 after logging it, if value references or values are missing, or their numbers don't fit
+static int lacks_values(const flex_instance *ours, flex_call_id call, const fmi3ValueReference *vr, size_t nvr,
+                        const void *values, size_t n_values) {
+  if (flex_lacks(ours, call, "value references", vr, nvr)) return 1;
+  size_t needed = 0;
+  for (size_t i = 0; i < nvr; i++) needed += size_of(vr[i]);
+  return flex_misfits(ours, call, "values", values, n_values, needed);
+}
+
+// how many of the next variables are plain reals: the backend takes them as an array
+static size_t plain(const fmi3ValueReference *vr, size_t nvr) {
+  size_t count = 0;
+  while (count < nvr && FLEX_SORT_OF(vr[count]) == FLEX_REAL) count++;
+  return count;
+}
+
+static int has_output(const flex_instance *ours, const fmi3ValueReference *vr, size_t nvr) {
+  unsigned first = ours->backend->n_settable, end = first + ours->backend->n_outputs;
+  for (size_t i = 0; i < nvr; i++)
+    if (vr[i] >= first && vr[i] < end) return 1;
+  return 0;
+}
+
+static fmi3Status unknown(const flex_instance *ours, fmi3ValueReference reference) {
+  return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is unknown, or its variable is of another type", reference);
+}
+
+// the time, an event indicator or the derivatives of an input
+static fmi3Status get_other(flex_instance *ours, fmi3ValueReference reference, fmi3Float64 *values) {
+  flex_backend *backend = ours->backend;
+  unsigned sort = FLEX_SORT_OF(reference), index = FLEX_INDEX_OF(reference);
+  if (sort == FLEX_TIME && index == 0) {
+    *values = *backend->time;
+  } else if (sort == FLEX_INDICATOR && index < flex_backend_indicators()) {
+    if (flex_backend_get_indicators(backend, ours->indicators)) return flex_log_refusal(ours);
+    *values = ours->indicators[index];
+  } else if (sort == FLEX_INPUT_DERIVATIVES && index < backend->n_inputs) {
+    for (int order = flex_backend_max_input_order(); order > 0; order--)
+      values[order - 1] = flex_backend_input_derivative(backend, index, order);
+  } else {
+    return unknown(ours, reference);
+  }
+  return fmi3OK;
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          fmi3Float64 values[], size_t nValues) {
+  const fmi3ValueReference *vr = valueReferences;
+  flex_instance *ours = flex_checked(instance, call_fmi3GetFloat64);
+  if (!ours || lacks_values(ours, call_fmi3GetFloat64, vr, nValueReferences, values, nValues)) return fmi3Error;
+  if (ours->session.phase == INSTANTIATED && has_output(ours, vr, nValueReferences))
+    return flex_log(ours, fmi3Error, LOG_ERROR, "outputs cannot be read before fmi3EnterInitializationMode");
+  for (size_t i = 0; i < nValueReferences;) {
+    size_t count = plain(vr + i, nValueReferences - i);
+    if (count && flex_backend_get_reals(ours->backend, vr + i, count, values)) return flex_log_refusal(ours);
+    if (!count && get_other(ours, vr[i], values) != fmi3OK) return fmi3Error;
+    values += count ? count : size_of(vr[i]);
+    i += count ? count : 1;
+  }
+  return fmi3OK;
+}
+
+// derivatives of an input; zeros that are there already are left, so that the polynomial gets no higher
+static fmi3Status set_derivatives(flex_instance *ours, fmi3ValueReference reference, const fmi3Float64 *values) {
+  unsigned input = FLEX_INDEX_OF(reference);
+  if (FLEX_SORT_OF(reference) != FLEX_INPUT_DERIVATIVES || input >= ours->backend->n_inputs)
+    return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is neither an input nor a parameter, it cannot be set",
+                    reference);
+  for (int order = 1; order <= flex_backend_max_input_order(); order++) {
+    double value = values[order - 1];
+    if (value == 0.0 && flex_backend_input_derivative(ours->backend, input, order) == 0.0) continue;
+    if (flex_backend_set_input_derivatives(ours->backend, &input, 1, &order, &value)) return flex_log_refusal(ours);
+  }
+  return fmi3OK;
+}
+
+fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          const fmi3Float64 values[], size_t nValues) {
+  const fmi3ValueReference *vr = valueReferences;
+  flex_instance *ours = flex_checked(instance, call_fmi3SetFloat64);
+  if (!ours || lacks_values(ours, call_fmi3SetFloat64, vr, nValueReferences, values, nValues)) return fmi3Error;
+  const int inputs_only = ours->session.phase == CONTINUOUS_TIME_MODE;
+  for (size_t i = 0; i < nValueReferences; i++)
+    if (inputs_only && FLEX_SORT_OF(vr[i]) != FLEX_INPUT_DERIVATIVES && vr[i] >= ours->backend->n_inputs)
+      return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is no input, it cannot be set in continuous-time mode",
+                      vr[i]);
+  for (size_t i = 0; i < nValueReferences; values += size_of(vr[i]), i++) {
+    if (FLEX_SORT_OF(vr[i]) != FLEX_REAL) {
+      if (set_derivatives(ours, vr[i], values) != fmi3OK) return fmi3Error;
+    } else if (flex_backend_set_real(ours->backend, vr[i], *values)) {
+      return flex_log_refusal(ours);
+    }
+  }
+  return fmi3OK;
+}
+
+// numbered choices are Int32, or enumerations and thus Int64; their values are those of an int
+static int get_integer(flex_instance *ours, fmi3ValueReference reference, int *value) {
+  if (FLEX_SORT_OF(reference) != FLEX_INTEGER) return unknown(ours, reference) != fmi3OK;
+  int is_refused = flex_backend_get_integer(ours->backend, FLEX_INDEX_OF(reference), value);
+  return is_refused ? flex_log_refusal(ours) != fmi3OK : 0;
+}
+
+static int set_integer(flex_instance *ours, fmi3ValueReference reference, fmi3Int64 value) {
+  if (FLEX_SORT_OF(reference) != FLEX_INTEGER) return unknown(ours, reference) != fmi3OK;
+  int fits = value < INT_MIN ? INT_MIN : value > INT_MAX ? INT_MAX : (int)value;
+  int is_refused = flex_backend_set_integer(ours->backend, FLEX_INDEX_OF(reference), fits);
+  return is_refused ? flex_log_refusal(ours) != fmi3OK : 0;
+}
+
+#define INTEGERS(bits)                                                                                                      \
+  fmi3Status fmi3GetInt##bits(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,   \
+                              fmi3Int##bits values[], size_t nValues) {                                                     \
+    const flex_call_id call = call_fmi3GetInt##bits;                                                                        \
+    flex_instance *ours = flex_checked(instance, call);                                                                     \
+    if (!ours || lacks_values(ours, call, valueReferences, nValueReferences, values, nValues)) return fmi3Error;            \
+    for (size_t i = 0; i < nValueReferences; i++) {                                                                         \
+      int value = 0;                                                                                                        \
+      if (get_integer(ours, valueReferences[i], &value)) return fmi3Error;                                                  \
+      values[i] = value;                                                                                                    \
+    }                                                                                                                       \
+    return fmi3OK;                                                                                                          \
+  }                                                                                                                         \
+  fmi3Status fmi3SetInt##bits(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,   \
+                              const fmi3Int##bits values[], size_t nValues) {                                               \
+    const flex_call_id call = call_fmi3SetInt##bits;                                                                        \
+    flex_instance *ours = flex_checked(instance, call);                                                                     \
+    if (!ours || lacks_values(ours, call, valueReferences, nValueReferences, values, nValues)) return fmi3Error;            \
+    for (size_t i = 0; i < nValueReferences; i++)                                                                           \
+      if (set_integer(ours, valueReferences[i], values[i])) return fmi3Error;                                               \
+    return fmi3OK;                                                                                                          \
+  }
+
+INTEGERS(32)
+INTEGERS(64)
+
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                                    size_t nValueReferences, const fmi3Int32 orders[], fmi3Float64 values[], size_t nValues) {
+  const flex_call_id call = call_fmi3GetOutputDerivatives;
+  flex_instance *ours = flex_checked(instance, call);
+  if (!ours || lacks_values(ours, call, valueReferences, nValueReferences, values, nValues) ||
+      flex_lacks(ours, call, "orders", orders, nValueReferences))
+    return fmi3Error;
+  int refused = flex_backend_get_output_derivatives(ours->backend, valueReferences, nValueReferences, orders, values);
+  return refused ? flex_log_refusal(ours) : fmi3OK;
+}
+
+// 1 after logging it, if an array is missing or has a wrong size
+static int lacks_derivatives(const flex_instance *ours, flex_call_id call, const flex_direction *direction,
+                             const fmi3Float64 *seed, size_t n_seed, size_t seeds, const fmi3Float64 *result, size_t n_result,
+                             size_t results) {
+  return flex_lacks(ours, call, "value references of unknowns", direction->unknown, direction->n_unknown) ||
+         flex_lacks(ours, call, "value references of knowns", direction->known, direction->n_known) ||
+         flex_misfits(ours, call, "seeds", seed, n_seed, seeds) ||
+         flex_misfits(ours, call, "sensitivities", result, n_result, results);
+}
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
+                                        const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
+                                        size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity) {
+  const flex_call_id call = call_fmi3GetDirectionalDerivative;
+  const flex_direction direction = {nKnowns, nUnknowns, knowns, unknowns, seed, sensitivity};
+  flex_instance *ours = flex_checked(instance, call);
+  if (!ours || lacks_derivatives(ours, call, &direction, seed, nSeed, nKnowns, sensitivity, nSensitivity, nUnknowns))
+    return fmi3Error;
+  return flex_backend_differentiate(ours->backend, &direction) ? flex_log_refusal(ours) : fmi3OK;
+}
+
+// the transpose of the directional derivatives: one pass for each known variable
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
+                                    const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
+                                    fmi3Float64 sensitivity[], size_t nSensitivity) {
+  const flex_call_id call = call_fmi3GetAdjointDerivative;
+  const double one = 1.0;
+  flex_instance *ours = flex_checked(instance, call);
+  flex_direction column = {nKnowns, nUnknowns, knowns, unknowns, &one, NULL};
+  if (!ours || lacks_derivatives(ours, call, &column, seed, nSeed, nUnknowns, sensitivity, nSensitivity, nKnowns))
+    return fmi3Error;
+  column.n_known = 1;
+  column.result = ours->outputs;
+  for (size_t k = 0; k < nKnowns; k++, column.known++) {
+    double sum = 0.0;
+    // as many unknowns at once as there are outputs
+    for (size_t first = 0; first < nUnknowns; first += column.n_unknown) {
+      size_t left = nUnknowns - first, room = ours->backend->n_outputs;
+      column.unknown = unknowns + first;
+      column.n_unknown = room > 0 && left > room ? room : left;
+      if (flex_backend_differentiate(ours->backend, &column)) return flex_log_refusal(ours);
+      for (size_t i = 0; i < column.n_unknown; i++) sum += seed[first + i] * column.result[i];
+    }
+    sensitivity[k] = sum;
+  }
+  return fmi3OK;
+}
