@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pytest
 from boundary_support.subjects import scene
 from export_support.blocks import pd_controller
 from export_support.trajectories import Swing
+from fmpy.fmi3 import FMU3Slave
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Simulation, simulate
@@ -82,3 +83,54 @@ def test_input_derivatives_are_arrays(tmp_path: Path) -> None:
         ends.append([column.values for name, column in run.recording.columns.items() if name.startswith("plant.")])
     np.testing.assert_array_equal(ends[0], ends[1])
     assert not np.array_equal(ends[0], ends[2])
+
+
+@pytest.fixture
+def instance(tmp_path: Path) -> Iterator[tuple[FMU3Slave, dict[str, int]]]:
+    """A robot of FMI 3.0 in fmpy, with event mode, and its value references."""
+    path = BUILD["torque-driven robot"]("3")
+    description = fmpy.read_model_description(str(path))
+    identifier, folder = description.coSimulation.modelIdentifier, fmpy.extract(str(path), str(tmp_path))
+    slave = FMU3Slave(guid=description.guid, modelIdentifier=identifier, unzipDirectory=folder, instanceName="robot")
+    slave.instantiate(eventModeUsed=True, logMessage=lambda *_: None)
+    yield slave, {each.name: each.valueReference for each in description.modelVariables}
+    slave.freeInstance()
+
+
+def test_adjoint_derivatives_are_the_transpose(instance: tuple[FMU3Slave, dict[str, int]]) -> None:
+    """v' (J u) = (J' v)' u for drawn directions of inputs, states and parameters, in initialisation and on the way."""
+    slave, references = instance
+    outputs = [number for name, number in references.items() if "acceleration" in name or "strain" in name]
+    inputs = [references[name] for name in ("joint1.torque", "force.y", "payload.mass")]
+    random = np.random.default_rng(1)
+    slave.enterInitializationMode()
+    for knowns in (inputs, [*inputs, references["joint1.position"], references["der(link11.bending[1])"]]):
+        u, v = random.normal(size=len(knowns)), random.normal(size=len(outputs))
+        forward = v @ slave.getDirectionalDerivative(outputs, knowns, u)
+        adjoint = u @ slave.getAdjointDerivative(outputs, knowns, v, len(knowns))
+        assert forward == pytest.approx(adjoint, rel=1e-13)
+        if knowns is inputs:
+            slave.exitInitializationMode()
+            slave.updateDiscreteStates()
+            slave.enterStepMode()
+            slave.doStep(0.0, STEP)
+
+
+def test_a_discarded_step_leaves_no_trace(instance: tuple[FMU3Slave, dict[str, int]]) -> None:
+    """FMI 3.0, 4.2.1: after fmi3Discard everything is as before the step, which may be tried again."""
+    slave, references = instance
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    slave.updateDiscreteStates()
+    slave.enterStepMode()
+    arrays = [references[f"derivatives.joint{k}.torque"] for k in (1, 2)]
+    assert slave.getFloat64(arrays, 18) == 18 * [0.0]
+    slave.setFloat64(arrays[:1], [1.5e308, *8 * [0.0]])
+    before = slave.serializeFMUState(slave.getFMUState())
+    with pytest.raises(fmpy.fmi1.FMICallException, match="discard"):
+        slave.doStep(0.0, 0.5)
+    assert slave.serializeFMUState(slave.getFMUState()) == before
+    slave.setFloat64(arrays[:1], 9 * [0.0])
+    assert slave.doStep(0.0, STEP) == (False, False, False, STEP)
+    slave.enterEventMode()
+    slave.enterStepMode()

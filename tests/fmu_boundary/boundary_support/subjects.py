@@ -14,6 +14,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.sources import Sources, generate_sources, runtime_sources
+from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
@@ -37,21 +38,21 @@ def scene(drive: str) -> Scene:
 SUBJECTS = ("fragile", "robot", "torque-driven robot", "block", "trajectory")
 
 
-def subject(name: str) -> tuple[Sources, tuple[int, ...]]:
+def subject(name: str, fmi: FmiVersion = "2") -> tuple[Sources, tuple[int, ...]]:
     """Sources by name, and N_INPUTS, N_SETTABLE, N_REALS (inputs first, then parameters, then outputs) and N_INTEGERS, with N_STATES and
     N_INDICATORS where there is model exchange."""
     if name == "block":
-        return generate_sources(pd_controller(), EXPERIMENT), (2, 5, 6, 1)
+        return generate_sources(pd_controller(), EXPERIMENT, fmi=fmi), (2, 5, 6, 1)
     if name == "trajectory":
-        return generate_sources(Motion(Swing(), ["axis"], "m"), EXPERIMENT), (0, 0, 3, 1)  # type: ignore[arg-type]
+        return generate_sources(Motion(Swing(), ["axis"], "m"), EXPERIMENT, fmi=fmi), (0, 0, 3, 1)  # type: ignore[arg-type]
     if name == "fragile":  # can fail in every way
-        files = runtime_sources("plant") | {"models.c": HAND_WRITTEN.read_text(encoding="utf-8")}
+        files = runtime_sources("plant", fmi) | {"models.c": HAND_WRITTEN.read_text(encoding="utf-8")}
         return Sources("fragile", "{fragile}", "", {}, files, {}), (1, 3, 5, N_INTEGERS, 2, 0)
     model = build_model(scene("motion" if name == "robot" else "torque"))
     inputs, settable = len(model.inputs), len(model.inputs) + len(model.parameters)
     reals, states = settable + len(model.outputs) + 1, 2 * len(model.unknowns)
     counts = (inputs, settable, reals, N_INTEGERS, states, len(model.frictions))
-    return generate_sources(model, EXPERIMENT), counts
+    return generate_sources(model, EXPERIMENT, fmi=fmi), counts
 
 
 FILES: dict[str, Callable[[], Path]] = {
