@@ -20,6 +20,9 @@ from flexfmu.fmu_build.toolchain import FMI_HEADERS, FmiVersion, fmi_header_fold
 from flexfmu.fmu_build.units import RealType, displayed, real_types, unit_definitions
 from flexfmu.model.symbolic import SharedLibrary
 
+TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
+"""Path of FMI 3.0's terminals, which name the variables that belong together."""
+
 FmuKind = Literal["plant", "block", "trajectory"]
 """Kind of an FMU; all kinds share the FMI layer of the runtime."""
 
@@ -223,7 +226,7 @@ MIT No Attribution licence (https://github.com/casadi/casadi/issues/3015).
 def documentation(
     content: Content, naming: Naming, experiment: DefaultExperiment, fmi: FmiVersion = "2"
 ) -> dict[str, str]:
-    """Files of the folder ``documentation/`` of any FMU: path below the FMU's root → text."""
+    """Files of the folder ``documentation/`` of any FMU, and `TERMINALS` of FMI 3.0: path below the FMU's root → text."""
     variables = content.description.interface.variables
     page = render(
         content.page,
@@ -245,10 +248,21 @@ def documentation(
         license=LICENSE,
         **content.values,
     )
+    # in FMI 3.0 the terminals: inputs and outputs by the component that they belong to, joint1.reference for example
+    further = {}
+    if fmi == "3":
+        terminals: dict[str, dict[str, str]] = {}
+        for each in variables:
+            component, _, member = each.name.rpartition(".")
+            if each.causality in ("input", "output") and component and not component.startswith("der("):
+                terminals.setdefault(component, {})[member] = each.name
+        template = "terminalsAndIcons.xml.j2"
+        further[TERMINALS] = render(template, terminals=terminals, name_of=namer(naming))
     # licences of the content
     licences = {"license": render("license.txt"), "fmi-headers": _header_licence(fmi), "casadi-generated": _CASADI}
     return {
         "documentation/index.html": by_version(page, fmi),
+        **further,
         **{f"documentation/licenses/{name}.txt": text for name, text in licences.items()},
     }
 

@@ -29,8 +29,8 @@ from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, FmiVersion, f
 from flexfmu.fmu_build.trajectory_build import Motion, motion_content
 from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock, SymbolicModel
 
-ICON_FILE = "model.png"
-"""Path of the icon in the FMU (FMI 2.0.4, section 2.3)."""
+ICON_FILES: Mapping[FmiVersion, str] = {"2": "model.png", "3": "terminalsAndIcons/icon.png"}
+"""Path of the icon in the FMU (FMI 2.0.4, section 2.3; FMI 3.0, section 2.5)."""
 
 RuntimeKind = FmuKind | Literal["batch", "elementary", "processor"]
 """What the C runtime is compiled for."""
@@ -87,6 +87,7 @@ class Sources:
         runtime: C files and headers of the runtime, name → text.
         documentation: path below the FMU's root → text.
         icon: PNG file; may be empty.
+        icon_file: path of the icon below the FMU's root.
         libraries: shared libraries that the FMU's own one needs beside it, name → library.
         joined: C files of ``runtime`` that may be compiled as one, since none has a name that another defines for itself.
     """
@@ -98,6 +99,7 @@ class Sources:
     runtime: dict[str, str]
     documentation: dict[str, str]
     icon: bytes = b""
+    icon_file: str = ICON_FILES["2"]
     libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
     joined: tuple[str, ...] = ()
 
@@ -112,7 +114,9 @@ class Sources:
             options=" ".join(OPTIONS),
         )
         texts = {"modelDescription.xml": self.description, BUILD_DESCRIPTION: rebuild} | code | self.documentation
-        return {path: text.encode() for path, text in texts.items()} | ({ICON_FILE: self.icon} if self.icon else {})
+        return {path: text.encode() for path, text in texts.items()} | (
+            {self.icon_file: self.icon} if self.icon else {}
+        )
 
 
 def generate_sources(
@@ -163,6 +167,7 @@ def generate_sources(
         runtime,
         documentation(content, naming, experiment, fmi),
         (files(__package__) / "templates" / f"{icon}.png").read_bytes(),
+        ICON_FILES[fmi],
         content.libraries,
         joined,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from boundary_support.subjects import scene
 from export_support.blocks import pd_controller
 from export_support.trajectories import Swing
 from fmpy.fmi3 import FMU3Slave
+from lxml import etree
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Simulation, simulate
@@ -20,6 +22,8 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.description import TERMINALS
+from flexfmu.fmu_build.sources import BUILD_DESCRIPTION
 from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.finding import Severity
@@ -67,8 +71,15 @@ def test_both_versions_give_the_same_bits(name: str) -> None:
 
 @pytest.mark.parametrize("name", BUILD)
 def test_descriptions_are_valid(name: str) -> None:
-    """Schema, model structure, references and units; what the FMU does is judged by the other tests."""
-    assert [each.severity for each in validate_fmu(BUILD[name]("3"))] == [Severity.NOTE]
+    """Schema, model structure, references and units; schemas of terminals and build description. What the FMU does is judged by
+    the other tests."""
+    path = BUILD[name]("3")
+    assert [each.severity for each in validate_fmu(path)] == [Severity.NOTE]
+    schemas = Path(fmpy.__file__).parent / "schema" / "fmi3"
+    with zipfile.ZipFile(path) as archive:
+        for schema, member in (("TerminalsAndIcons", TERMINALS), ("BuildDescription", BUILD_DESCRIPTION)):
+            rules = etree.XMLSchema(etree.parse(str(schemas / f"fmi3{schema}.xsd")))
+            rules.assertValid(etree.fromstring(archive.read(member)))
 
 
 def test_input_derivatives_are_arrays(tmp_path: Path) -> None:
