@@ -35,10 +35,10 @@ def build(
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
-    """Build the FMU of a scene, or of a model from equations, for co-simulation and model exchange.
+    """Build the FMI 2.0 or 3.0 FMU of a scene, or of a model from equations, for co-simulation and model exchange.
 
     Args:
-        scene: A scene, or MODEL.py:NAME, a Python file, which is run, and the name of its model from flexfmu.ode, second_order, lagrangian
+        scene (SCENE): A scene, or MODEL.py:NAME, a Python file, which is run, and the name of its model from flexfmu.ode, second_order, lagrangian
             or dae.
         output (--output, -o FILE.fmu): Default: the scene's or model's name, here.
         enumerations: Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.
