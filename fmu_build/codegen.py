@@ -17,7 +17,7 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.twins import Entry, function_code, lanes_code
-from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel, Variable
+from flexfmu.model.symbolic import EVENT_SIGNATURES, FUNCTION_SIGNATURES, SymbolicModel, Variable
 
 MAX_INPUT_ORDER = 9
 """Highest order that fmi2SetRealInputDerivatives accepts: two-point Hermite data of value and four derivatives."""
@@ -65,7 +65,8 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
         ModelError: a function is missing or has a wrong signature, or the mass matrix isn't symmetric or not that of the residual.
     """
     sizes = _sizes(model)
-    prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
+    signatures = _signatures(model)
+    prepared = {name: _prepare(name, _function(model, name), signatures[name], sizes) for name in signatures}
     _check_mass_matrix(model, prepared)
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
     # operations of twins side by side where the model has any; CasADi's code for what branches
@@ -83,7 +84,7 @@ def twin_arguments(model: SymbolicModel, name: str) -> list[tuple[Entry, Entry]]
     """Twins among the arguments of the function ``name``."""
     twins: dict[str, tuple[tuple[int, int], ...]] = dict.fromkeys(UNKNOWNS, model.twin_unknowns)
     twins |= dict.fromkeys(INPUTS, model.twin_inputs)
-    arguments = enumerate(FUNCTION_SIGNATURES[name][0])
+    arguments = enumerate(_signatures(model)[name][0])
     return [((k, first), (k, second)) for k, argument in arguments for first, second in twins.get(argument, ())]
 
 
@@ -123,6 +124,11 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
     return model.functions[name]
 
 
+def _signatures(model: SymbolicModel) -> Mapping[str, tuple[tuple[str, ...], str]]:
+    """Signatures of all functions of a model."""
+    return {**FUNCTION_SIGNATURES, **(EVENT_SIGNATURES if model.events else {})}
+
+
 def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
@@ -135,17 +141,20 @@ def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
     vectors["start"] = 2 * n if model.nominals else n
     vectors["start_rates"] = n_derived + vectors["start"]
-    vectors |= {"margin": 1, "scale": 2 * n + 1}
+    vectors |= {"margin": 1, "scale": 2 * n + 1, "motion": 2 * n}
+    vectors |= {"fired": len(model.events), "crossings": 2 * len(model.events)}
     return {name: (size, 1) for name, size in vectors.items()} | {"m": (n, n)}
 
 
-def _prepare(name: str, function: casadi.Function, sizes: Mapping[str, tuple[int, int]]) -> casadi.Function:
+def _prepare(
+    name: str, function: casadi.Function, signature: tuple[tuple[str, ...], str], sizes: Mapping[str, tuple[int, int]]
+) -> casadi.Function:
     """The function with its C name, a dense result and shared subexpressions.
 
     Raises:
         ModelError: arguments or result have wrong shapes.
     """
-    arguments, result = FUNCTION_SIGNATURES[name]
+    arguments, result = signature
     if function.n_in() != len(arguments) or function.n_out() != 1:
         raise ModelError(f"function '{name}' must take ({', '.join(arguments)}) and give {result}, got {function}")
     # check the signature, which the C runtime relies on

@@ -3,7 +3,7 @@ constraints that determine further variables (semi-explicit differential-algebra
 
 Equations are functions of named symbols, or CasADi expressions of symbols with these names. A function takes any of the arguments
 ``q``, ``v``, ``a`` (coordinates, their rates and accelerations), ``x`` (states of first order), ``z`` (variables of constraints), ``u``
-(inputs), ``p`` (parameters, derived ones too) and ``t`` (time [s])::
+(inputs), ``p`` (parameters, derived ones too), ``s`` (sides of events) and ``t`` (time [s])::
 
     vdp = ode("vdp", x={"x0": 2.0, "x1": 0.0}, p={"mu": 1.0}, rhs=lambda x, p: [x.x1, p.mu * (1 - x.x0**2) * x.x1 - x.x0])
 
@@ -27,7 +27,7 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.units import unit_exponents
 from flexfmu.model.contract import Linearisation, LinearPlant, contract_functions
-from flexfmu.model.symbolic import Causality, SymbolicModel, Variable
+from flexfmu.model.symbolic import Causality, Event, Friction, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import MotionSymbols, acceleration_terms
 
 Equation = Any
@@ -106,6 +106,34 @@ def variable(
     return Declaration(value, unit, nominal, minimum, maximum, description)
 
 
+@dataclass(frozen=True)
+class Passage:
+    """An event; see `event`."""
+
+    number: Equation
+    direction: int = 0
+    reset: Equation = None
+
+
+def event(number: Equation, direction: int = 0, reset: Equation = None) -> Passage:
+    """An event: the passage of a number through zero, at which the equations see another side, or states are reset.
+
+        bounce = flexfmu.event(lambda q: q.height, -1, lambda v, p: {"der(height)": -p.restitution * v.height})
+
+    Args:
+        number: function of q, v, x, u, p and t, of the size of 1; of time alone for an instant. Equations have its sign, 1 or -1, as
+            ``s.NAME``.
+        direction: of the passages that reset states: 1 upwards, -1 downwards, 0 both.
+        reset: states behind the event by name, a function that gives a dict; others stay.
+
+    Raises:
+        ModelError: the direction is none of these.
+    """
+    if direction not in (-1, 0, 1):
+        raise ModelError(f"the direction of an event is 1 (upwards), -1 (downwards) or 0 (both), got {direction!r}")
+    return Passage(number, direction, reset)
+
+
 class Names:
     """Symbols by name, ``x.x1`` or ``x["arm.angle"]``; iterating gives them in their order."""
 
@@ -146,6 +174,7 @@ def ode(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
+    events: Mapping[str, Passage] | None = None,
     description: str = "",
 ) -> SymbolicModel:
     """A model of first order: x' = rhs(x, u, p, t).
@@ -157,12 +186,13 @@ def ode(
         u, p: input, parameter → start value.
         derived: derived parameter → function of p, computed once; it belongs to p.
         outputs: further output → function of x, u, p and t; the states and their derivatives, ``der(NAME)``, are outputs anyway.
+        events: event → `event`; equations and outputs may take ``s``, the sides.
         description: one sentence.
 
     Raises:
         ModelError: an equation, a name, a start value or a unit is wrong.
     """
-    model = _Draft(name, {}, {}, x, {}, u, p, derived)
+    model = _Draft(name, {}, {}, x, {}, u, p, derived, events)
     return model.finished([], model.evaluated("rhs", rhs, list(x)), outputs, description)
 
 
@@ -178,6 +208,8 @@ def second_order(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
+    events: Mapping[str, Passage] | None = None,
+    friction: Mapping[str, Equation] | None = None,
     description: str = "",
 ) -> SymbolicModel:
     """A model of second order: residual(q, v, a, u, p, t) = M(q, u, p, t) a + b(q, v, u, p, t) = 0, one equation for each coordinate.
@@ -190,13 +222,16 @@ def second_order(
         residual: the equations, a function of q, v, a, u, p, x and t, in the order of q or by coordinate.
         rates: coordinate → its rate at the start; zero for others.
         x, rhs: states of first order beside the coordinates, as of an actuator, and their time derivatives; M may not depend on them.
-        u, p, derived, outputs, description: as for `ode`; the coordinates with their rates ``der(NAME)`` and accelerations
+        u, p, derived, outputs, events, description: as for `ode`; the coordinates with their rates ``der(NAME)`` and accelerations
             ``der(NAME,2)`` are outputs anyway.
+
+        friction: coordinate → breakaway force of its dry friction, a number or function of p, or a pair of it and the force while it slips,
+            a function of q, v and p. It sticks where it can, and events switch to slip and back.
 
     Raises:
         ModelError: an equation, a name, a start value or a unit is wrong, or M isn't symmetric and definite.
     """
-    model = _Draft(name, q, rates or {}, x or {}, {}, u, p, derived)
+    model = _Draft(name, q, rates or {}, x or {}, {}, u, p, derived, events, friction)
     equations = model.evaluated("residual", residual, list(q))
     return model.finished(equations, model.evaluated("rhs", rhs, list(x or {})), outputs, description)
 
@@ -216,6 +251,8 @@ def lagrangian(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
+    events: Mapping[str, Passage] | None = None,
+    friction: Mapping[str, Equation] | None = None,
     description: str = "",
 ) -> SymbolicModel:
     """A model from its energies, by Lagrange's equations d/dt dT/dv - d(T - V)/dq + dR/dv = Q.
@@ -227,12 +264,12 @@ def lagrangian(
         potential: potential energy V [J], a function of q, p, u and t.
         dissipation: Rayleigh's function R [W], half of the power that dampers take, a function of q, v and p.
         forces: generalised forces Q, a function of q, v, u, p, x and t, in the order of q, or by coordinate with zero for others.
-        rates, x, rhs, u, p, derived, outputs, description: as for `second_order`.
+        rates, x, rhs, u, p, derived, outputs, events, friction, description: as for `second_order`.
 
     Raises:
         ModelError: as for `second_order`.
     """
-    model = _Draft(name, q, rates or {}, x or {}, {}, u, p, derived)
+    model = _Draft(name, q, rates or {}, x or {}, {}, u, p, derived, events, friction)
     (t_energy,), (v_energy,), (rayleigh,) = (
         model.evaluated(what, source, [what])
         for what, source in (("kinetic", kinetic), ("potential", potential), ("dissipation", dissipation))
@@ -258,6 +295,7 @@ def dae(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
+    events: Mapping[str, Passage] | None = None,
     description: str = "",
 ) -> SymbolicModel:
     """A model with constraints: x' = rhs(x, z, u, p, t), 0 = constraints(x, z, u, p, t), of index 1: they determine z.
@@ -267,12 +305,12 @@ def dae(
         x: state → start value, a number or `variable`.
         z: variable that the constraints determine → guess of its value at the start; it is an output.
         rhs, constraints: functions of x, z, u, p and t.
-        u, p, derived, outputs, description: as for `ode`; outputs may depend on z.
+        u, p, derived, outputs, events, description: as for `ode`; outputs may depend on z.
 
     Raises:
         ModelError: as for `ode`, or the constraints don't determine z, as where the index is 2 or 3.
     """
-    draft = _Draft(name, {}, {}, x, z, u, p, derived)
+    draft = _Draft(name, {}, {}, x, z, u, p, derived, events)
     constrained = draft.evaluated("constraints", constraints, [f"0 ({each})" for each in z])
     unknowns, defect = casadi.vertcat(*draft.scopes["z"]), casadi.vertcat(*constrained)
     slope = casadi.jacobian(defect, unknowns)
@@ -284,7 +322,7 @@ def dae(
         )
     # further states that follow the solution, from which Newton's method starts
     follows = {f"guess.{each}": replace(_quantity("z", each, z[each]), value=value) for each, value in guess.items()}
-    draft = _Draft(name, {}, {}, {**x, **follows}, z, u, p, derived)
+    draft = _Draft(name, {}, {}, {**x, **follows}, z, u, p, derived, events)
     constrained = draft.evaluated("constraints", constraints, [f"0 ({each})" for each in z])
     unknowns, defect = casadi.vertcat(*draft.scopes["z"]), casadi.vertcat(*constrained)
     correction = casadi.solve(casadi.jacobian(defect, unknowns), -defect)
@@ -362,6 +400,8 @@ class _Draft:
         u: Mapping[str, Any] | None,
         p: Mapping[str, Any] | None,
         derived: Mapping[str, Equation] | None,
+        events: Mapping[str, Passage] | None,
+        friction: Mapping[str, Equation] | None = None,
     ) -> None:
         if not isinstance(name, str) or not name:
             raise ModelError(f"the name of a model is a text, got {name!r}")
@@ -373,7 +413,7 @@ class _Draft:
         if not q and not x:
             raise ModelError(f"model '{name}' has no states; give at least one")
         self.given = {s: {each: _quantity(s, each, entries[each]) for each in entries} for s, entries in given.items()}
-        names = Counter([*q, *x, *z, *given["u"], *given["p"], *(derived or {})])
+        names = Counter([*q, *x, *z, *given["u"], *given["p"], *(derived or {}), *(events or {})])
         if twice := [each for each, count in names.items() if count > 1]:
             raise ModelError(f"model '{name}' has the name '{twice[0]}' more than once; names must be unique")
         if unknown := rates.keys() - q.keys():
@@ -384,7 +424,18 @@ class _Draft:
         # unknowns, of which time is the last
         n = self.n_second + self.n_first + 1
         self.y, self.v, self.a = (casadi.SX.sym(letter, n) for letter in "yva")
-        self.u, self.d = casadi.SX.sym("u", len(given["u"])), casadi.SX.sym("d", len(given["p"]) + len(derived or {}))
+        self.events = dict(events or {})
+        if wrong := [each for each, entry in self.events.items() if not isinstance(entry, Passage)]:
+            raise ModelError(f"event '{wrong[0]}' of model '{name}' must be made by flexfmu.event")
+        self.friction = {each: f if isinstance(f, tuple) else (f, f) for each, f in (friction or {}).items()}
+        if wrong := [each for each, pair in self.friction.items() if each not in q or len(pair) != 2]:
+            raise ModelError(f"friction of model '{name}' is coordinate → force, or a pair of forces, got '{wrong[0]}'")
+        # constants, breakaway forces and directions of friction, sides of events
+        derived = dict(derived or {})
+        constants = len(given["p"]) + len(derived)
+        derived |= {f"friction.{each}": pair[0] for each, pair in self.friction.items()}
+        self.u = casadi.SX.sym("u", len(given["u"]))
+        self.d = casadi.SX.sym("d", constants + 2 * len(self.friction) + len(self.events))
         self.time = self.y[n - 1]
         unsolved = casadi.SX.sym("z", len(z))
 
@@ -399,13 +450,14 @@ class _Draft:
             "x": named("x", list(x), self.v[self.n_second : n - 1]),
             "z": named("z", list(z), unsolved),
             "u": named("u", list(given["u"]), self.u),
-            "p": named("p", [*given["p"], *(derived or {})], self.d),
+            "p": named("p", [*given["p"], *derived][:constants], _column(casadi.vertsplit(self.d)[:constants])),
+            "s": named("s", list(self.events), _column(casadi.vertsplit(self.d)[constants + 2 * len(self.friction) :])),
             "t": self.time,
         }
         # derived parameters as expressions of the others, which come first
         self.p = casadi.SX.sym("p", len(given["p"]) + len(q) * 2 + len(x))
         self.derived = _column(casadi.vertsplit(self.p)[: len(given["p"])])
-        for each, source in (derived or {}).items():
+        for each, source in derived.items():
             (value,) = self.evaluated(f"derived parameter '{each}'", source, [each], scopes="p", switches=True)
             value = casadi.substitute(value, _column(casadi.vertsplit(self.d)[: self.derived.numel()]), self.derived)
             if casadi.depends_on(value, self.d):
@@ -413,6 +465,7 @@ class _Draft:
                     f"derived parameter '{each}' of model '{name}' needs one that comes later; change their order"
                 )
             self.derived = casadi.vertcat(self.derived, value)
+        self.derived = _column([*casadi.vertsplit(self.derived), *[0.0] * (len(self.friction) + len(self.events))])
 
     def with_solution(self, solution: casadi.SX) -> _Draft:
         """Put the solution of the constraints in the place of z."""
@@ -427,7 +480,7 @@ class _Draft:
         names: Sequence[str],
         *,
         missing: float | None = None,
-        scopes: str = "qvaxzupt",
+        scopes: str = "qvaxzupts",
         switches: bool = False,
     ) -> list[casadi.SX]:
         """The expressions of an equation, one for each name.
@@ -489,7 +542,7 @@ class _Draft:
         own = {each.element_hash() for each in casadi.symvar(casadi.vertcat(self.y, self.v, self.a, self.u, self.d))}
         own |= {each.element_hash() for each in casadi.symvar(_column([*self.scopes["z"]]))}
         named: dict[str, casadi.SX] = {"t": self.time} if "t" in scopes else {}
-        for letter in (each for each in scopes if each not in "vat"):
+        for letter in (each for each in scopes if each not in "vats"):
             named |= self.scopes[letter]._symbols
         if "v" in scopes:
             named |= {f"der({each})": symbol for each, symbol in self.scopes["v"]._symbols.items()}
@@ -509,7 +562,7 @@ class _Draft:
             if operation in SWITCHES and not switches:
                 raise ModelError(
                     f"{where} jumps ({SWITCHES[operation]}), which no integrator steps over accurately; make it smooth, with tanh for "
-                    "example, or put what depends on parameters alone into derived"
+                    "example, make the switch an event and use its side, or put what depends on parameters alone into derived"
                 )
         return casadi.densify(expression)
 
@@ -572,6 +625,13 @@ class _Draft:
         """
         n, second = self.y.numel(), self.n_second
         equations = self._definite(_column(residual))
+        # friction acts against the direction of slip, on the equations with a positive mass matrix
+        frictions, first = [], self.d.numel() - len(self.events) - 2 * len(self.friction)
+        for k, (each, (_, slip)) in enumerate(self.friction.items()):
+            found = Friction(list(self.given["q"]).index(each), first + k, first + len(self.friction) + k)
+            (force,) = self.evaluated(f"friction of '{each}'", slip, [each], scopes="qvp")
+            equations[found.unknown] += self.d[found.direction] * force
+            frictions.append(found)
         equations = casadi.vertcat(equations, self.a[second : n - 1] - _column(rhs), self.a[n - 1])
         # outputs: coordinates and states with their time derivatives, variables of constraints, then the user's
         shown: list[tuple[Variable, casadi.SX]] = []
@@ -597,7 +657,9 @@ class _Draft:
             )
         everything = casadi.vertcat(*(value for _, value in shown))
         # the clock is there where something depends on it
-        has_clock = casadi.depends_on(casadi.vertcat(equations, everything), self.time)
+        numbers = [self.evaluated(f"event '{each}'", e.number, [each])[0] for each, e in self.events.items()]
+        self.numbers = _column(numbers)
+        has_clock = casadi.depends_on(casadi.vertcat(equations, everything, self.numbers), self.time)
         kept = n if has_clock else n - 1
         motion = MotionSymbols(self.y[:kept], self.v[:kept], self.a[:kept], self.u)
         equations, entries = equations[:kept], self.given["q"] | self.given["x"]
@@ -615,6 +677,8 @@ class _Draft:
             casadi.SX(1.0),
             _column(scale),
         )
+        if self.events:
+            functions = {**functions, **self._event_functions(motion)}
         zero_rates = casadi.substitute(casadi.jacobian(equations, motion.v), motion.v, casadi.SX.zeros(kept))
         return SymbolicModel(
             name=self.name,
@@ -629,11 +693,54 @@ class _Draft:
             static_start=False,
             margin_name="",
             minimum_margin=0.0,
+            frictions=tuple(frictions),
+            events=tuple(
+                Event(self.d.numel() - len(self.events) + k, each.direction, each.reset is not None)
+                for k, each in enumerate(self.events.values())
+            ),
             is_damped=self.n_first > 0 or casadi.sparsify(casadi.simplify(zero_rates)).nnz() > 0,
             first_order=self.n_first,
             has_clock=has_clock,
             nominals=nominals,
         )
+
+    def _event_functions(self, motion: MotionSymbols) -> dict[str, casadi.Function]:
+        """The numbers of the events with their rates, and the states behind them."""
+        arguments = casadi.vertcat(motion.y, motion.v)
+        rate = casadi.jtimes(self.numbers, arguments, casadi.vertcat(motion.v, motion.a))
+        # which of [y, v] each name is
+        coordinates, states = list(self.given["q"]), list(self.given["x"])
+        n, second = motion.y.numel(), self.n_second
+        places = {each: k for k, each in enumerate(coordinates)}
+        places |= {f"der({each})": n + k for k, each in enumerate(coordinates)}
+        places |= {each: n + second + k for k, each in enumerate(states)}
+        fired, behind = casadi.SX.sym("fired", len(self.events)), casadi.SX(arguments)
+        for k, (each, entry) in enumerate(self.events.items()):
+            if entry.reset is None:
+                continue
+            found = (
+                self._called(f"reset of event '{each}'", entry.reset, "qvxups")
+                if callable(entry.reset)
+                else entry.reset
+            )
+            if not isinstance(found, Mapping) or not found or not found.keys() <= places.keys():
+                raise ModelError(
+                    f"the reset of event '{each}' of model '{self.name}' gives a dict of states, of {', '.join(places)}; got {found!r}"
+                )
+            values = self.evaluated(f"reset of event '{each}'", found, list(found), switches=True)
+            for name, value in zip(found, values, strict=True):
+                behind[places[name]] += fired[k] * (value - arguments[places[name]])
+        d = self.d
+        return {
+            "event_numbers": casadi.Function(
+                "event_numbers",
+                [motion.y, motion.v, motion.a, motion.u, d],
+                [casadi.densify(casadi.vertcat(self.numbers, rate))],
+            ),
+            "event_resets": casadi.Function(
+                "event_resets", [motion.y, motion.v, motion.u, d, fired], [casadi.densify(behind)]
+            ),
+        }
 
     def _definite(self, residual: casadi.SX) -> casadi.SX:
         """The equations of second order, with the sign that makes the mass matrix positive definite.

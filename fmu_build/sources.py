@@ -231,7 +231,7 @@ def plant_description(model: SymbolicModel) -> Description:
         max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
         has_tolerance=True,
         has_model_exchange=True,
-        n_event_indicators=len(model.frictions),
+        n_event_indicators=len(model.frictions) + len(model.events),
     )
 
 

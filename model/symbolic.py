@@ -50,6 +50,12 @@ FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
 }
 """Name of each function → (arguments, result). See `fmu_build/c-runtime/base/model.h` for shapes and meaning."""
 
+EVENT_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "event_numbers": (("y", "v", "a", "u", "d"), "crossings"),
+    "event_resets": (("y", "v", "u", "d", "fired"), "motion"),
+}
+"""Further functions of a model with events."""
+
 
 @dataclass(frozen=True)
 class Variable:
@@ -97,6 +103,21 @@ class Friction:
     unknown: int
     breakaway: int
     direction: int
+
+
+@dataclass(frozen=True)
+class Event:
+    """A number whose passage through zero changes the equations or the states.
+
+    Attributes:
+        side: index in ``d`` of the number's sign, 1 or -1, set by the runtime; it changes at passages only.
+        direction: of the passages that reset states: 1 upwards, -1 downwards, 0 both.
+        has_reset: whether states are reset.
+    """
+
+    side: int
+    direction: int
+    has_reset: bool
 
 
 @dataclass(frozen=True)
@@ -177,6 +198,7 @@ class SymbolicModel:
         twin_unknowns, twin_inputs: (first, second) for each pair of unknowns and of inputs of two equal parts, as the legs
             of a robot; the generated code computes both parts at once.
         frictions: dry friction that can hold unknowns; events switch between stiction and slip.
+        events: numbers whose passages through zero are events.
         effects: documentation of the effects in the model.
         drawing: drawing of the mechanism, or None.
         pose: names of the outputs that give the pose in messages.
@@ -205,6 +227,7 @@ class SymbolicModel:
     twin_unknowns: tuple[tuple[int, int], ...] = ()
     twin_inputs: tuple[tuple[int, int], ...] = ()
     frictions: tuple[Friction, ...] = ()
+    events: tuple[Event, ...] = ()
     effects: tuple[EffectNote, ...] = ()
     drawing: Drawing | None = None
     pose: tuple[str, ...] = ()

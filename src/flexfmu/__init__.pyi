@@ -42,6 +42,7 @@ from flexfmu.errors import Error as Error
 from flexfmu.fmu_build.errors import BuildError as BuildError
 from flexfmu.fmu_build.errors import MissingCompilerError as MissingCompilerError
 from flexfmu.fmu_build.own_models import dae as dae
+from flexfmu.fmu_build.own_models import event as event
 from flexfmu.fmu_build.own_models import lagrangian as lagrangian
 from flexfmu.fmu_build.own_models import ode as ode
 from flexfmu.fmu_build.own_models import second_order as second_order
@@ -56,6 +57,6 @@ from flexfmu.systems import simulate as simulate
 from flexfmu.systems import slave as slave
 from flexfmu.trajectories.errors import TrajectoryError as TrajectoryError
 
-__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'export_slaves', 'export_ssp', 'filters', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
+__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
 
 __version__: str

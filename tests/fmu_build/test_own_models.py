@@ -178,6 +178,114 @@ def test_motion_is_that_of_the_equations(case: str) -> None:
         assert abs(found[name] - row).max() < 1e-3 * abs(row).max()
 
 
+def ball() -> SymbolicModel:
+    """A ball that bounces."""
+    bounce = flexfmu.event(lambda q: q.height, -1, lambda v, p: {"der(height)": -p.e * v.height})
+    return flexfmu.second_order(
+        "ball",
+        q={"height": flexfmu.variable(1.0, "m")},
+        p={"e": 0.8},
+        residual=lambda a: a.height + GRAVITY,
+        events={"bounce": bounce},
+    )
+
+
+def ball_height(t: float) -> float:
+    """The same, from bounce to bounce."""
+    begin, speed, height = 0.0, 0.0, 1.0
+    while (fall := (speed + np.sqrt(speed**2 + 2 * GRAVITY * height)) / GRAVITY) < t - begin:
+        begin, speed, height = begin + fall, 0.8 * (GRAVITY * fall - speed), 0.0
+    return float(height + speed * (t - begin) - GRAVITY * (t - begin) ** 2 / 2)
+
+
+def two_springs() -> SymbolicModel:
+    """A mass on a spring that is four times as stiff on the negative side: equations take the event's side."""
+    return flexfmu.ode(
+        "springs",
+        x={"x": 1.0, "v": 0.0},
+        rhs=lambda x, s: [x.v, -x.x * (1 + 1.5 * (1 - s.wall))],
+        events={"wall": flexfmu.event(lambda x: x.x)},
+    )
+
+
+def two_springs_position(t: float) -> float:
+    """Half a period of pi, half a period of pi / 2."""
+    s = t % (1.5 * np.pi)
+    if np.pi / 2 < s < np.pi:
+        return float(-0.5 * np.sin(2 * (s - np.pi / 2)))
+    return float(np.cos(s) if s <= np.pi / 2 else np.sin(s - np.pi))
+
+
+def late_ramp() -> SymbolicModel:
+    """A ramp that begins at an instant."""
+    begin = flexfmu.event(lambda t: t - 0.123)
+    return flexfmu.ode("ramp", x={"x": 0.0}, rhs=lambda s: (1 + s.begin) / 2, events={"begin": begin})
+
+
+def thermostat() -> SymbolicModel:
+    """Heating that is switched at 18 and 25 degrees: resets of a state that is the switch."""
+    hot, cold = flexfmu.event(lambda x: x.t - 25, 1, {"on": 0.0}), flexfmu.event(lambda x: x.t - 18, -1, {"on": 1.0})
+    rhs = {"t": casadi.SX.sym("on") * 3 - (casadi.SX.sym("t") - 10) * 0.1, "on": 0.0}
+    return flexfmu.ode("heater", x={"t": 20.0, "on": 1.0}, rhs=rhs, events={"hot": hot, "cold": cold})
+
+
+def thermostat_temperature(t: float) -> float:
+    """Towards 40 and 10 degrees in turn."""
+    now, aim, switch = 20.0, 40.0, 25.0
+    while (taken := 10 * np.log((now - aim) / (switch - aim))) < t:
+        t, now, aim, switch = t - taken, switch, (10.0 if aim == 40.0 else 40.0), (18.0 if aim == 40.0 else 25.0)
+    return float(aim + (now - aim) * np.exp(-t / 10))
+
+
+EVENTS: Mapping[str, tuple[Callable[[], SymbolicModel], Callable[[float], float], float, str]] = {
+    "ball": (ball, ball_height, 2.5, "height"),
+    "springs": (two_springs, two_springs_position, 10.0, "x"),
+    "ramp": (late_ramp, lambda t: max(t - 0.123, 0.0), 1.0, "x"),
+    "heater": (thermostat, thermostat_temperature, 60.0, "t"),
+}
+"""Model, its motion by hand, end [s], output."""
+
+
+@pytest.mark.parametrize("case", EVENTS)
+def test_events_are_met_exactly(case: str) -> None:
+    """Between communication points in co-simulation, and by an importer that looks for them."""
+    make, motion, end, output = EVENTS[case]
+    path = build_fmu(make(), step=end / POINTS, stop_time=end).path
+    run = flexfmu.simulate([flexfmu.slave(path, "model")], stop_time=end, step=end / POINTS, tolerance=1e-9).recording
+    exact = np.array([motion(t) for t in run.time])
+    assert abs(run[f"model.{output}"].values - exact).max() < 1e-7 * abs(exact).max()
+    assert validate_fmu(path) == []
+    found = fmpy.simulate_fmu(
+        str(path),
+        fmi_type="ModelExchange",
+        solver="CVode",
+        relative_tolerance=1e-9,
+        stop_time=end,
+        output_interval=end / POINTS,
+        output=[output],
+        record_events=False,
+    )
+    exact = np.array([motion(t) for t in found["time"]])
+    assert abs(found[output] - exact).max() < 1e-5 * abs(exact).max()
+
+
+def test_friction_sticks_on_a_belt() -> None:
+    """A mass on a spring, carried by a belt until the spring exceeds the breakaway force, slips back and sticks again."""
+    model = flexfmu.second_order(
+        "belt",
+        q={"slip": 0.0},
+        p={"k": 100.0, "belt": 0.1},
+        residual=lambda q, v, a, p, t: -a.slip - p.k * (q.slip + p.belt * t),
+        friction={"slip": (10.0, lambda: 6.0)},
+    )
+    run = flexfmu.simulate(model, stop_time=2.5, step=0.01, tolerance=1e-9).recording
+    slip, before = run["belt.slip"].values, run.time < 1.0
+    assert abs(slip[before]).max() == 0.0
+    # slipping, it swings about 0.06 m until it has the belt's speed again, 0.08 m back
+    swing = np.pi + 2 * np.arctan2(0.01, 0.04)
+    assert -slip[run.time == 2.0] == pytest.approx(0.08 + 0.1 * swing / 10, rel=1e-8)
+
+
 def test_what_is_conserved_stays() -> None:
     """The populations' invariant, and what reacts, to the tolerance."""
     run = flexfmu.simulate(lotka(), stop_time=50.0, step=0.5, tolerance=1e-9).recording
@@ -252,6 +360,10 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("must be linear in them", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a**3)),
     ("depends on rates", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda v, a: a.a * (1 + v.a**2))),
     ("name 'b', which is no coordinate", lambda: flexfmu.second_order("m", q={"a": 0.0}, rates={"b": 0.0}, residual=lambda a: a.a)),
+    ("direction of an event is", lambda: flexfmu.event(lambda t: t, 2)),
+    ("must be made by flexfmu.event", lambda: flexfmu.ode("m", **GOOD, events={"e": lambda t: t})),
+    ("gives a dict of states, of x", lambda: flexfmu.ode("m", **GOOD, events={"e": flexfmu.event(lambda t: t, 0, {"y": 1.0})})),
+    ("friction of model 'm' is", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"b": 1.0})),
     ("index is 2 or 3", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.0}, rhs=lambda z: z.z, constraints=lambda x: x.x - 1)),
     ("can't be solved at the start", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.1}, rhs=lambda z: z.z, constraints=lambda z: z.z**2 + 1)),
     ("is for models from equations", lambda: flexfmu.build("barnard2012-6kg", step=1.0)),

@@ -43,6 +43,13 @@ typedef struct {
   int direction; /* d[direction]: 1 or -1 while it slips */
 } flex_friction;
 
+/* a number whose passage through zero is an event */
+typedef struct {
+  int side;      /* d[side]: 1 or -1, the number's sign, which changes at its passages only; `derive` leaves it at 0 */
+  int direction; /* of the passages that reset states: 1 upwards, -1 downwards, 0 both */
+  int has_reset;
+} flex_event;
+
 typedef struct {
   const char *name;
   const char *guid;
@@ -72,6 +79,9 @@ typedef struct {
 
   int n_frictions;
   const flex_friction *frictions; /* NULL if there are none */
+
+  int n_events;
+  const flex_event *events; /* NULL if there are none */
 
   int n_pose;              /* outputs that tell a person where the mechanism is, for messages */
   const int *pose_outputs; /* which they are; NULL if there are none */
@@ -105,6 +115,11 @@ typedef struct {
   /* second time derivatives along the motion without what the snap s = d2a/dt2 adds: M s and do/da s; u2 = d2u/dt2 */
   flex_function motion_rate2; /* (y, v, a, j, u, u1, u2, d) -> [d2r/dt2 (n), d2o/dt2 (n_outputs)] */
 
+  /* events: numbers, and their time derivatives along the motion with the inputs held; the states behind those events k whose
+   * fired[k] is 1. Only where there are events */
+  flex_function event_numbers; /* (y, v, a, u, d) -> [g (n_events), dg/dt (n_events)] */
+  flex_function event_resets;  /* (y, v, u, d, fired) -> [y, v] */
+
   flex_function singularity; /* (y, u, d) -> one number, at least minimum_margin at admissible poses, NaN where the
                                 mechanism cannot be assembled */
   flex_function error_scale; /* (d) -> [kappa (n), mu (n), floor]: error norm = sqrt(sum kappa_i dy_i^2 + mu_i dv_i^2),
@@ -115,6 +130,9 @@ typedef struct {
 /* how many coordinates, and how many rates, are states: those of the first unknowns */
 static inline int flex_state_coordinates(const flex_model *model) { return model->n - model->n_first - model->has_clock; }
 static inline int flex_state_rates(const flex_model *model) { return model->n - model->has_clock; }
+
+/* what has a mode: frictions, then events */
+static inline int flex_switches(const flex_model *model) { return model->n_frictions + model->n_events; }
 
 /* the one model of this binary, defined by the generated file */
 FLEX_PRIVATE const flex_model flex_the_model;

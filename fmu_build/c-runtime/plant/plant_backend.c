@@ -163,7 +163,7 @@ int flex_backend_get_state_rates(flex_backend *backend, double *rates) {
 }
 
 size_t flex_backend_indicators(void) {
-  return (size_t)flex_the_model.n_frictions;
+  return (size_t)flex_switches(&flex_the_model);
 }
 
 int flex_backend_get_indicators(flex_backend *backend, double *indicators) {

@@ -15,7 +15,8 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   const flex_function *functions[] = {&model->derive,         &model->initial_inputs, &model->residual,
                                       &model->mass_matrix,    &model->outputs,        &model->motion_forward,
                                       &model->motion_rate1,   &model->motion_rate2,   &model->singularity,
-                                      &model->error_scale,    &model->initial_coordinates, &model->start_forward};
+                                      &model->error_scale,    &model->initial_coordinates, &model->start_forward,
+                                      &model->event_numbers,  &model->event_resets};
 
   // the largest work space that any function needs, at least room for the arguments
   int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;
@@ -27,16 +28,20 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   equations->iw = flex_take_ints(arena, (size_t)n_iw);
   equations->w = flex_take_reals(arena, (size_t)n_w);
   equations->holding = flex_take_reals(arena, (size_t)model->n_frictions);
-  equations->earlier_modes = flex_take_ints(arena, (size_t)model->n_frictions);
+  equations->earlier_modes = flex_take_ints(arena, (size_t)flex_switches(model));
+  equations->crossings = flex_take_reals(arena, 2 * (size_t)model->n_events);
+  equations->fired = flex_take_reals(arena, (size_t)model->n_events);
 }
 
-void flex_set_mode(flex_equations *equations, int friction, int mode) {
-  equations->modes[friction] = mode;
-  equations->d[equations->model->frictions[friction].direction] = flex_real((mode == FLEX_FORWARD) - (mode == FLEX_BACKWARD));
+void flex_set_mode(flex_equations *equations, int place, int mode) {
+  const flex_model *model = equations->model;
+  int event = place - model->n_frictions;
+  equations->modes[place] = mode;
+  equations->d[event < 0 ? model->frictions[place].direction : model->events[event].side] = flex_real((mode == FLEX_FORWARD) - (mode == FLEX_BACKWARD));
 }
 
 void flex_show_modes(flex_equations *equations) {
-  for (int k = 0; k < equations->model->n_frictions; k++) flex_set_mode(equations, k, equations->modes[k]);
+  for (int k = 0; k < flex_switches(equations->model); k++) flex_set_mode(equations, k, equations->modes[k]);
 }
 
 int flex_is_held(const flex_equations *equations, int unknown) {

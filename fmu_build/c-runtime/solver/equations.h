@@ -10,12 +10,14 @@
 typedef struct {
   const flex_model *model;
   real *d;  /* derived parameters */
-  int *modes; /* of the frictions, FLEX_FREE and so on */
+  int *modes; /* of frictions and events, FLEX_FREE and so on */
+  double *forgiven; /* by so much each event's number may be beyond zero on its side */
   long long *evaluations;
 
   /* forces with which frictions hold what sticks, at the last residual [n_frictions] */
   real *holding;
   int *earlier_modes; /* scratch */
+  real *crossings, *fired; /* of the events: numbers and their rates; which reset states */
   int has_lanes;      /* the processor's registers can be used */
 
   /* work space of the generated functions */
@@ -30,8 +32,8 @@ enum { FLEX_FREE, FLEX_STUCK, FLEX_FORWARD, FLEX_BACKWARD };
 
 void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena);
 
-/* a friction's mode, and the direction that the generated functions see; the latter again after `derive` */
-void flex_set_mode(flex_equations *equations, int friction, int mode);
+/* the mode of a friction, or of an event after all frictions, and the direction that the generated functions see; the latter again after `derive` */
+void flex_set_mode(flex_equations *equations, int place, int mode);
 void flex_show_modes(flex_equations *equations);
 
 /* whether friction holds an unknown */

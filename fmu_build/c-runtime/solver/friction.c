@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "elementary.h"
+#include "events.h"
 #include "integration_step.h"
 
 /* an event is found when its indicator is so little below zero: a part of the breakaway force or of the reference rate, the
@@ -60,7 +61,8 @@ static flex_outcome least_indicator(const flex_integrator *integrator, const dou
                                     const double *u, double *least) {
   flex_equations *equations = integrator->stages.equations;
   if (any_sticks(equations) && flex_residual(equations, y, v, a, u, integrator->defect)) return FLEX_NOT_FINITE;
-  *least = HUGE_VAL;
+  flex_outcome outcome = flex_events_least(integrator, y, v, a, u, least);
+  if (outcome != FLEX_DONE) return outcome;
   for (int k = 0; k < equations->model->n_frictions; k++) {
     double value = indicator(integrator, k, v);
     if (!isfinite(value)) return FLEX_NOT_FINITE;
@@ -139,7 +141,7 @@ static flex_outcome release(flex_integrator *integrator, const double *u) {
 flex_outcome flex_friction_settle(flex_integrator *integrator, const double *u, int *stopped) {
   flex_equations *equations = integrator->stages.equations;
   const flex_model *model = equations->model;
-  size_t size = (size_t)model->n_frictions * sizeof *equations->modes;
+  size_t size = (size_t)flex_switches(model) * sizeof *equations->modes;
   memcpy(equations->earlier_modes, equations->modes, size);
 
   // modes by the rates, then by the forces
@@ -149,6 +151,7 @@ flex_outcome flex_friction_settle(flex_integrator *integrator, const double *u, 
     if (mode == FLEX_STUCK) stop(integrator, model->frictions[k].unknown, stopped);
   }
   flex_outcome outcome = release(integrator, u);
+  if (outcome == FLEX_DONE) outcome = flex_events_settle(integrator, u, stopped);
   if (memcmp(equations->earlier_modes, equations->modes, size) != 0) flex_step_restart(integrator);
   return outcome;
 }
@@ -271,7 +274,7 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   if (at_end >= 0.0) return FLEX_DONE;
   outcome = flex_friction_settle(integrator, integrator->end_u, &stopped);
   if (outcome == FLEX_DONE) return outcome;
-  memcpy(equations->modes, equations->earlier_modes, (size_t)equations->model->n_frictions * sizeof *equations->modes);
+  memcpy(equations->modes, equations->earlier_modes, (size_t)flex_switches(equations->model) * sizeof *equations->modes);
   flex_show_modes(equations);
   return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * *h, outcome);
 }
@@ -284,7 +287,7 @@ flex_outcome flex_friction_indicators(flex_integrator *integrator, const double 
   for (int k = 0; k < equations->model->n_frictions; k++)
     indicators[k] = indicator(integrator, k, integrator->v) +
                     (equations->modes[k] == FLEX_STUCK ? FORCE_HYSTERESIS : RATE_HYSTERESIS);
-  return FLEX_DONE;
+  return flex_events_indicators(integrator, u, indicators + equations->model->n_frictions);
 }
 
 #endif

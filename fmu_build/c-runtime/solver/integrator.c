@@ -107,7 +107,7 @@ void flex_integrator_use(flex_integrator *integrator, const flex_method *method,
   double local = (method->looks_ahead ? 0.05 : LOCAL_SHARE) * pow(tolerance, method->local_order / (double)method->order);
   integrator->method = method;
   integrator->tolerance = tolerance;
-  integrator->looks_ahead = FLEX_WIDTH == 1 && method->looks_ahead && integrator->stages.equations->model->n_frictions == 0;
+  integrator->looks_ahead = FLEX_WIDTH == 1 && method->looks_ahead && flex_switches(integrator->stages.equations->model) == 0;
   integrator->step = step_of(integrator, method);
   integrator->local_error = fmax(local, ROUNDING_ERROR);
   if (method->collocation) flex_stages_use(&integrator->stages, method->collocation);
@@ -155,7 +155,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
   double start = result->time, remaining = t1 - start, fixed = *integrator->fixed_step;
   double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
   double h = remaining / count, taken = h;
-  int has_friction = FLEX_WIDTH == 1 && integrator->stages.equations->model->n_frictions > 0;
+  int has_events = FLEX_WIDTH == 1 && flex_switches(integrator->stages.equations->model) > 0;
   integrator->wants_longer_steps = count > 1.0;
 
   // their times are start + i h
@@ -170,10 +170,10 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
       return FLEX_TOO_MUCH_WORK;
     }
 
-    // one step; with friction it may end earlier, at an event
+    // one step; with friction or events it may end earlier, at an event
     double allowed = integrator->local_error * flex_common(record->scale);
     flex_outcome outcome =
-        has_friction ? flex_friction_step(integrator, start + i * h, &taken, allowed, attempts, &result->value)
+        has_events ? flex_friction_step(integrator, start + i * h, &taken, allowed, attempts, &result->value)
                      : integrator->step(integrator, start + i * h, h, allowed, &result->value);
     if (outcome != FLEX_DONE) return outcome;
 

@@ -37,7 +37,8 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->outputs = flex_take_reals(arena, outputs);
   plant->jerk = flex_take_reals(arena, flex_changes_count(model));
   plant->snap = flex_take_reals(arena, n + outputs);
-  plant->modes = flex_take_ints(arena, (size_t)model->n_frictions);
+  plant->modes = flex_take_ints(arena, (size_t)flex_switches(model));
+  plant->forgiven = flex_take_doubles(arena, (size_t)model->n_events);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
   flex_integrator_take_state(&plant->integrator, model->n, model->n_inputs, arena);
   plant->state_size = arena->used - begin;
@@ -49,7 +50,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->u1 = flex_take_reals(arena, m);
   plant->u2 = flex_take_reals(arena, m);
   plant->shown_u = flex_take_reals(arena, m);
-  plant->indicators = flex_take_doubles(arena, (size_t)model->n_frictions);
+  plant->indicators = flex_take_doubles(arena, (size_t)flex_switches(model));
   plant->zero = flex_take_reals(arena, n + m + (size_t)model->n_derived);
   flex_tangent_take(&plant->tangent, model, arena);
 }
@@ -78,6 +79,7 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   plant->equations.d = plant->d;
   plant->equations.has_lanes = flex_has_lanes();
   plant->equations.modes = plant->modes;
+  plant->equations.forgiven = plant->forgiven;
   plant->equations.evaluations = &plant->record->stages.evaluations;
   integrator->record = &plant->record->integrator;
   integrator->stages.record = &plant->record->stages;
@@ -183,7 +185,7 @@ static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   size_t size = (size_t)plant->model->n * sizeof(real);
   memset(integrator->v, 0, size);
   memset(integrator->a, 0, size);
-  for (int k = 0; k < plant->model->n_frictions; k++) flex_set_mode(&plant->equations, k, FLEX_FREE);
+  for (int k = 0; k < flex_switches(plant->model); k++) flex_set_mode(&plant->equations, k, FLEX_FREE);
   if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, integrator->y)) return FLEX_NOT_FINITE;
   if (!flex_all_finite(integrator->y, plant->model->n) || !flex_all_finite(integrator->v, plant->model->n)) return FLEX_NOT_FINITE;
   flex_plant_set_clock(plant);
@@ -294,7 +296,7 @@ static int go_on(const flex_plant *plant, const real *u) {
 // acceleration for the inputs u, with the modes of friction that belong to them unless these are held
 static flex_outcome accelerate(flex_plant *plant, int modes_are_held, int *stopped) {
   flex_integrator *integrator = &plant->integrator;
-  int settles = FLEX_WIDTH == 1 && plant->model->n_frictions > 0 && !modes_are_held;
+  int settles = FLEX_WIDTH == 1 && flex_switches(plant->model) > 0 && !modes_are_held;
   plant->record->have &= ~POINT;
   flex_integrator_drop(integrator);
   flex_outcome outcome = settles ? flex_friction_settle(integrator, plant->u, stopped)
@@ -305,7 +307,7 @@ static flex_outcome accelerate(flex_plant *plant, int modes_are_held, int *stopp
 
 flex_failure flex_plant_settle(flex_plant *plant, int *stopped) {
   flex_failure failure = flex_plant_need_start(plant);
-  if (failure.outcome != FLEX_DONE || plant->model->n_frictions == 0) return failure;
+  if (failure.outcome != FLEX_DONE || flex_switches(plant->model) == 0) return failure;
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
   plant->record->modes_are_held = 1;
   return outcome_now(plant, accelerate(plant, 0, stopped), 0.0);
@@ -313,12 +315,12 @@ flex_failure flex_plant_settle(flex_plant *plant, int *stopped) {
 
 flex_failure flex_plant_indicators(flex_plant *plant, double *indicators) {
   flex_failure failure = flex_plant_need_acceleration(plant);
-  if (failure.outcome != FLEX_DONE || FLEX_WIDTH > 1 || plant->model->n_frictions == 0) return failure;
+  if (failure.outcome != FLEX_DONE || FLEX_WIDTH > 1 || flex_switches(plant->model) == 0) return failure;
   return outcome_now(plant, flex_friction_indicators(&plant->integrator, plant->u, indicators), 0.0);
 }
 
 int flex_plant_has_event(flex_plant *plant) {
-  int count = plant->model->n_frictions, has_event = 0;
+  int count = flex_switches(plant->model), has_event = 0;
   if (count == 0 || flex_plant_indicators(plant, plant->indicators).outcome != FLEX_DONE) return 0;
   for (int k = 0; k < count; k++) has_event |= plant->indicators[k] < 0.0;
   return has_event;

@@ -30,7 +30,7 @@ typedef struct {
   int is_moving;     /* 1 = initialisation is over */
   int is_overdamped; /* 1 = at the start something decays far faster than it vibrates */
   int have;          /* FLEX_HAVE_.. */
-  int modes_are_held; /* 1 = the modes of friction change at the importer's events only */
+  int modes_are_held; /* 1 = the modes of friction and events change at the importer's events only */
   int inputs_changed;
   flex_integrator_record integrator;
   flex_stages_record stages;
@@ -44,7 +44,8 @@ typedef struct {
   /* numeric state; u, previous_u: inputs now and when the last communication step began; rates: o1, o2; jerk da/dt, snap
    * d2a/dt2; entries of do/da */
   real *p, *d, *scale, *u, *previous_u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
-  int *modes; /* of the frictions */
+  int *modes; /* of frictions and events */
+  double *forgiven; /* of the events */
   flex_inputs inputs;
   flex_integrator integrator;
 
