@@ -26,6 +26,8 @@ DESCRIPTION_FILE = "model_description.c"
 HEADER_FILE = "model_functions.h"
 LANES_FILE = "model_residual_lanes.c"
 
+SIGNATURES = {**FUNCTION_SIGNATURES, **EVENT_SIGNATURES}
+
 UNKNOWNS = ("y", "v", "a", "j", "dy", "dv")
 INPUTS = ("u", "u1", "u2", "du")
 """Arguments in `FUNCTION_SIGNATURES` with one entry for each unknown, and for each input."""
@@ -65,8 +67,8 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
         ModelError: a function is missing or has a wrong signature, or the mass matrix isn't symmetric or not that of the residual.
     """
     sizes = _sizes(model)
-    signatures = _signatures(model)
-    prepared = {name: _prepare(name, _function(model, name), signatures[name], sizes) for name in signatures}
+    names = SIGNATURES if model.events else FUNCTION_SIGNATURES
+    prepared = {name: _prepare(name, _function(model, name), sizes) for name in names}
     _check_mass_matrix(model, prepared)
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
     # operations of twins side by side where the model has any; CasADi's code for what branches
@@ -84,7 +86,7 @@ def twin_arguments(model: SymbolicModel, name: str) -> list[tuple[Entry, Entry]]
     """Twins among the arguments of the function ``name``."""
     twins: dict[str, tuple[tuple[int, int], ...]] = dict.fromkeys(UNKNOWNS, model.twin_unknowns)
     twins |= dict.fromkeys(INPUTS, model.twin_inputs)
-    arguments = enumerate(_signatures(model)[name][0])
+    arguments = enumerate(SIGNATURES[name][0])
     return [((k, first), (k, second)) for k, argument in arguments for first, second in twins.get(argument, ())]
 
 
@@ -124,11 +126,6 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
     return model.functions[name]
 
 
-def _signatures(model: SymbolicModel) -> Mapping[str, tuple[tuple[str, ...], str]]:
-    """Signatures of all functions of a model."""
-    return {**FUNCTION_SIGNATURES, **(EVENT_SIGNATURES if model.events else {})}
-
-
 def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
@@ -146,15 +143,13 @@ def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     return {name: (size, 1) for name, size in vectors.items()} | {"m": (n, n)}
 
 
-def _prepare(
-    name: str, function: casadi.Function, signature: tuple[tuple[str, ...], str], sizes: Mapping[str, tuple[int, int]]
-) -> casadi.Function:
+def _prepare(name: str, function: casadi.Function, sizes: Mapping[str, tuple[int, int]]) -> casadi.Function:
     """The function with its C name, a dense result and shared subexpressions.
 
     Raises:
         ModelError: arguments or result have wrong shapes.
     """
-    arguments, result = signature
+    arguments, result = SIGNATURES[name]
     if function.n_in() != len(arguments) or function.n_out() != 1:
         raise ModelError(f"function '{name}' must take ({', '.join(arguments)}) and give {result}, got {function}")
     # check the signature, which the C runtime relies on

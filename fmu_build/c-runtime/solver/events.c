@@ -15,27 +15,27 @@
 /* passages that follow from one another at one instant */
 #define MOST_ROUNDS 20
 
-static int mode_of(const flex_equations *equations, int event) {
+static int event_mode(const flex_equations *equations, int event) {
   return equations->modes[equations->model->n_frictions + event];
 }
 
 // 1 or -1, or 0 before the motion begins
-static double side_of(const flex_equations *equations, int event) {
-  return (mode_of(equations, event) == FLEX_FORWARD) - (mode_of(equations, event) == FLEX_BACKWARD);
+static double event_side(const flex_equations *equations, int event) {
+  return (event_mode(equations, event) == FLEX_FORWARD) - (event_mode(equations, event) == FLEX_BACKWARD);
 }
 
-static void set_side(flex_equations *equations, int event, double side) {
+static void set_event_side(flex_equations *equations, int event, double side) {
   flex_set_mode(equations, equations->model->n_frictions + event, side > 0.0 ? FLEX_FORWARD : FLEX_BACKWARD);
 }
 
 // positive on the event's side
-static double number(const flex_equations *equations, int event) {
-  double side = side_of(equations, event);
+static double event_number(const flex_equations *equations, int event) {
+  double side = event_side(equations, event);
   return side == 0.0 ? 1.0 : side * equations->crossings[event] + equations->forgiven[event];
 }
 
 // numbers and their rates along the motion
-static flex_outcome evaluate(const flex_integrator *integrator, const double *y, const double *v, const double *a,
+static flex_outcome evaluate_events(const flex_integrator *integrator, const double *y, const double *v, const double *a,
                              const double *u) {
   flex_equations *equations = integrator->stages.equations;
   const flex_model *model = equations->model;
@@ -49,9 +49,9 @@ flex_outcome flex_events_least(const flex_integrator *integrator, const double *
   flex_equations *equations = integrator->stages.equations;
   *least = HUGE_VAL;
   if (equations->model->n_events == 0) return FLEX_DONE;
-  flex_outcome outcome = evaluate(integrator, y, v, a, u);
+  flex_outcome outcome = evaluate_events(integrator, y, v, a, u);
   for (int k = 0; outcome == FLEX_DONE && k < equations->model->n_events; k++)
-    *least = fmin(*least, number(equations, k));
+    *least = fmin(*least, event_number(equations, k));
   return outcome;
 }
 
@@ -61,14 +61,14 @@ static int find_passages(flex_equations *equations, double *fired, int *resets) 
   int passages = 0;
   *resets = 0;
   for (int k = 0; k < model->n_events; k++) {
-    double side = side_of(equations, k), g = equations->crossings[k], rate = equations->crossings[model->n_events + k];
+    double side = event_side(equations, k), g = equations->crossings[k], rate = equations->crossings[model->n_events + k];
     fired[k] = 0.0;
     if (side == 0.0) {
-      set_side(equations, k, g > 0.0 || (g == 0.0 && rate >= 0.0) ? 1.0 : -1.0);
+      set_event_side(equations, k, g > 0.0 || (g == 0.0 && rate >= 0.0) ? 1.0 : -1.0);
       passages = 1;
       continue;
     }
-    double value = number(equations, k);
+    double value = event_number(equations, k);
     if (value >= 0.0 && !(value < TOUCH && side * rate < 0.0)) continue;
     passages = 1;
     if (model->events[k].has_reset && model->events[k].direction * side <= 0.0) {
@@ -76,14 +76,14 @@ static int find_passages(flex_equations *equations, double *fired, int *resets) 
       *resets = 1;
       continue;
     }
-    set_side(equations, k, -side);
+    set_event_side(equations, k, -side);
     equations->forgiven[k] = fmax(0.0, 2.0 * side * g);
   }
   return passages;
 }
 
 // new states, behind which a number that turns back stays on its side
-static flex_outcome reset(flex_integrator *integrator, const double *u, const double *fired) {
+static flex_outcome reset_states(flex_integrator *integrator, const double *u, const double *fired) {
   flex_equations *equations = integrator->stages.equations;
   const flex_model *model = equations->model;
   size_t size = 2 * (size_t)integrator->n * sizeof(double);
@@ -93,12 +93,12 @@ static flex_outcome reset(flex_integrator *integrator, const double *u, const do
   memcpy(integrator->y, integrator->change, size);
   memset(integrator->y_rest, 0, size);
   flex_outcome outcome = flex_step_accelerate_present(integrator, u);
-  if (outcome == FLEX_DONE) outcome = evaluate(integrator, integrator->y, integrator->v, integrator->a, u);
+  if (outcome == FLEX_DONE) outcome = evaluate_events(integrator, integrator->y, integrator->v, integrator->a, u);
   for (int k = 0; outcome == FLEX_DONE && k < model->n_events; k++) {
-    double side = side_of(equations, k), g = side * equations->crossings[k];
+    double side = event_side(equations, k), g = side * equations->crossings[k];
     if (fired[k] == 0.0) continue;
     int turns_back = side * equations->crossings[model->n_events + k] > 0.0;
-    if (!turns_back && g < TOUCH) set_side(equations, k, -side);
+    if (!turns_back && g < TOUCH) set_event_side(equations, k, -side);
     equations->forgiven[k] = fmax(0.0, turns_back ? -2.0 * g : 2.0 * g);
   }
   return outcome;
@@ -110,15 +110,15 @@ flex_outcome flex_events_settle(flex_integrator *integrator, const double *u, in
   int resets;
   if (equations->model->n_events == 0) return FLEX_DONE;
   for (int round = 0; round < MOST_ROUNDS; round++) {
-    flex_outcome outcome = evaluate(integrator, integrator->y, integrator->v, integrator->a, u);
+    flex_outcome outcome = evaluate_events(integrator, integrator->y, integrator->v, integrator->a, u);
     if (outcome != FLEX_DONE) return outcome;
 
     // what is well on its side again needs no forgiveness
     for (int k = 0; k < equations->model->n_events; k++)
-      if (side_of(equations, k) * equations->crossings[k] > TOUCH) equations->forgiven[k] = 0.0;
+      if (event_side(equations, k) * equations->crossings[k] > TOUCH) equations->forgiven[k] = 0.0;
     if (!find_passages(equations, fired, &resets)) return FLEX_DONE;
     flex_step_restart(integrator);
-    outcome = resets ? reset(integrator, u, fired) : flex_step_accelerate_present(integrator, u);
+    outcome = resets ? reset_states(integrator, u, fired) : flex_step_accelerate_present(integrator, u);
     *changed |= resets;
     if (outcome != FLEX_DONE) return outcome;
   }
@@ -128,8 +128,8 @@ flex_outcome flex_events_settle(flex_integrator *integrator, const double *u, in
 flex_outcome flex_events_indicators(const flex_integrator *integrator, const double *u, double *indicators) {
   const flex_equations *equations = integrator->stages.equations;
   if (equations->model->n_events == 0) return FLEX_DONE;
-  flex_outcome outcome = evaluate(integrator, integrator->y, integrator->v, integrator->a, u);
-  for (int k = 0; k < equations->model->n_events; k++) indicators[k] = number(equations, k) + TOUCH;
+  flex_outcome outcome = evaluate_events(integrator, integrator->y, integrator->v, integrator->a, u);
+  for (int k = 0; k < equations->model->n_events; k++) indicators[k] = event_number(equations, k) + TOUCH;
   return outcome;
 }
 
