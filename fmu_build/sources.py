@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
@@ -60,7 +61,9 @@ _FMI_FOLDERS: Mapping[tuple[str, FmiVersion], tuple[str, ...]] = {
 """Kind of FMU and version of FMI → further folders."""
 
 _FMI3_TEXTS = (
-    ("fmi2Component c,", "fmi3Instance c,"),
+    ("fmi2Component", "fmi3Instance"),
+    ("fmi2Real", "fmi3Float64"),
+    ("fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives"),
     ("FMUstate", "FMUState"),
     ("DeSerialize", "Deserialize"),
     ("flex_allocate(&instance->callbacks, ", "calloc(1, "),
@@ -68,11 +71,14 @@ _FMI3_TEXTS = (
     ("  instance->reason[0] = '\\0';\n", ""),
     ("fmi2", "fmi3"),
 )
-"""What makes the functions of FMI 3.0 for saved states of those of FMI 2.0: the importer gives no memory, and no step is asked for its
-status."""
+"""What makes functions of FMI 3.0 of those of FMI 2.0: the importer gives no memory, and no step is asked for its status."""
 
-_SHARED = ("backend.h", "model_exchange.h", "fmi2_snapshots.c", "old_glibc.h")
-"""Files of the layer of FMI 2.0 that FMI 3.0 has too."""
+_FMI2_ALONE = re.compile(r"^fmi2Status fmi2(?:EnterEventMode|NewDiscreteStates)\(.*?^}\n\n", re.MULTILINE | re.DOTALL)
+"""Functions that are others in FMI 3.0."""
+
+_RENAMED = ("fmi2_snapshots.c", "model_exchange.c")
+_SHARED = ("backend.h", "model_exchange.h", "old_glibc.h", *_RENAMED)
+"""Files of the layer of FMI 2.0 that FMI 3.0 has too; in some of them functions and types have the names of FMI 3.0."""
 
 
 @dataclass(frozen=True)
@@ -253,12 +259,12 @@ def runtime_sources(kind: RuntimeKind = "plant", fmi: FmiVersion = "2") -> dict[
     ]
     headers = [fmi_header_folder() / name for name in FMI_HEADERS[fmi]] if layer else []
     texts = {entry.name: entry.read_text(encoding="utf-8") for entry in (*entries, *headers)}
-    # saved states are the same in both versions but for names
-    if fmi == "3" and layer:
-        text = texts.pop("fmi2_snapshots.c")
+    # saved states and model exchange are the same in both versions but for names
+    for name in _RENAMED if fmi == "3" and layer else ():
+        text = _FMI2_ALONE.sub("", texts.pop(name))
         for old, new in _FMI3_TEXTS:
             text = text.replace(old, new)
-        texts["fmi3_snapshots.c"] = text
+        texts[name.replace("fmi2", "fmi3")] = text
     return dict(sorted(texts.items()))
 
 

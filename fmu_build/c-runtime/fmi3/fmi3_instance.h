@@ -39,7 +39,7 @@ typedef struct {
   fmi3InstanceEnvironment environment;
   fmi3LogMessageCallback logger;
   int logged[N_LOG_CATEGORIES]; /* 1 = the category is shown; errors always are */
-  double *outputs, *indicators; /* scratch, as many as there are */
+  double *scratch;              /* as many numbers as there are outputs and event indicators */
   void *before;                 /* numeric state at the beginning of a step, for one that is discarded */
   void *freed_states;           /* memory of freed FMU states, for the next ones */
 } flex_instance;

@@ -8,21 +8,17 @@ const char *fmi3GetVersion(void) {
   return fmi3Version;
 }
 
-// instance, scratch and backend in one block of memory, the state before a step in another
+// instance and backend in one block of memory; what its sizes follow from in others
 static flex_instance *create(void) {
-  const size_t n_indicators = flex_backend_indicators();
   flex_arena measure = {NULL, 0};
   flex_take(&measure, sizeof(flex_instance));
-  flex_take_doubles(&measure, n_indicators);
   char *block = calloc(1, measure.used + flex_backend_size());
   if (!block) return NULL;
-  flex_arena arena = {block, 0};
-  flex_instance *instance = flex_take(&arena, sizeof *instance);
-  instance->indicators = flex_take_doubles(&arena, n_indicators);
-  instance->backend = flex_backend_create(block + arena.used);
+  flex_instance *instance = (flex_instance *)(void *)block;
+  instance->backend = flex_backend_create(block + measure.used);
   instance->before = malloc(instance->backend->state_size);
-  instance->outputs = calloc((size_t)instance->backend->n_outputs + 1, sizeof(double));
-  if (instance->before && instance->outputs) return instance;
+  instance->scratch = calloc(instance->backend->n_outputs + flex_backend_indicators() + 1, sizeof(double));
+  if (instance->before && instance->scratch) return instance;
   fmi3FreeInstance(instance);
   return NULL;
 }
@@ -93,7 +89,7 @@ void fmi3FreeInstance(fmi3Instance instance) {
   if (!ours) return;
   flex_release_states(ours);
   free(ours->before);
-  free(ours->outputs);
+  free(ours->scratch);
   free(ours);
 }
 
@@ -138,14 +134,6 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
                   used);
 }
 
-// into another mode, if the call is legal
-static fmi3Status change_mode(fmi3Instance instance, flex_call_id call, flex_phase phase) {
-  flex_instance *ours = flex_checked(instance, call);
-  if (!ours) return fmi3Error;
-  flex_enter_phase(ours, phase);
-  return fmi3OK;
-}
-
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
   flex_instance *ours = flex_checked(instance, call_fmi3ExitInitializationMode);
   if (!ours) return fmi3Error;
@@ -164,11 +152,9 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
 }
 
 fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
-  return change_mode(instance, call_fmi3EnterStepMode, STEP_MODE);
-}
-
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
-  return change_mode(instance, call_fmi3EnterContinuousTimeMode, CONTINUOUS_TIME_MODE);
+  flex_instance *ours = flex_checked(instance, call_fmi3EnterStepMode);
+  if (ours) flex_enter_phase(ours, STEP_MODE);
+  return ours ? fmi3OK : fmi3Error;
 }
 
 fmi3Status fmi3Terminate(fmi3Instance instance) {

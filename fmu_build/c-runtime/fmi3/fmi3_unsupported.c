@@ -43,17 +43,12 @@ MISSING(fmi3SetIntervalFraction, "clocks", const fmi3UInt64 counters[], const fm
 MISSING(fmi3SetShiftDecimal, "clocks", const fmi3Float64 shifts[])
 MISSING(fmi3SetShiftFraction, "clocks", const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
-  return missing(instance, 1, "fmi3EnterConfigurationMode", "structural parameters");
-}
+#define MISSING_MODE(function, what) \
+  fmi3Status function(fmi3Instance instance) { return missing(instance, 1, #function, what); }
 
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
-  return missing(instance, 1, "fmi3ExitConfigurationMode", "structural parameters");
-}
-
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
-  return missing(instance, 1, "fmi3EvaluateDiscreteStates", "such evaluation (providesEvaluateDiscreteStates = false)");
-}
+MISSING_MODE(fmi3EnterConfigurationMode, "structural parameters")
+MISSING_MODE(fmi3ExitConfigurationMode, "structural parameters")
+MISSING_MODE(fmi3EvaluateDiscreteStates, "such evaluation (providesEvaluateDiscreteStates = false)")
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference valueReference,
                                                size_t *nDependencies) {

@@ -42,8 +42,8 @@ static fmi3Status get_other(flex_instance *ours, fmi3ValueReference reference, f
   if (sort == FLEX_TIME && index == 0) {
     *values = *backend->time;
   } else if (sort == FLEX_INDICATOR && index < flex_backend_indicators()) {
-    if (flex_backend_get_indicators(backend, ours->indicators)) return flex_log_refusal(ours);
-    *values = ours->indicators[index];
+    if (flex_backend_get_indicators(backend, ours->scratch)) return flex_log_refusal(ours);
+    *values = ours->scratch[index];
   } else if (sort == FLEX_INPUT_DERIVATIVES && index < backend->n_inputs) {
     for (int order = flex_backend_max_input_order(); order > 0; order--)
       values[order - 1] = flex_backend_input_derivative(backend, index, order);
@@ -187,14 +187,14 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
   if (!ours || lacks_derivatives(ours, call, &column, seed, nSeed, nUnknowns, sensitivity, nSensitivity, nKnowns))
     return fmi3Error;
   column.n_known = 1;
-  column.result = ours->outputs;
+  column.result = ours->scratch;
   for (size_t k = 0; k < nKnowns; k++, column.known++) {
     double sum = 0.0;
     // as many unknowns at once as there are outputs
     for (size_t first = 0; first < nUnknowns; first += column.n_unknown) {
-      size_t left = nUnknowns - first, room = ours->backend->n_outputs;
+      size_t left = nUnknowns - first, room = (size_t)ours->backend->n_outputs + 1;
       column.unknown = unknowns + first;
-      column.n_unknown = room > 0 && left > room ? room : left;
+      column.n_unknown = left < room ? left : room;
       if (flex_backend_differentiate(ours->backend, &column)) return flex_log_refusal(ours);
       for (size_t i = 0; i < column.n_unknown; i++) sum += seed[first + i] * column.result[i];
     }
