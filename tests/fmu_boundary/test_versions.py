@@ -15,7 +15,9 @@ from export_support.blocks import pd_controller
 from export_support.trajectories import Swing
 from fmpy.fmi3 import FMU3Slave
 from lxml import etree
+from object_files import COMPILER, run
 
+import flexfmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
@@ -23,20 +25,28 @@ from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.description import TERMINALS
-from flexfmu.fmu_build.sources import BUILD_DESCRIPTION
+from flexfmu.fmu_build.sources import BUILD_DESCRIPTION, runtime_sources
 from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.finding import Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
 
 STOP, STEP = 0.02, 1e-3
+BALL = flexfmu.second_order(
+    "ball",
+    q={"height": 1e-3},
+    p={"e": 0.8},
+    residual=lambda a: a.height + 9.81,
+    events={"bounce": flexfmu.event(lambda q: q.height, -1, lambda v, p: {"der(height)": -p.e * v.height})},
+)
 BUILD: dict[str, Callable[[FmiVersion], Path]] = {
     "robot": lambda fmi: build_scene(scene("motion"), fmi=fmi).path,
     "torque-driven robot": lambda fmi: build_scene(scene("torque"), fmi=fmi).path,
+    "equations": lambda fmi: build_fmu(BALL, fmi=fmi).path,
     "block": lambda fmi: build_fmu(pd_controller(), fmi=fmi).path,
     "trajectory": lambda fmi: build_fmu(Motion(Swing(), ["axis"], "m"), fmi=fmi).path,  # type: ignore[arg-type]
 }
-EXCHANGED = ("robot", "torque-driven robot")
+EXCHANGED = ("robot", "torque-driven robot", "equations")
 
 
 def by_fmpy(path: Path, kind: str) -> Any:
@@ -53,7 +63,7 @@ def by_fmpy(path: Path, kind: str) -> Any:
 
 @pytest.mark.parametrize("name", BUILD)
 def test_both_versions_give_the_same_bits(name: str) -> None:
-    """In fmpy, by steps and integrated by CVODE through the events of stiction, and in our master with its derivatives."""
+    """In fmpy, by steps and integrated by CVODE through the events of stiction and a bounce, and in our master with its derivatives."""
     two, three = BUILD[name]("2"), BUILD[name]("3")
     for kind in ("CoSimulation", "ModelExchange")[: 1 + (name in EXCHANGED)]:
         assert by_fmpy(two, kind).tobytes() == by_fmpy(three, kind).tobytes(), kind
@@ -145,3 +155,45 @@ def test_a_discarded_step_leaves_no_trace(instance: tuple[FMU3Slave, dict[str, i
     assert slave.doStep(0.0, STEP) == (False, False, False, STEP)
     slave.enterEventMode()
     slave.enterStepMode()
+
+
+LEGAL = {
+    "111111 both": "SetDebugLogging Reset GetFloat64 GetInt32 GetInt64 GetFMUState SetFMUState FreeFMUState SerializedFMUStateSize "
+    "SerializeFMUState DeserializeFMUState",
+    "111100 both": "SetInt32 SetInt64",
+    "111110 both": "SetFloat64",
+    "011111 both": "GetDirectionalDerivative GetAdjointDerivative",
+    "100000 both": "EnterInitializationMode",
+    "010000 both": "ExitInitializationMode",
+    "001010 both": "EnterEventMode",
+    "001110 both": "Terminate",
+    "000100 both": "UpdateDiscreteStates",
+    "000100 exchange": "EnterContinuousTimeMode",
+    "000010 exchange": "CompletedIntegratorStep SetContinuousStates",
+    "000110 exchange": "SetTime",
+    "011111 exchange": "GetContinuousStateDerivatives GetEventIndicators GetContinuousStates",
+    "111111 exchange": "GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates",
+    "000100 stepping": "EnterStepMode",
+    "011111 stepping": "GetOutputDerivatives",
+    "001000 stepping": "DoStep",
+}
+"""Legal (1) as instantiated, in initialisation, step, event and continuous-time mode, and terminated (FMI 3.0.2, sections 2.3, 3.2 and
+4.2), and who has the function; reading derivatives after the end and nominal values before the start are more than the standard allows."""
+
+
+@pytest.mark.skipif(not COMPILER, reason="no C compiler")
+def test_the_runtime_has_the_standards_table(tmp_path: Path) -> None:
+    """What the compiler makes of the C table; that it is obeyed is what the fuzzer sees."""
+    (tmp_path / "fmi3_states.h").write_text(runtime_sources("plant", "3")["fmi3_states.h"])
+    (tmp_path / "table.c").write_text("""
+        #include <stdio.h>
+        #include "fmi3_states.h"
+        #define X(function, kinds, phases) printf("%d %d " #function "\\n", kinds, phases);
+        int main(void) { FLEX_FMI3_CALLS(X) return 0; }
+    """)
+    run(COMPILER, tmp_path / "table.c", "-o", tmp_path / "table")
+    found: dict[str, set[str]] = {}
+    for kinds, phases, function in (line.split() for line in run(tmp_path / "table").splitlines()):
+        owner = {"1": "stepping", "2": "exchange", "3": "both"}[kinds]
+        found.setdefault(f"{int(phases):06b}"[::-1] + f" {owner}", set()).add(function.removeprefix("fmi3"))
+    assert found == {marks: set(functions.split()) for marks, functions in LEGAL.items()}

@@ -60,6 +60,10 @@ def test_foreign_platform_needs_zig(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_platforms_are_those_asked_for() -> None:
     """The same set of platforms is the same FMU, however it is asked for; a typing error is answered with the choice."""
     assert find_platforms(["win64", "linux64", "win64"]) == find_platforms(["linux64", "win64"])
+    tuples = {each.folder("3") for each in PLATFORMS.values()}
+    assert tuples == {f"{one}-{other}" for one in ("x86_64", "aarch64") for other in ("linux", "darwin")} | {
+        "x86_64-windows"
+    }
     with pytest.raises(PlatformError, match=f"unknown platform 'linux'; choose from {', '.join(PLATFORMS)}"):
         find_platforms(["linux"])
 
