@@ -14,6 +14,7 @@ state that follows the solution; where these don't converge the equations give n
 from __future__ import annotations
 
 import inspect
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -321,7 +322,7 @@ def dae(
             [], draft.with_solution(solution).evaluated("rhs", rhs, list(x)), outputs, description
         )
     # further states that follow the solution, from which Newton's method starts
-    follows = {f"guess.{each}": replace(_quantity("z", each, z[each]), value=value) for each, value in guess.items()}
+    follows = {f"guess.{each}": replace(_declared("z", each, z[each]), value=value) for each, value in guess.items()}
     draft = _Draft(name, {}, {}, {**x, **follows}, z, u, p, derived, events)
     constrained = draft.evaluated("constraints", constraints, [f"0 ({each})" for each in z])
     unknowns, defect = casadi.vertcat(*draft.scopes["z"]), casadi.vertcat(*constrained)
@@ -340,15 +341,27 @@ def dae(
     return model.finished([], [*rates, *casadi.vertsplit(RELAXATION * (solution - guesses))], outputs, description)
 
 
-def _quantity(scope: str, name: str, value: Any) -> Declaration:
+_PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
+
+
+def _check_name(name: Any) -> None:
+    """Check that the name of a variable is a structured one of FMI.
+
+    Raises:
+        ModelError: it isn't.
+    """
+    if not isinstance(name, str) or not re.fullmatch(rf"{_PART}(\.{_PART})*", name, re.ASCII):
+        raise ModelError(f"{name!r} can't be the name of a variable; write it like angle, arm.angle or temperature[1]")
+
+
+def _declared(scope: str, name: str, value: Any) -> Declaration:
     """A user's entry with its numbers checked.
 
     Raises:
         ModelError: a number isn't finite, the nominal value isn't positive, the range is empty, or the unit or name is unknown.
     """
     given = value if isinstance(value, Declaration) else Declaration(value)
-    if not isinstance(name, str) or not name:
-        raise ModelError(f"names in {scope} are texts, got {name!r}")
+    _check_name(name)
 
     def number(what: str, entry: Any) -> float:
         try:
@@ -412,8 +425,10 @@ class _Draft:
                 raise ModelError(f"{scope} of model '{name}' is a dict from names to start values, got {entries!r}")
         if not q and not x:
             raise ModelError(f"model '{name}' has no states; give at least one")
-        self.given = {s: {each: _quantity(s, each, entries[each]) for each in entries} for s, entries in given.items()}
+        self.given = {s: {each: _declared(s, each, entries[each]) for each in entries} for s, entries in given.items()}
         names = Counter([*q, *x, *z, *given["u"], *given["p"], *(derived or {}), *(events or {})])
+        for each in names:
+            _check_name(each)
         if twice := [each for each, count in names.items() if count > 1]:
             raise ModelError(f"model '{name}' has the name '{twice[0]}' more than once; names must be unique")
         if unknown := rates.keys() - q.keys():
@@ -648,6 +663,7 @@ class _Draft:
             text = given.description or f"Variable {each} of the constraints"
             shown.append((Variable(each, given.unit, text, "output", nominal=given.nominal), self.scopes["z"][each]))
         for each, source in (outputs or {}).items():
+            _check_name(each)
             given = source if isinstance(source, Declaration) else Declaration(source)
             unit_exponents(given.unit)
             (value,) = self.evaluated(f"output '{each}'", given.value, [each], switches=True)

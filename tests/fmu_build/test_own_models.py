@@ -269,6 +269,13 @@ def test_events_are_met_exactly(case: str) -> None:
     assert abs(found[output] - exact).max() < 1e-5 * abs(exact).max()
 
 
+def test_bounces_that_accumulate_end_a_run() -> None:
+    """With the reason, where they do: after nine times the first fall."""
+    found = flexfmu.simulate(ball(), stop_time=10.0, step=0.05)
+    assert "follows itself in ever shorter time" in found.message
+    assert found.recording.time[-1] == pytest.approx(9 * np.sqrt(2 / GRAVITY), abs=0.05)
+
+
 def test_friction_sticks_on_a_belt() -> None:
     """A mass on a spring, carried by a belt until the spring exceeds the breakaway force, slips back and sticks again."""
     model = flexfmu.second_order(
@@ -360,6 +367,7 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("must be linear in them", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a**3)),
     ("depends on rates", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda v, a: a.a * (1 + v.a**2))),
     ("name 'b', which is no coordinate", lambda: flexfmu.second_order("m", q={"a": 0.0}, rates={"b": 0.0}, residual=lambda a: a.a)),
+    ("'a b' can't be the name", lambda: flexfmu.ode("m", x={"a b": 1.0}, rhs=[0.0])),
     ("direction of an event is", lambda: flexfmu.event(lambda t: t, 2)),
     ("must be made by flexfmu.event", lambda: flexfmu.ode("m", **GOOD, events={"e": lambda t: t})),
     ("gives a dict of states, of x", lambda: flexfmu.ode("m", **GOOD, events={"e": flexfmu.event(lambda t: t, 0, {"y": 1.0})})),

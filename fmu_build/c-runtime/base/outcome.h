@@ -13,7 +13,8 @@ typedef enum {
   FLEX_TOO_MUCH_WORK,  /* far more evaluations of the equations than a motion of this length takes */
   FLEX_NO_EQUILIBRIUM, /* Newton's method found no static equilibrium */
   FLEX_BAD_SCALE,      /* the error norm of the model is unusable */
-  FLEX_STEP_TOO_LONG   /* the equations could not be solved with the fixed step */
+  FLEX_STEP_TOO_LONG,  /* the equations could not be solved with the fixed step */
+  FLEX_EVENTS_ACCUMULATE /* an event follows itself in ever shorter time */
 } flex_outcome;
 
 /* an outcome with the place where it happened */

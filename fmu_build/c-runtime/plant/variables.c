@@ -99,6 +99,12 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
     case FLEX_BAD_SCALE:
       refuse(plant, "%s: the parameters give an unusable error norm; check masses, lengths and material", what);
       break;
+    case FLEX_EVENTS_ACCUMULATE:
+      refuse(plant,
+             "%s: at %.9g s an event follows itself in ever shorter time, as the bounces of a ball that comes to rest; let a spring "
+             "and damper carry it, or end before",
+             what, t);
+      break;
     case FLEX_STEP_TOO_LONG:
       refuse(plant,
              "%s: at %.9g s the equations of motion cannot be solved with the fixed step %.6g s; make integrator.step smaller, "

@@ -9,8 +9,12 @@
 #include "elementary.h"
 #include "integration_step.h"
 
-/* a number that is so near zero and moves towards it has passed: importers may stop before it */
+/* a number that is so near zero and moves towards it has passed: importers may stop before it. One that has turned back, and passes
+ * again without having come to its side, may do so until it is so far beyond zero */
 #define TOUCH 1e-9
+
+/* what is forgiven beyond what was reached: twice the tolerance of the search (friction.c) */
+#define MARGIN 2e-11
 
 /* passages that follow from one another at one instant */
 #define MOST_ROUNDS 20
@@ -41,7 +45,12 @@ static flex_outcome evaluate_events(const flex_integrator *integrator, const dou
   const flex_model *model = equations->model;
   const double *const arguments[] = {y, v, a, u, equations->d};
   if (flex_call(equations, &model->event_numbers, 5, arguments, equations->crossings)) return FLEX_NOT_FINITE;
-  return flex_all_finite(equations->crossings, model->n_events) ? FLEX_DONE : FLEX_NOT_FINITE;
+  if (!flex_all_finite(equations->crossings, model->n_events)) return FLEX_NOT_FINITE;
+
+  // what is on its side again needs no forgiveness
+  for (int k = 0; k < model->n_events; k++)
+    if (event_side(equations, k) * equations->crossings[k] > 0.0) equations->forgiven[k] = 0.0;
+  return FLEX_DONE;
 }
 
 flex_outcome flex_events_least(const flex_integrator *integrator, const double *y, const double *v, const double *a,
@@ -56,30 +65,36 @@ flex_outcome flex_events_least(const flex_integrator *integrator, const double *
 }
 
 // which numbers have passed, and whether a reset belongs to them; those without change sides
-static int find_passages(flex_equations *equations, double *fired, int *resets) {
+static flex_outcome find_passages(flex_equations *equations, double *fired, int *passages, int *resets) {
   const flex_model *model = equations->model;
-  int passages = 0;
-  *resets = 0;
+  *passages = *resets = 0;
   for (int k = 0; k < model->n_events; k++) {
     double side = event_side(equations, k), g = equations->crossings[k], rate = equations->crossings[model->n_events + k];
     fired[k] = 0.0;
     if (side == 0.0) {
       set_event_side(equations, k, g > 0.0 || (g == 0.0 && rate >= 0.0) ? 1.0 : -1.0);
-      passages = 1;
+      *passages = 1;
       continue;
     }
     double value = event_number(equations, k);
     if (value >= 0.0 && !(value < TOUCH && side * rate < 0.0)) continue;
-    passages = 1;
-    if (model->events[k].has_reset && model->events[k].direction * side <= 0.0) {
+    int has_reset = model->events[k].has_reset && model->events[k].direction * side <= 0.0;
+    if (has_reset && side * rate > 0.0) {
+      // it comes back by itself
+      equations->forgiven[k] = fmax(0.0, MARGIN - side * g);
+      continue;
+    }
+    if (has_reset && equations->forgiven[k] > 0.0 && -side * g > TOUCH) return FLEX_EVENTS_ACCUMULATE;
+    *passages = 1;
+    if (has_reset) {
       fired[k] = 1.0;
       *resets = 1;
       continue;
     }
     set_event_side(equations, k, -side);
-    equations->forgiven[k] = fmax(0.0, 2.0 * side * g);
+    equations->forgiven[k] = fmax(0.0, MARGIN + side * g);
   }
-  return passages;
+  return FLEX_DONE;
 }
 
 // new states, behind which a number that turns back stays on its side
@@ -99,7 +114,7 @@ static flex_outcome reset_states(flex_integrator *integrator, const double *u, c
     if (fired[k] == 0.0) continue;
     int turns_back = side * equations->crossings[model->n_events + k] > 0.0;
     if (!turns_back && g < TOUCH) set_event_side(equations, k, -side);
-    equations->forgiven[k] = fmax(0.0, turns_back ? -2.0 * g : 2.0 * g);
+    equations->forgiven[k] = fmax(0.0, MARGIN + (turns_back ? -g : g));
   }
   return outcome;
 }
@@ -107,16 +122,13 @@ static flex_outcome reset_states(flex_integrator *integrator, const double *u, c
 flex_outcome flex_events_settle(flex_integrator *integrator, const double *u, int *changed) {
   flex_equations *equations = integrator->stages.equations;
   double *fired = equations->fired;
-  int resets;
+  int passages, resets;
   if (equations->model->n_events == 0) return FLEX_DONE;
   for (int round = 0; round < MOST_ROUNDS; round++) {
     flex_outcome outcome = evaluate_events(integrator, integrator->y, integrator->v, integrator->a, u);
     if (outcome != FLEX_DONE) return outcome;
-
-    // what is well on its side again needs no forgiveness
-    for (int k = 0; k < equations->model->n_events; k++)
-      if (event_side(equations, k) * equations->crossings[k] > TOUCH) equations->forgiven[k] = 0.0;
-    if (!find_passages(equations, fired, &resets)) return FLEX_DONE;
+    outcome = find_passages(equations, fired, &passages, &resets);
+    if (outcome != FLEX_DONE || !passages) return outcome;
     flex_step_restart(integrator);
     outcome = resets ? reset_states(integrator, u, fired) : flex_step_accelerate_present(integrator, u);
     *changed |= resets;
