@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import chdir
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -293,9 +294,10 @@ def main() -> None:
         ) -> list[tuple[float, float]]:
             return [((abs(states - exact) / size).max(), time) for _, states, time in trials]
 
-        with TemporaryDirectory() as folder:
+        # CasADi compiles in the working directory
+        with TemporaryDirectory() as folder, chdir(folder):
             mine = time_for(options.error, curve(ours(problem, names, Path(folder))))
-        theirs = time_for(options.error, curve(cvodes(problem, x, rates, start))) if problem.exact is None else None
+            theirs = time_for(options.error, curve(cvodes(problem, x, rates, start))) if problem.exact is None else None
         texts = [f"{1e3 * each:.3f}" if each else "-" for each in (mine, theirs)]
         if mine and theirs:
             ratios.append(theirs / mine)
