@@ -99,11 +99,12 @@ class ProfilePiece:
 
     def jet(self, eta: RealArray, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
-        # powers of η - centre, times a matrix of binomial coefficients
+        # powers of η - centre, times a matrix of binomial coefficients; added one by one, since NumPy sums a single column in an order of
+        # its own on some processors
         powers = np.ones((len(self.coefficients), *eta.shape))
         powers[1:] = eta - self.centre
         np.multiply.accumulate(powers, axis=0, out=powers)
-        series = (_shifted(self.coefficients, order)[:, :, None] * powers).sum(axis=1)
+        series = np.add.accumulate(_shifted(self.coefficients, order)[:, :, None] * powers, axis=1)[:, -1]
         # each derivative undoes one integration of the cosine
         u = self.frequency * (eta - self.centre)
         for k in range(order + 1 if self.amplitude else 0):

@@ -40,6 +40,8 @@ def test_every_profile_is_a_symmetric_motion_from_rest_to_rest(profile: profiles
     motion = profiles.evaluate_profile(profile, eta, 3).derivatives()
     np.testing.assert_array_equal(motion[:2, [0, -1]], [[0.0, 1.0], [0.0, 0.0]])
     assert np.all(np.diff(motion[0]) > 0.0)
+    single = [profiles.evaluate_profile(profile, one, 3).derivatives()[:, 0] for one in eta]
+    np.testing.assert_array_equal(motion, np.transpose(single), "to the last bit, whatever else is evaluated")
     mirrored = profiles.evaluate_profile(profile, eta, 3, side="left").derivatives()[:, ::-1]
     np.testing.assert_allclose(motion[0], 1.0 - mirrored[0], rtol=0, atol=5e-16)
     for order, sign in ((1, 1.0), (2, -1.0), (3, 1.0)):
