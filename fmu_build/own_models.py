@@ -225,7 +225,6 @@ def second_order(
         x, rhs: states of first order beside the coordinates, as of an actuator, and their time derivatives; M may not depend on them.
         u, p, derived, outputs, events, description: as for `ode`; the coordinates with their rates ``der(NAME)`` and accelerations
             ``der(NAME,2)`` are outputs anyway.
-
         friction: coordinate → breakaway force of its dry friction, a number or function of p, or a pair of it and the force while it slips,
             a function of q, v and p. It sticks where it can, and events switch to slip and back.
 

@@ -181,9 +181,9 @@ def check_figures(scene: Scene, asked: Mapping[str, float | str], key: str = "ac
         if not isinstance(value, str):
             continue
         number, unit = quantity_of(value, name)
-        own, shown = definition(name).unit, definition(name).unit
+        own = definition(name).unit
         if unit not in (own, *UNITS) or UNITS.get(unit, (unit, 1.0))[0] != own:
-            units = ", ".join(each for each, (si, _) in UNITS.items() if si == own) or shown
+            units = ", ".join(each for each, (si, _) in UNITS.items() if si == own) or own
             raise InputError(
                 f"`accuracy.{name}` = {value!r} has {f'the unit {unit!r}' if unit else 'no unit'}: it is in {units}; a relative "
                 "error is a number without quotes"
@@ -281,11 +281,11 @@ class Chooser:
             )
             if hopeless or finer == most:
                 name = [*self.asked][int(np.argmax(rest / self.allowed))]
-                change = rest[[*self.asked].index(name)]
-                how = f"with {set_size(most)} instead of {set_size(before)} coordinates of the links it still changes by {change:.2g}"
+                last = rest[[*self.asked].index(name)]
+                how = f"with {set_size(most)} instead of {set_size(before)} coordinates of the links it still changes by {last:.2g}"
                 how = (
                     f"{how} {definition(name).unit}"
-                    if isfinite(change)
+                    if isfinite(last)
                     else f"by estimates {set_size(most)} coordinates don't suffice"
                 )
                 raise NotConvergedError(f"{name} doesn't converge as far as asked: {how}; ask for less accuracy")
