@@ -33,7 +33,7 @@ from statistics import median
 from effect_grid import GRID, Case, drawn
 from effect_search import FAMILIES, all_sets, set_size, smallest
 
-from flexfmu.cosim.design.effects.accuracy import MEASURED
+from flexfmu.cosim.design.effects.accuracy import MEASURED, NotConvergedError
 from flexfmu.cosim.design.effects.choice import choose_effects
 from flexfmu.cosim.design.effects.search import SAFETY, one_more
 from flexfmu.cosim.many.prepared_scene import PreparedScene
@@ -86,11 +86,19 @@ def main() -> None:
     options = _options()
     cases = GRID if options.grid else drawn(options.drawn, options.seed)[options.first :]
     rows: list[Row] = []
+    refused = 0
     for index, case in enumerate(cases[:: options.every]):
         search = bool(options.search_every) and options.grid and index % options.search_every == 0
         for tolerance in options.tolerance:
-            rows.append(examine(case, tolerance, options.margin if search else None, () if options.grid else MEASURED))
-            print(f"[{index + 1}/{len(cases)}] {_line(rows[-1])}", file=sys.stderr, flush=True)
+            try:
+                rows.append(
+                    examine(case, tolerance, options.margin if search else None, () if options.grid else MEASURED)
+                )
+                line = _line(rows[-1])
+            except NotConvergedError as error:
+                line = f"refused: {error}"
+                refused += 1
+            print(f"[{index + 1}/{len(cases)}] {line}", file=sys.stderr, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     found = [(each, [row for row in rows if row.tolerance == each]) for each in options.tolerance]
     criteria = [(tolerance, some, tuple(judge(some, tolerance, drawn=not options.grid))) for tolerance, some in found]
@@ -107,6 +115,7 @@ def main() -> None:
         print(
             f"- processor time of a choice, builds of FMUs included: median {median(times):.1f} s, at most {max(times):.1f} s"
         )
+    print(f"- refused, since a metric doesn't converge with the number of modes: {refused}")
     if options.check and not all(each.met for *_, judged in criteria for each in judged):
         raise SystemExit(1)
 
