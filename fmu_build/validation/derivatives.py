@@ -97,11 +97,13 @@ def _not_linear(
     unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, seeded: list[tuple[RealArray, RealArray]]
 ) -> Iterator[Finding]:
     """Yield a finding if a derivative along several knowns differs from the sum of single ones times their seeds."""
+    floor = NEGLIGIBLE * np.array([size_of(unknown) for unknown in unknowns])
+    sizes = np.array([size_of(known) for known in knowns])
     for seed, given in seeded:
-        # compare with the product of Jacobian and seed
+        # compare with the product of Jacobian and seed; a negligible derivative may be a rounding error
         expected, scale = matrix @ seed, np.abs(matrix) @ np.abs(seed)
         apart = np.abs(given - expected)
-        apart = np.where(np.isfinite(apart), apart, np.inf) / np.maximum(scale, 1e-300)
+        apart = np.where(np.isfinite(apart), apart, np.inf) / np.maximum(scale, floor * np.abs(seed / sizes).max())
         row = int(np.argmax(apart))
         if apart[row] > SEED_TOLERANCE:
             along = ", ".join(

@@ -53,11 +53,16 @@ STEPS = 6
 """Number of steps after which states and event indicators are checked."""
 
 _TINY = 1e-9
+_ROUNDING = 1e-11
 _WANDER = 1e-4
 
 
 def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Check that the state derivatives at the same states are equal bit by bit after an evaluation at other states."""
+    """Check that the state derivatives at the same states are equal, but for rounding, after an evaluation at other states.
+
+    Where forces balance, derivatives are differences of large terms: their rounding is judged by what they are elsewhere. What an
+    inner iteration within the solver's accuracy leaves is a warning.
+    """
     if fmu.kind is not InterfaceType.EXCHANGE:
         return
     with fmu.initialized("pure") as instance:
@@ -67,13 +72,14 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
         x = instance.continuous_states()
         first = instance.derivatives()
         instance.set_continuous_states(x * (1.0 + 1e-3) + 1e-6)
-        instance.derivatives()
+        scale = np.maximum(np.abs(first), np.abs(instance.derivatives()))
         instance.set_continuous_states(x)
-        second = instance.derivatives()
-    if not np.array_equal(first, second, equal_nan=True):
+        apart = np.nan_to_num(np.abs(first - instance.derivatives()))
+    if (apart > _ROUNDING * scale).any():
         yield Finding(
-            f"the states' derivatives differ by {np.nanmax(np.abs(first - second)):.3g} after a look at other states",
+            f"the states' derivatives differ by {apart.max():.3g} after a look at other states",
             "they must depend on time, states and inputs alone",
+            Severity.ERROR if (apart > fmu.accuracy * scale).any() else Severity.WARNING,
         )
 
 
