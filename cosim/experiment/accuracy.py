@@ -66,6 +66,7 @@ class FigureError:
         model: error by the effects that are left out.
         numerics: error by integration, communication steps and interpolation.
         reference: error of the richest model itself: change by one more mode of every family, and its numerics.
+        total: bound of the error: distance from the richest model, and the error of that; model and numerics may have opposite signs.
     """
 
     name: str
@@ -76,11 +77,7 @@ class FigureError:
     model: float
     numerics: float
     reference: float
-
-    @property
-    def total(self) -> float:
-        """Bound of the error in the SI unit."""
-        return self.model + self.numerics + self.reference
+    total: float
 
     def __str__(self) -> str:
         bound = f"{self.total:.2g} {shown_unit(self.unit)}".rstrip()
@@ -221,12 +218,7 @@ class AccuracyAnswer:
 
     def as_data(self) -> dict[str, Any]:
         """Return the answer as plain data in SI units."""
-        figures = [{**asdict(each), "total": each.total} for each in self.figures]
-        data = asdict(replace(self, tried=())) | {
-            "changes": dict(self.changes),
-            "figures": figures,
-            "text": self.lines(),
-        }
+        data = asdict(replace(self, tried=())) | {"changes": dict(self.changes), "text": self.lines()}
         data.pop("tried")  # the report shows them
         return data
 

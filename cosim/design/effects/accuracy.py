@@ -1,9 +1,9 @@
 """Chooses effects, communication step, integrator and tolerance together, such that figures of a scene have the accuracy that is asked for.
 
 The error of a figure is what a run of the scene as it is, loop included, differs from the richest model by: a set of effects that one
-more mode of every family changes by at most `CONVERGED` of what is allowed, integrated at `EXACT`. It is bounded by three parts: the
-effects that are left out (a run at `EXACT` beside the richest model's), the numerics (the setting beside its own run at `EXACT`, and
-that of the next tighter tolerance, which may not be worse), and what the richest model itself isn't known to. Sets of effects are a
+more mode of every family changes by at most `CONVERGED` of what is allowed, integrated at `EXACT`. Its bound is the difference of the two
+runs, and what the richest model itself isn't known to; the next tighter tolerance may not be worse. Its parts are shown: the effects that
+are left out (a run at `EXACT` beside the richest model's), and the numerics (the setting beside its own run at `EXACT`). Sets of effects are a
 ladder and, where it has a gap, what the linear estimates of `flexfmu.cosim.design.effects.estimator` choose; runs decide. Tolerances are
 tightened from the loosest on, and left where another setting is cheaper already. The choice of effects alone
 (`flexfmu.cosim.design.effects.choice`) is the same with the communication step and the integrator of the scene.
@@ -119,7 +119,8 @@ class SettingTrial:
 
     Attributes:
         scene: with the setting.
-        model, numerics: bounds of the error of each figure by the effects that are left out, and by the numerics.
+        model, numerics: error of each figure by the effects that are left out, and by the numerics [SI].
+        both: error of each figure by both together beside the reference, which is smaller where they have opposite signs [SI].
         time: processor time of a run [s].
         share: largest total error in units of what is allowed.
     """
@@ -127,6 +128,7 @@ class SettingTrial:
     scene: Scene
     model: RealArray
     numerics: RealArray
+    both: RealArray
     time: float
     share: float
 
@@ -258,16 +260,9 @@ class Chooser:
             self._show("estimating how many modes matter", None)
             units = self._units(Estimator(self.scene, self._motion, self._measures, journal=self._journal), found)
             bends = 1.0 if self._floor is None else min(map(float, self.asked.values()))
-            most, change = rich_enough(self.scene, self._motion, units, bends, self._journal)
+            most = rich_enough(self.scene, self._motion, units, bends, self._journal)
             found = self.exact_figures(most, "running the richest set")
         self.richest, self.reference = most, found
-        if self._floor is not None and self.is_estimated and max(change.values()) <= CONVERGED:
-            # estimates that agree with the run tell what more modes change
-            values, estimated = dict(zip(self.asked, found.values[0], strict=True)), self.estimates.reference
-            if all(abs(values[name] - estimated[name]) <= units[name] for name in self._measures):
-                changes = {str(name): each for name, each in change.items()}
-                self.known = self.allowed * np.array([changes[name] for name in self.asked])
-                return
         rest = earlier = np.full(self.allowed.shape, np.inf)
         before = most
         while (rest > CONVERGED * self.allowed).any():
@@ -454,9 +449,9 @@ class Chooser:
         if key not in self.trials:
             exact = self.exact_figures(scene)
             found = self._observe(scene, "; ".join(reversed(setting_text(scene).split("; "))))
-            model, numerics = exact.change(self.reference), found.change(exact)
-            share = float(((model + numerics + self.known) / self.allowed).max())
-            self.trials[key] = SettingTrial(scene, model, numerics, found.time, share)
+            model, numerics, both = exact.change(self.reference), found.change(exact), found.change(self.reference)
+            share = float(((both + self.known) / self.allowed).max())
+            self.trials[key] = SettingTrial(scene, model, numerics, both, found.time, share)
         return self.trials[key]
 
     def points(self, trial: SettingTrial) -> Iterator[WorkPrecisionTrial]:
@@ -464,7 +459,7 @@ class Chooser:
         names = (name for name, each in self.ladder.items() if each.effects == trial.scene.effects)
         line = next(names, f"{set_size(trial.scene)} coordinates, by estimates")
         label = setting_text(trial.scene).partition("; ")[2]
-        for name, value, error in zip(self.asked, self.reference.values[0], trial.model + trial.numerics, strict=True):
+        for name, value, error in zip(self.asked, self.reference.values[0], trial.both, strict=True):
             yield WorkPrecisionTrial(name, line, label, float(error / (abs(value) or 1.0)), trial.time)
 
     def missed_by(self, other: Scene) -> float:
@@ -522,8 +517,8 @@ class Chooser:
             # right by chance, if a tighter tolerance isn't
             tighter = self.trial(with_numerics(base, step, integrator, max(0.3 * tolerance, 1e-12)))
             if tighter is not None and tighter.share <= target:
-                numerics = np.maximum(found.numerics, tighter.numerics)
-                return replace(found, numerics=numerics, share=max(found.share, tighter.share)), least
+                both = np.maximum(found.both, tighter.both)
+                return replace(found, both=both, share=max(found.share, tighter.share)), least
         return None, least
 
     def _lengthened(self, found: SettingTrial, target: float) -> SettingTrial:
@@ -589,6 +584,7 @@ class Chooser:
                 chosen.model,
                 chosen.numerics,
                 self.known,
+                chosen.both + self.known,
                 strict=True,
             )
         )

@@ -31,8 +31,8 @@ MOST_MODES = 8
 
 def rich_enough(
     scene: Scene, motion: Trajectory, units: MetricValues, tolerance: float, journal: WorkJournal = NOWHERE
-) -> tuple[Scene, MetricValues]:
-    """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED`, and these changes.
+) -> Scene:
+    """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED`.
 
     The set starts as `RICHEST`; modes are added by the size of their contribution, up to `MOST_MODES`. Foreshortening hardly depends
     on the number of modes and is left out meanwhile. Bending is geometrically exact if that makes a difference of `CONVERGED`.
@@ -53,7 +53,7 @@ def rich_enough(
         plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
         estimator = estimator_of(grown)
         # add the mode with the largest contribution until the rest is negligible
-        while max((change := estimator.errors(plain.effects)).values()) > CONVERGED:
+        while max(estimator.errors(plain.effects).values()) > CONVERGED:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]
             plain = min(
                 (each for each in steps if estimator.covers(each.effects) and each != plain),
@@ -67,9 +67,9 @@ def rich_enough(
     # geometrically exact bending, where links bend so far that it can matter
     exact = most.replace({"effects.foreshortening": "exact"})
     if MOST_FOUND[True] * estimator.largest_deflection**2 <= CONVERGED * tolerance:
-        return most, change
+        return most
     bends = max(estimator_of(exact).errors(most.effects).values()) > CONVERGED
-    return exact if bends else most, change
+    return exact if bends else most
 
 
 def one_more(scene: Scene, families: Sequence[str]) -> Scene:

@@ -259,7 +259,7 @@ class Ladder:
                     found += self._chooser.points(trial)
                     floor = trial.model / self.values
                     floors |= {(name, line): float(error) for name, error in zip(names, floor, strict=True) if error}
-                    errors = (trial.model + trial.numerics) / self.values
+                    errors = trial.both / self.values
                     is_fine = (errors <= np.maximum(REACHED * floor, ACCURACIES[-1])).all()
                     if is_fine:
                         shortest = step or 0.0

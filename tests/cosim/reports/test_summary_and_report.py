@@ -59,7 +59,7 @@ def report_of(run: Run) -> str:
 def test_a_report_shows_what_accuracy_costs(make_run: MakeRun) -> None:
     """The answer's sentences, and every setting that was tried for each figure; what else is coarse isn't warned of."""
     figures = tuple(
-        FigureError(name, unit, "0.01", 0.01 * value, value, 2e-3 * value, 1e-3 * value, 0.0)
+        FigureError(name, unit, "0.01", 0.01 * value, value, 2e-3 * value, 1e-3 * value, 0.0, 3e-3 * value)
         for name, unit, value in (("peak_torque_1", "N.m", 70.0), ("residual_vibration_amplitude", "m", 1e-5))
     )
     costs = [(1e-1, 1e-3), (3e-3, 2e-3), (2e-3, 4e-3), (1e-5, 9e-3)]
