@@ -236,12 +236,17 @@ def main() -> None:
             (options.out / "accuracy_asked.json").write_text(text, encoding="utf-8")
     answered = [row for row in rows if not row.refused]
     within = [row for row in answered if row.true <= 1.0]
-    sharp = [row for row in answered if row.true > 0.0 and 1.0 <= 1.0 / row.true <= 5.0]
+    sharp = [row for row in answered if 0.2 <= row.true <= 1.0]
+    # nothing looser is cheaper
+    least = [row for row in answered if row.true < 0.2 and not row.cheaper]
     stated = [row for row in answered if row.true > 0.0 and 1.0 <= row.bound / row.true <= 5.0]
     cheapest = [row for row in answered if not row.cheaper]
     print(f"\n{len(rows)} draws, {len(rows) - len(answered)} refused in a sentence")
     print(f"true error below what was asked: {len(within)} of {len(answered)}")
-    print(f"asked over true error between 1 and 5: {len(sharp)} of {len(answered)}; stated over true: {len(stated)}")
+    more = "" if options.no_grid else f", and nothing looser is cheaper in {len(least)} of the others"
+    print(
+        f"asked over true error between 1 and 5: {len(sharp)} of {len(answered)}{more}; stated over true: {len(stated)}"
+    )
     if not options.no_grid:
         print(f"no setting of the grid is cheaper by a tenth: {len(cheapest)} of {len(answered)}")
     print(

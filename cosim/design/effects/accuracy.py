@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
+from itertools import product
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any, get_args
@@ -91,11 +92,11 @@ TOLERANCES = tuple(each * 10.0**-k for k in range(1, 11) for each in (1.0, 0.3))
 INTEGRATORS = ("automatic", "gauss3", "gauss4")
 """Integrators that win somewhere; for rigid links nothing is stiff."""
 
-STEPS = (1.0 / 40.0, 1.0 / 80.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0, 1.0 / 2000.0)
+STEPS = (1.0 / 20.0, 1.0 / 40.0, 1.0 / 80.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0, 1.0 / 2000.0)
 """Communication steps as fractions of the motion's duration, where nothing samples."""
 
-LENGTHENINGS = (1.8, 1.5, 1.25)
-"""Factors by which the communication step of the fastest settings is lengthened, if that is accurate enough."""
+LENGTHENINGS, TIGHTENINGS = (1.8, 1.5, 1.25), (1.0, 0.3, 0.1)
+"""Factors by which the communication step of the fastest settings is lengthened, and its tolerance tightened, if that is cheaper."""
 
 HALVINGS = 3
 """Halvings of the communication step of scenes with a loop: from the sample time and the scene's own on; continuous slaves need them."""
@@ -522,18 +523,16 @@ class Chooser:
         return None, least
 
     def _lengthened(self, found: SettingTrial, target: float) -> SettingTrial:
-        """The setting with a longer communication step, between those of the grid, as far as it is accurate enough and faster."""
-        step, tolerance = found.scene.cosimulation.step, found.scene.cosimulation.tolerance
-        if step is None or not self._is_smooth:
+        """The fastest of a setting and those with longer communication steps, between those of the grid, that are accurate enough."""
+        section = found.scene.cosimulation
+        if section.step is None or not self._is_smooth:
             return found
-        for factor in LENGTHENINGS:
-            longer = with_numerics(
-                found.scene, float(f"{factor * step:.2g}"), found.scene.cosimulation.integrator, tolerance
-            )
-            better = self.trial(longer)
-            if better is not None and better.share <= target and better.time < found.time:
-                return better
-        return found
+        steps = [float(f"{factor * section.step:.2g}") for factor in LENGTHENINGS]
+        tolerances = [max(factor * section.tolerance, EXACT) for factor in TIGHTENINGS]
+        pairs = product(steps, tolerances)
+        tried = [self.trial(with_numerics(found.scene, step, section.integrator, each)) for step, each in pairs]
+        right = [each for each in tried if each is not None and each.share <= target]
+        return min([found, *right], key=lambda each: each.time)
 
     # The answer
 
