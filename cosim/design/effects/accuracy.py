@@ -2,7 +2,7 @@
 
 The error of a figure is what a run of the scene as it is, loop included, differs from the richest model by: a set of effects that one
 more mode of every family changes by at most `CONVERGED` of what is allowed, integrated at `EXACT`. Its bound is the difference of the two
-runs, and what the richest model itself isn't known to; the next tighter tolerance may not be worse. Its parts are shown: the effects that
+runs, at least that of the set of effects alone, and what the richest model itself isn't known to; the next tighter tolerance may not be worse. Its parts are shown: the effects that
 are left out (a run at `EXACT` beside the richest model's), and the numerics (the setting beside its own run at `EXACT`). Sets of effects are a
 ladder and, where it has a gap, what the linear estimates of `flexfmu.cosim.design.effects.estimator` choose; runs decide. Tolerances are
 tightened from the loosest on, and left where another setting is cheaper already. The choice of effects alone
@@ -121,7 +121,7 @@ class SettingTrial:
     Attributes:
         scene: with the setting.
         model, numerics: error of each figure by the effects that are left out, and by the numerics [SI].
-        both: error of each figure by both together beside the reference, which is smaller where they have opposite signs [SI].
+        both: error of each figure by both together [SI]: its distance from the reference, at least that of the effects.
         time: processor time of a run [s].
         share: largest total error in units of what is allowed.
     """
@@ -450,7 +450,8 @@ class Chooser:
         if key not in self.trials:
             exact = self.exact_figures(scene)
             found = self._observe(scene, "; ".join(reversed(setting_text(scene).split("; "))))
-            model, numerics, both = exact.change(self.reference), found.change(exact), found.change(self.reference)
+            model, numerics = exact.change(self.reference), found.change(exact)
+            both = np.maximum(model, found.change(self.reference))
             share = float(((both + self.known) / self.allowed).max())
             self.trials[key] = SettingTrial(scene, model, numerics, both, found.time, share)
         return self.trials[key]
