@@ -146,11 +146,31 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
                 return
 
 
+def time_events_lie_ahead(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check that after each event the next time event is not in the past, where time goes from event to event."""
+    if fmu.kind is not InterfaceType.EXCHANGE:
+        return
+    with fmu.initialized("time_events") as instance:
+        time = fmu.start
+        for _ in range(STEPS):
+            if instance.finished or not time <= instance.next_event <= fmu.stop:
+                break
+            time = instance.next_event
+            instance.library.setTime(time)
+            instance.library.completedIntegratorStep()
+            instance.library.enterEventMode()
+            instance.handle_events()
+        if instance.next_event < time - _TINY * max(abs(time), fmu.step):
+            message = f"fmi2NewDiscreteStates gives {instance.next_event:.9g} s as the next event at {time:.9g} s"
+            yield Finding(message, "give an instant that lies ahead, or set nextEventTimeDefined to fmi2False")
+
+
 def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Check number, finiteness and repeatability of the event indicators, also after events."""
+    """Check number, finiteness and repeatability of the event indicators, also after events, and that one of them changes."""
     count = int(fmu.description.numberOfEventIndicators or 0)
     if fmu.kind is not InterfaceType.EXCHANGE or not count:
         return
+    seen: list[RealArray] = []
     with fmu.initialized("event_indicators") as instance:
         for n in range(STEPS):
             if instance.finished:
@@ -171,11 +191,23 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
                 message = f"event indicator {k + 1} is {z[k]:.6g}, at a second call {again[k]:.6g}"
                 yield Finding(message, "they must depend on time, states and inputs alone")
                 return
+            seen.append(z)
             if n % 2:  # an event triggered by the importing tool
                 instance.library.enterEventMode()
                 instance.handle_events()
             else:
                 instance.advance(n, n + 1)
+        # large changes of states and inputs, as far as the FMU takes them
+        with suppress(FMICallException):
+            for share in (0.01, -0.1, 1.0):
+                if instance.states:
+                    x = instance.continuous_states()
+                    instance.set_continuous_states(x + share * np.maximum(np.abs(x), instance.nominals()))
+                instance.set(fmu.inputs, np.array([moved(variable, share) for variable in fmu.inputs]))
+                seen.append(instance.event_indicators())
+    if np.ptp(seen, axis=0).max() == 0.0:
+        message = "no event indicator changes with time, states or inputs"
+        yield Finding(message, "give functions that pass through zero at events", Severity.WARNING)
 
 
 def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:

@@ -79,6 +79,7 @@ class FmuUnderTest:
         kind: the interface under test.
         step_seconds: wall time of a communication step [s]; 0 if unknown.
         messages: log messages of all instances so far.
+        categories: the categories of log messages so far.
         memory: blocks of allocateMemory that are not freed, address → block with its guards.
         misuse: wrong uses of these blocks, as parts of sentences.
     """
@@ -88,6 +89,7 @@ class FmuUnderTest:
     kind: InterfaceType
     step_seconds: float = 0.0
     messages: list[str] = field(default_factory=list)
+    categories: set[str] = field(default_factory=set)
     memory: dict[int, Any] = field(default_factory=dict)
     misuse: list[str] = field(default_factory=list)
     _instances: int = 0
@@ -271,7 +273,8 @@ class FmuUnderTest:
     def _callbacks(self) -> Any:
         """The callbacks of all instances."""
 
-        def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+        def log(_environment: int, _name: bytes, _status: int, category: bytes, message: bytes) -> None:
+            self.categories.add((category or b"").decode(errors="replace"))
             self.messages.append((message or b"").decode(errors="replace"))
 
         # each block lies between guards; Python keeps it until the FMU frees it

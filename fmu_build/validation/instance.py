@@ -99,6 +99,9 @@ def is_guarded(block: Any) -> bool:
     return content.startswith(GUARD) and content.endswith(GUARD)
 
 
+LONGEST_PENDING = 5.0
+"""Longest wall time of an asynchronous step [s]."""
+
 _MOST_EVENT_ITERATIONS = 100
 _WANDER = 1e-4
 """Change of the states between evaluations, relative to their size."""
@@ -124,8 +127,8 @@ class InstanceUnderTest(ABC):
         self.next_event = np.inf
 
     @abstractmethod
-    def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
-        """Initialise with the default experiment, up to the first step; ``values`` (by variable) are set before."""
+    def initialize(self, values: Mapping[Any, Any] | None = None, late: bool = False) -> None:
+        """Initialise with the default experiment, up to the first step; arguments as for `enter_initialization`."""
 
     @abstractmethod
     def advance(
@@ -144,14 +147,16 @@ class InstanceUnderTest(ABC):
         self.library.terminate()
         return rows
 
-    def enter_initialization(self, values: Mapping[Any, Any] | None = None) -> None:
-        """Enter Initialization Mode with the default experiment; ``values`` (by variable) are set before."""
-        fmu = self.fmu
+    def enter_initialization(self, values: Mapping[Any, Any] | None = None, late: bool = False) -> None:
+        """Enter Initialization Mode with the default experiment; ``values`` (by variable) are set before, or ``late``: then."""
+        fmu, values = self.fmu, values or {}
         self.finished = False
-        for variable, value in (values or {}).items():
-            self.write([variable], [value])
+        if not late:
+            self.write(list(values), list(values.values()))
         self.library.setupExperiment(tolerance=fmu.tolerance, startTime=fmu.start, stopTime=fmu.stop)
         self.library.enterInitializationMode()
+        if late:
+            self.write(list(values), list(values.values()))
 
     def get(self, variables: Sequence[Any]) -> RealArray:
         """Values of numeric and Boolean variables, shape (variables,)."""
@@ -237,8 +242,8 @@ class InstanceUnderTest(ABC):
 class CosimulationInstance(InstanceUnderTest):
     """Instance for co-simulation: makes communication steps; the results are the outputs."""
 
-    def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
-        self.enter_initialization(values)
+    def initialize(self, values: Mapping[Any, Any] | None = None, late: bool = False) -> None:
+        self.enter_initialization(values, late)
         self.library.exitInitializationMode()
 
     def advance(
@@ -307,7 +312,20 @@ class CosimulationInstance(InstanceUnderTest):
                 "fmi2DoStep returns fmi2Pending, canRunAsynchronuously is not claimed",
                 "claim it, or finish the step before returning",
             )
+        begin = monotonic()
         while (status := self.library.getStatus(fmi2.fmi2DoStepStatus)) == _PENDING:
+            if monotonic() - begin > LONGEST_PENDING:
+                raise MisbehaviourError(
+                    f"a pending fmi2DoStep is not finished after {LONGEST_PENDING:g} s",
+                    "let fmi2GetStatus return its end",
+                )
+            try:
+                self.library.getStringStatus(fmi2.fmi2PendingStatus)
+            except FMICallException:  # it may have nothing to say
+                pass
+            except AttributeError:  # no text
+                message = "fmi2GetStringStatus gives no text for fmi2PendingStatus"
+                raise MisbehaviourError(message, "say what goes on, or return fmi2Discard") from None
             sleep(1e-3)
         if status > 1:
             raise MisbehaviourError(f"a pending fmi2DoStep ends with status {status}", "carry out the step")
@@ -316,8 +334,8 @@ class CosimulationInstance(InstanceUnderTest):
 class ExchangeInstance(InstanceUnderTest):
     """Instance for model exchange: perturbs the states without integrating; the results are state derivatives and outputs."""
 
-    def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
-        self.enter_initialization(values)
+    def initialize(self, values: Mapping[Any, Any] | None = None, late: bool = False) -> None:
+        self.enter_initialization(values, late)
         self.library.exitInitializationMode()
         self.states = len(self.fmu.description.derivatives or ())
         self.handle_events()

@@ -10,6 +10,7 @@ import gc
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from copy import copy
 from ctypes import c_double, c_uint
 from pathlib import Path
 from time import monotonic
@@ -22,7 +23,7 @@ from fmpy.fmi1 import FMICallException
 from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
-from flexfmu.fmu_build.validation.instance import CANARY, Watch, announce, is_guarded
+from flexfmu.fmu_build.validation.instance import CANARY, MisbehaviourError, Watch, announce, is_guarded
 from flexfmu.fmu_build.validation.variables import attribute, start_of
 
 WHOLE_RUN = 5.0
@@ -33,6 +34,9 @@ LAG = 0.2
 
 MORE_SAVINGS = 4
 """Number of times that a state is saved again into the memory of the earlier one."""
+
+STATES = 16
+"""Number of states that an instance saves and frees to detect memory leaks: more than what Python itself allocates."""
 
 MEMORY_RUNS = 12
 """Number of instances that are made and freed to detect memory leaks."""
@@ -154,18 +158,63 @@ def _beyond_bounds(variable: Any, values: Any, when: Callable[[int], str]) -> It
             yield Finding(message, "correct min and max, or the value", Severity.WARNING, variable.name, check="range")
 
 
+def starts_at_the_start_time(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check that the independent variable follows a start time other than that of the default experiment."""
+    later, is_slave = copy(fmu), fmu.kind is InterfaceType.COSIMULATION
+    shift = 10 * fmu.step + 0.5 * (fmu.stop - fmu.start)
+    later.start, later.stop = fmu.start + shift, fmu.stop + shift
+    if not fmu.times:
+        return
+    with suppress(FMICallException, MisbehaviourError), later.initialized("later") as instance:
+        if instance.finished or (is_slave and not instance.step(0)):
+            return
+        time, expected = float(instance.get(fmu.times)[0]), later.start + is_slave * fmu.step
+        if abs(time - (expected - shift)) < abs(time - expected):
+            name = fmu.times[0].name
+            message = f"{name} is {time:.6g} s at {expected:.6g} s of an experiment that starts at {later.start:.6g} s"
+            yield Finding(message, "begin at the start time that the importing tool gives", subject=name)
+
+
+def logs_in_its_categories(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check that fmi2SetDebugLogging takes each category of the description, and that messages have no others."""
+    declared = [category.name for category in fmu.description.logCategories or ()]
+    if not declared:
+        return
+    fmu.categories.clear()
+    with fmu.instance("logging") as instance:
+        for name in declared:
+            try:
+                instance.library.setDebugLogging(True, [name])
+            except FMICallException:
+                message = f"fmi2SetDebugLogging refuses the category {name}, which is in LogCategories"
+                yield Finding(message, "take it, or don't list it", Severity.WARNING, name)
+                return
+        instance.library.setDebugLogging(True, declared)
+        instance.initialize()
+        instance.advance(0, min(fmu.steps, 5))
+        with suppress(FMICallException):
+            instance.library.getReal([NO_VARIABLE])
+    for name in sorted(fmu.categories - {*declared, ""}):
+        message = f"messages have the category {name}, which is not in LogCategories"
+        yield Finding(message, "list it, or use one of the list", Severity.WARNING, name)
+
+
 def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that the FMU frees all memory of instances and states, and writes within its bounds."""
     # memory from the callbacks: freed once, no write out of bounds
     fmu.memory.clear()
     fmu.misuse.clear()
     _short_run(fmu)
+    left = len(fmu.memory)
+    if fmu.can_save:
+        _short_run(fmu, savings=1)
     for misuse in dict.fromkeys(fmu.misuse):
         yield Finding(f"the FMU {misuse}", "run it under AddressSanitizer")
     if any(not is_guarded(block) for block in fmu.memory.values()):
         yield Finding("the FMU writes beyond a block of allocateMemory", "run it under AddressSanitizer")
     if fmu.memory:
-        message = f"fmi2FreeInstance leaves {len(fmu.memory)} blocks of allocateMemory behind"
+        function = "fmi2FreeInstance" if left else "fmi2FreeFMUstate"
+        message = f"{function} leaves {left or len(fmu.memory)} blocks of allocateMemory behind"
         yield Finding(message, "free them all", Severity.WARNING)
     # memory from malloc
     lost = _lost_bytes(fmu)
@@ -175,8 +224,8 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     if lost or fmu.memory or not fmu.can_save:
         return
     # memory of saved states, and of states saved again into the same memory
-    lost = _lost_bytes(fmu, savings=1)
-    again = _lost_bytes(fmu, savings=1 + MORE_SAVINGS) - lost
+    lost, again = (_lost_bytes(fmu, savings) // STATES for savings in (1, 1 + MORE_SAVINGS))
+    again -= lost
     if lost:
         message, remedy = f"fmi2FreeFMUstate leaves {lost} bytes of a state behind", "free all of it"
         yield Finding(message, remedy, Severity.WARNING, section="2.1.8")
@@ -186,13 +235,13 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
-    """Run some steps, then save the state ``savings`` times into the same memory and free it."""
+    """Run some steps; then save states, each ``savings`` times into the same memory, and free them."""
     with fmu.initialized("memory") as instance:
         instance.advance(0, min(fmu.steps, 5 if savings else 20))
-        state = None
-        for _ in range(savings):
-            state = instance.save(state)
-        if state is not None:
+        for _ in range(STATES if savings else 0):
+            state = None
+            for _ in range(savings):
+                state = instance.save(state)
             instance.discard(state)
 
 
@@ -259,7 +308,7 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
                 yield Finding(message, "fill nvr values", section="2.1.7", check="memory")
     # unknown value references
     when = f"for the value reference {NO_VARIABLE}, which no variable has"
-    yield from _accepted(fmu, _UNKNOWN, True, when, Severity.WARNING)
+    yield from _accepted(fmu, _UNKNOWN, _initialize, when, Severity.WARNING)
     # calls in the wrong state
     early: FmiCalls = {"fmi2ExitInitializationMode": ("exitInitializationMode",)}
     late: FmiCalls = {"fmi2EnterInitializationMode": ("enterInitializationMode",)}
@@ -271,19 +320,34 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
     if fixed := [v for v in fmu.settable("parameter") if v.type == "Real" and v.variability == "fixed"][:1]:
         name, arguments = fixed[0].name, ([fixed[0].valueReference], [start_of(fixed[0])])
         late[f"fmi2SetReal of the fixed parameter {name}"] = ("setReal", *arguments)
-    yield from _accepted(fmu, early, False, "before the initialisation")
-    yield from _accepted(fmu, late, True, "after the initialisation")
+    yield from _accepted(fmu, early, lambda _: None, "before the initialisation")
+    yield from _accepted(fmu, late, _initialize, "after the initialisation")
+    if fmu.kind is InterfaceType.COSIMULATION:
+        short = copy(fmu)
+        short.stop = fmu.start + 2 * fmu.step
+        beyond: FmiCalls = {"fmi2DoStep": ("doStep", short.stop, fmu.step)}
+        yield from _accepted(short, beyond, _two_steps, "beyond the stop time")
+
+
+def _initialize(instance: Any) -> None:
+    instance.initialize()
+
+
+def _two_steps(instance: Any) -> None:
+    instance.initialize()
+    instance.advance(0, 2)
 
 
 def _accepted(
-    fmu: FmuUnderTest, calls: FmiCalls, initialized: bool, when: str, severity: Severity = Severity.NOTE
+    fmu: FmuUnderTest, calls: FmiCalls, prepare: Callable[[Any], object], when: str, severity: Severity = Severity.NOTE
 ) -> Iterator[Finding]:
     """Yield one finding for all accepted calls; each call has a separate instance, since an error may end it."""
     accepted = []
     for name, (method, *arguments) in calls.items():
         with fmu.instance("illegal") as instance:
-            if initialized:
-                instance.initialize()
+            prepare(instance)
+            if instance.finished:
+                continue
             announce(f"{name} {when}")
             with suppress(FMICallException):
                 getattr(instance.library, method)(*arguments)

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
-from flexfmu.fmu_build.validation.instance import RealArray
+from flexfmu.fmu_build.validation.instance import MisbehaviourError, RealArray
 from flexfmu.fmu_build.validation.variables import moved, start_of
 
 FRACTIONS = (0.0, 0.25, 0.75)
@@ -30,6 +31,9 @@ OTHER_PROCESS_TIMEOUT = 60.0
 
 PERTURBATION = 0.02
 """Change of parameters and inputs, relative to their size."""
+
+FEW_STEPS = 20
+"""Steps of the runs with parameters set in Initialization Mode."""
 
 READS = 10
 """Additional readings of all outputs in each step."""
@@ -98,6 +102,28 @@ def changeable(fmu: FmuUnderTest) -> list[Any]:
     """Real parameters whose bounds allow another value than their start."""
     parameters = [variable for variable in fmu.settable("parameter") if variable.type == "Real"]
     return [variable for variable in parameters if moved(variable, PERTURBATION) != start_of(variable)]
+
+
+def initializes_alike(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check that parameters set in Initialization Mode act as those that are set before it."""
+    values = {variable: moved(variable, PERTURBATION) for variable in changeable(fmu)}
+    runs: list[RealArray] = []
+    for late in (False, True) if values else ():
+        with fmu.instance("parameters") as instance:
+            try:
+                instance.initialize(values, late)
+                runs.append(instance.advance(0, min(fmu.steps, FEW_STEPS)))
+            except (FMICallException, MisbehaviourError) as error:
+                if late and runs:
+                    message = f"with parameters set in Initialization Mode, as legal before it: {error}"
+                    yield Finding(message, _LATE, Severity.WARNING)
+                return
+    if runs:
+        when = "where parameters are set in Initialization Mode instead of before it"
+        yield from _compare(fmu, *runs, when, _LATE, fmu.accuracy)
+
+
+_LATE = "take parameters until Initialization Mode ends, and use them"
 
 
 def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:

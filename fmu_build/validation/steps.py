@@ -6,14 +6,17 @@ Richardson extrapolation). An input ramp, set by its derivative, is compared wit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from math import factorial
 from typing import Any
 
 import numpy as np
+from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
+from numpy.polynomial import Polynomial
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import MisbehaviourError, RealArray
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
@@ -30,6 +33,21 @@ A larger change reveals an FMU that uses a step size of its own or loses time at
 CONVERGING = 0.7
 """Largest ratio of the changes at the second and first halving for which the outputs converge."""
 
+SMALL_PARTS = 32
+"""Number of parts of a communication step in which each is small."""
+
+LONGEST_SMALL_STEPS = 5.0
+"""Longest wall time of all runs with small steps [s]."""
+
+SHORT = 0.003
+"""Share of a communication step that may be missing."""
+
+SAME_SHARE = 0.1
+"""Largest relative difference of two shares that are the same."""
+
+STRETCHED = 0.2
+"""Part of a difference that a stretched time axis may leave unexplained."""
+
 STAIRS = 16
 """Duration of a ramp in communication steps; for discrete outputs in samples within one communication step."""
 
@@ -38,6 +56,8 @@ FINE = 8
 
 PERTURBATION = 0.02
 """Change of inputs and start values that sets the model in motion, relative to their size."""
+
+_STAIRS = -1
 
 RISES = (0.01, 0.1, 1.0)
 """Heights of a ramp relative to the input's size; the first with an effect is evaluated."""
@@ -51,7 +71,11 @@ LEAST_MOTION = 1e-4
 
 
 def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Check, after a perturbation, that the outputs converge when communication steps are halved repeatedly."""
+    """Check, after a perturbation, that the outputs converge when communication steps are halved repeatedly.
+
+    They may converge to a motion that takes longer: what stays the same when steps are halved, and is gone with small ones, is the
+    share of each step that is missing, if a stretched time axis explains it.
+    """
     if not fmu.has_variable_step or not fmu.smooth_outputs:
         return
     # the same motion with whole, half and quarter steps
@@ -73,6 +97,46 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
             f"{fmu.smooth_outputs[worst].name} changes by {first[worst]:.1%} of its motion where steps are "
             f"halved, and by {second[worst]:.1%} where they are halved again",
             "advance by all of communicationStepSize, or don't claim canHandleVariableCommunicationStepSize",
+            Severity.WARNING,
+        )
+    elif fmu.step_seconds * len(whole) * 3 * SMALL_PARTS < LONGEST_SMALL_STEPS:
+        yield from _short_steps(fmu, whole, half)
+
+
+def _short_steps(fmu: FmuUnderTest, whole: RealArray, half: RealArray) -> Iterator[Finding]:
+    """Yield a finding if outputs with whole and half steps are those with small steps at an earlier time.
+
+    Args:
+        whole, half: smooth outputs at communication points, with whole and half steps, shape (points, outputs).
+    """
+    # two sizes of small steps, which agree
+    runs = []
+    for parts in (SMALL_PARTS, 2 * SMALL_PARTS):
+        with fmu.instance("small steps") as instance:
+            initialize_perturbed(instance)
+            runs.append(instance.read_steps(fmu.smooth_outputs, len(whole), parts))
+    if len(runs[0]) < len(whole) or len(runs[1]) < len(whole):
+        return
+    small, smaller = runs
+    first, second, unsure = change(fmu, whole, smaller), change(fmu, half, smaller), change(fmu, small, smaller)
+    # the time that is missing at each point, in proportion to the time that has passed
+    time = fmu.step * np.arange(1.0, len(whole) + 1)
+    lag = -time[:, None] * np.gradient(smaller, fmu.step, axis=0)
+    power = (lag**2).sum(axis=0).clip(1e-300)
+    shares = [((rows - smaller) * lag).sum(axis=0) / power for rows in (whole, half)]
+    left = np.sqrt(
+        (((whole - smaller) - shares[0] * lag) ** 2).sum(axis=0) / ((whole - smaller) ** 2).sum(axis=0).clip(1e-300)
+    )
+    same = np.abs(shares[0] - shares[1]) < SAME_SHARE * np.abs(shares[0])
+    wrong = (
+        same & (shares[0] > SHORT) & (left < STRETCHED) & (second > SHORT) & (unsure < 0.1 * np.minimum(first, second))
+    )
+    if wrong.any():
+        n = int(np.argmax(np.where(wrong, shares[0], 0.0)))
+        yield Finding(
+            f"{fmu.smooth_outputs[n].name} is {shares[0][n]:.2%} of the time late with steps of {fmu.step:g} s, and not with steps "
+            f"of {fmu.step / SMALL_PARTS:.2g} s",
+            "advance by all of communicationStepSize",
             Severity.WARNING,
         )
 
@@ -116,8 +180,27 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
         yield Finding(message, "give the time of the communication point", Severity.WARNING, times[0].name)
 
 
+def reports_the_last_successful_time(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check that fmi2LastSuccessfulTime, if the FMU gives it, is the time of the communication point, or that of the FMU's own step."""
+    if fmu.kind is not InterfaceType.COSIMULATION:
+        return
+    with fmu.initialized("last_time") as instance:
+        steps = min(TIMES, fmu.steps)
+        if not all(instance.step(n) for n in range(steps)):
+            return
+        try:
+            given = float(instance.library.getRealStatus(fmi2.fmi2LastSuccessfulTime))
+        except FMICallException:
+            return
+        time = fmu.start + steps * fmu.step
+        if not min(abs(given - each) for each in (time, *instance.get(fmu.times))) < 0.1 * fmu.step:
+            message = f"fmi2LastSuccessfulTime is {given:.9g} s after steps to {time:.9g} s"
+            yield Finding(message, "give the end of the last communication step", Severity.WARNING)
+
+
 def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Check that an input ramp, set by its derivative, has the same effect as the ramp in small stairs."""
+    """Check that an input ramp, set by its derivative, has the same effect as the ramp in small stairs; so has a parabola, if the FMU
+    takes second derivatives."""
     # only where the FMU claims it and the outputs can show a difference
     claims = fmu.has_variable_step and fmu.element.canInterpolateInputs
     outputs = fmu.smooth_outputs or [variable for variable in fmu.outputs if variable.type == "Real"]
@@ -125,19 +208,21 @@ def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     # report the first wrong input only
     for variable in fmu.inputs[:MOST_INPUTS]:
-        found = _wrong_ramp(fmu, variable, outputs)
-        if found is not None:
+        for order, without in ((1, "a constant input"), (2, "the first derivative alone")):
+            found = _wrong_ramp(fmu, variable, outputs, order)
+            if found is None:
+                continue
             n, missed, ignored = found
             yield Finding(
-                f"with a derivative of {variable.name} {outputs[n].name} is {missed:.3g} off, with a constant input "
+                f"with derivative {order} of {variable.name} {outputs[n].name} is {missed:.3g} off, with {without} "
                 f"{ignored:.3g}",
                 "use fmi2SetRealInputDerivatives within the step, or don't claim canInterpolateInputs",
             )
             return
 
 
-def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[int, float, float] | None:
-    """Index of a wrong output, its error with the derivative and its error with constant inputs; None if all are correct.
+def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], order: int) -> tuple[int, float, float] | None:
+    """Index of a wrong output, its error with the derivative and its error without it; None if all are correct.
 
     The height of the ramp grows until an output reacts. If the FMU rejects such an input, the result is None.
     """
@@ -145,11 +230,12 @@ def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[i
     for share in RISES:
         rise = moved(variable, share) - start_of(variable)
         try:
-            exact, rough = (_ramp(fmu, variable, outputs, rise, "stairs", parts) for parts in (fine, coarse))
-            split, constant = (_ramp(fmu, variable, outputs, rise, "constant", parts) for parts in (coarse, 1))
+            given = _ramp(fmu, variable, outputs, rise, order, order, 1)
+            exact, rough = (_ramp(fmu, variable, outputs, rise, order, _STAIRS, parts) for parts in (fine, coarse))
+            split, constant = (_ramp(fmu, variable, outputs, rise, order, order - 1, parts) for parts in (coarse, 1))
         except (FMICallException, MisbehaviourError):
             return None
-        missed = np.abs(_ramp(fmu, variable, outputs, rise, "derivative", 1) - exact)
+        missed = np.abs(given - exact)
         ignored, unsure = np.abs(constant - exact), np.maximum(np.abs(rough - exact), np.abs(split - constant))
         # ignore outputs that depend on the number of stairs or steps
         clear = (unsure < 0.2 * ignored) & (ignored > fmu.accuracy * np.abs(exact).max(initial=0.0))
@@ -162,11 +248,13 @@ def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[i
     return None
 
 
-def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how: str, parts: int) -> RealArray:
-    """Outputs, shape (outputs,), after an input ramp from the start value.
+def _ramp(
+    fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, order: int, given: int, parts: int
+) -> RealArray:
+    """Outputs, shape (outputs,), after an input from the start value along a ramp or a parabola.
 
     With continuous outputs the ramp takes several communication steps; each stair has the mean of the ramp. A final step
-    with a constant input makes the direct feedthrough equal for all values of ``how``. A sampled FMU reads its inputs only
+    with a constant input makes the direct feedthrough equal for all values of ``given``. A sampled FMU reads its inputs only
     at sample instants: there the ramp takes one communication step of `STAIRS` default steps, and each stair has the value
     of the ramp at its beginning.
 
@@ -175,25 +263,32 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how
         variable: the input.
         outputs: variables to read.
         rise: height of the ramp.
-        how: ``stairs``, ``constant`` (within each communication step) or ``derivative``.
+        order: 1 for a ramp, 2 for a parabola.
+        given: number of derivatives that are given at each communication point; `_STAIRS`: the input goes up in stairs.
         parts: parts into which communication steps are divided.
     """
     is_smooth = bool(fmu.smooth_outputs)
     steps, length = (min(STAIRS, fmu.steps), fmu.step) if is_smooth else (1, STAIRS * fmu.step)
-    start, slope = start_of(variable), rise / (steps * length)
-    with fmu.initialized(how) as instance:
-        # the ramp
+    curve, orders = Polynomial([0.0] * order + [rise]), list(range(1, given + 1))
+    with fmu.initialized("ramp") as instance:
+
+        def set_input(values: Sequence[float]) -> None:
+            instance.set([variable], np.array([start_of(variable) + values[0]]))
+            if orders:
+                instance.library.setRealInputDerivatives([variable.valueReference] * given, orders, values[1:])
+
+        # the ramp: its mean, or the polynomial with its value and derivatives at the communication point
         for n in range(steps):
             for part in range(parts):
-                risen = {"stairs": n + (part + 0.5 * is_smooth) / parts, "constant": n, "derivative": n}[how]
-                instance.set([variable], np.array([start + rise * risen / steps]))
-                if how == "derivative":
-                    instance.library.setRealInputDerivatives([variable.valueReference], [1], [slope])
+                if given == _STAIRS:
+                    set_input([curve((n + (part + 0.5 * is_smooth) / parts) / steps)])
+                else:
+                    taylor = Polynomial([curve.deriv(k)(n / steps) / factorial(k) for k in range(given + 1)])
+                    at = part / parts / steps
+                    set_input([float(taylor.deriv(k)(at)) / (steps * length) ** k for k in range(given + 1)])
                 instance.step_from(fmu.start + (n + part / parts) * length, length / parts)
         # the final step with a constant input
-        instance.set([variable], np.array([start + rise]))
+        set_input([rise, *(0.0 for _ in orders)])
         if is_smooth:
-            if how == "derivative":
-                instance.library.setRealInputDerivatives([variable.valueReference], [1], [0.0])
             instance.step(steps)
         return np.asarray(instance.get(outputs))

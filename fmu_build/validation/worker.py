@@ -45,6 +45,10 @@ CHECKS: dict[str, Check] = {
     "memory": lifecycle.gives_memory_back,
     "start value": values.starts_are_kept,
     "parameters": values.parameters_are_kept,
+    "tunable parameters": values.tunable_parameters_are_taken,
+    "initialisation": replay.initializes_alike,
+    "start time": lifecycle.starts_at_the_start_time,
+    "logging": lifecycle.logs_in_its_categories,
     "several variables": values.one_call_does_what_several_do,
     "reset": replay.repeats_after_reset,
     "reading": replay.reads_leave_the_state_alone,
@@ -55,12 +59,14 @@ CHECKS: dict[str, Check] = {
     "rates": derivatives.states_follow_their_derivatives,
     "variable step": steps.halving_the_step_changes_little,
     "time": steps.reports_the_time,
+    "last successful time": steps.reports_the_last_successful_time,
     "input derivatives": steps.interpolates_inputs,
     "output derivatives": derivatives.output_derivatives_are_right,
     "directional derivatives": derivatives.directional_derivatives_are_right,
     "derivatives": exchange.derivatives_depend_on_state_alone,
     "states": exchange.states_are_the_variables,
     "integrator steps": exchange.integrator_steps_change_nothing,
+    "time events": exchange.time_events_lie_ahead,
     "event indicators": exchange.event_indicators_are_given,
     "dependencies of variables": dependencies.declared_dependencies_hold,
     "initial dependencies": dependencies.initial_dependencies_hold,
@@ -94,12 +100,25 @@ def surroundings(fmu: Path) -> dict[str, Any]:
         seen["environment"] = _environment(libc)
         seen["mask of new files"] = os.umask(0)
         os.umask(seen["mask of new files"])
-    # on Linux: signal handlers and open files
+        if sys.platform == "linux":
+            seen["floating-point traps"] = ctypes.CDLL("libm.so.6").fegetexcept()
+    # on Linux: signal handlers, open files, threads and child processes
     status = Path("/proc/self/status")
     if status.exists():
-        seen["signal handlers"] = re.findall(r"^Sig(?:Cgt|Ign):.*", status.read_text(), re.MULTILINE)
+        seen["signal handlers"] = re.findall(r"^Sig(?:Blk|Ign|Cgt):.*", status.read_text(), re.MULTILINE)
+        seen["signal handlers"] += [_handler(libc, number) for number in range(1, signal.SIGRTMIN)]
         seen["open files"] = len(os.listdir("/proc/self/fd"))
+        tasks = list(Path("/proc/self/task").iterdir())
+        seen["threads"] = len(tasks)
+        seen["child processes"] = sum(len((task / "children").read_text().split()) for task in tasks)
     return seen
+
+
+def _handler(libc: Any, number: int) -> int:
+    """Address of the handler of a signal, the first member of glibc's struct sigaction."""
+    action = (ctypes.c_size_t * 32)()
+    libc.sigaction(number, None, action)
+    return int(action[0])
 
 
 def _environment(libc: Any) -> dict[str, str]:
@@ -120,8 +139,10 @@ def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Find
         del before[what]  # report each change once
         change, whose, remedy = f"changes the {what}", ", which belongs to the importing tool", _RESTORE
         match what:
-            case "open files" if new < old:
+            case "open files" | "threads" | "child processes" if new < old:
                 continue
+            case "threads" | "child processes":
+                change, remedy = f"leaves {what} running", "end them in fmi2FreeInstance"
             case "open files":
                 change, remedy = "leaves files open", "close them"
             case "resources":

@@ -76,6 +76,8 @@ def behaves(name: str) -> Mutant:
         description = sound[DESCRIPTION]
         if name not in ("addresses", "serialises_beyond"):  # saves a process
             description = description.replace(b' canSerializeFMUstate="true"', b"")
+        if name.startswith("pending_"):
+            description = description.replace(b"<CoSimulation ", b'<CoSimulation canRunAsynchronuously="true" ')
         return zipped(sound | {DESCRIPTION: description, "resources/mutant.txt": name.encode()})
 
     return Mutant(name, "behaviour", make, runs=True)
@@ -132,7 +134,7 @@ def _marked_as_encrypted(sound: Files) -> bytes:
     return bytes(content)
 
 
-SOUND = {"sound", "ends_early", "once", "counts", "asynchronous"}
+SOUND = {"sound", "ends_early", "once", "counts", "asynchronous", "offset", "ticks"}
 BEHAVIOUR = [
     behaves(name)
     for name in re.findall(r"\bX\((\w+)\)", (SOURCES / "spring.c").read_text(encoding="utf-8"))
@@ -152,7 +154,7 @@ start of a calculated => <Real unit="rad/s"/> -> <Real unit="rad/s" start="6"/>
 start of the time => "continuous">\n      <Real/> -> "continuous">\n      <Real start="0"/>
 initial of an input => name="pull" -> name="pull" initial="exact"
 nominal 0 => min="0" start="0.5" -> min="0" nominal="0" start="0.5"
-parameter varies => "7" causality="parameter" variability="fixed" -> "7" causality="parameter" variability="continuous"
+parameter varies => "7" causality="parameter" variability="tunable" -> "7" causality="parameter" variability="continuous"
 Boolean varies continuously => variability="discrete" -> variability="continuous"
 name twice => name="velocity" -> name="position"
 name with a line feed => name="velocity" -> name="velo&#10;city"
@@ -216,6 +218,7 @@ ADDED = {
     "DLL is text": {"binaries/win64/spring.dll": b"text"},
     "folder of no platform": {"binaries/linux/spring.so": b"text"},
     "source empty": {"sources/spring.c": b""},
+    "source does not compile": {"sources/spring.c": b"int fmi2GetReal(void) { return x; }"},
     "documentation without a start": {"documentation/other.html": b"x"},
     "picture is text": {"model.png": b"x"},
     "folder in capitals": {"Resources/data.txt": b"1"},
@@ -273,6 +276,8 @@ def sound_variants(library: bytes) -> dict[str, bytes]:
     return {
         "sound": zipped(sound),
         "runs asynchronously": zipped(sound | {DESCRIPTION: asynchronous, "resources/mutant.txt": b"asynchronous"}),
+        "large output": zipped(sound | {"resources/mutant.txt": b"offset"}),
+        "time events": zipped(sound | {"resources/mutant.txt": b"ticks"}),
         "ends the simulation": zipped(sound | {"resources/mutant.txt": b"ends_early"}),
         "once a process": zipped(sound | {DESCRIPTION: once, "resources/mutant.txt": b"once"}),
     }

@@ -1,11 +1,12 @@
 /* A mass on a spring that an input pulls: a sound FMU 2.0 for both interfaces, written apart from the package's runtime.
    The name in resources/mutant.txt spoils it in one respect, so that validation has something to find. */
-#define _DEFAULT_SOURCE
+#define _GNU_SOURCE
 #pragma GCC diagnostic ignored "-Wunused-parameter" // the standard's functions have what others need
 #include "fmi2Functions.h"
 
 #include <fenv.h>
 #include <math.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -29,7 +30,9 @@
   X(derivatives_negated) X(nan_first) X(no_indicators) X(nan_indicator) X(state_keeps_input) X(state_keeps_time) X(set_backwards)   \
   X(get_backwards) X(reading_disturbs) X(undeclared_late) X(seed_ignored) X(serialises_beyond) X(state_not_null)                    \
   X(state_anew) X(integrator_step) X(time_half) X(single_precision) X(writes_resource) X(warns) X(closes_output)                    \
-  X(reused_state) X(boolean_42)
+  X(reused_state) X(boolean_42) X(offset) X(offset_derivative) X(step_short) X(start_ignored) X(stop_ignored) X(initial_ignored)      \
+  X(state_leak) X(state_leak_callback) X(tunable_refused) X(constant_indicator) X(second_ignored) X(last_time) X(pending_forever)   \
+  X(pending_text) X(log_category) X(log_refused) X(ticks) X(event_past) X(traps) X(handler_replaced) X(forks) X(threads)
 
 #define ENUM(name) M_##name,
 #define TEXT(name) #name,
@@ -40,7 +43,7 @@ enum { PULL, POSITION, VELOCITY, POSITION_RATE, VELOCITY_RATE, FORCE, STIFFNESS,
 enum { STARTED = 1, INITIALIZING = 2, RUNNING = 4, ENDED = 8 };
 
 typedef struct {
-  double time, x[2], u, u_rate, stiffness, damping;
+  double time, x[2], u, u_rate, u_bend, stiffness, damping, stop;
   int material, locked, steps, modes;
   char label[BUFFER];
 } State;
@@ -76,14 +79,15 @@ static void runge_kutta(Spring *spring, double h) {
   static const double at[4] = {0.0, 0.5, 0.5, 1.0};
   for (int stage = 0; stage < 4; stage++) {
     for (int i = 0; i < 2; i++) y[i] = s->x[i] + (stage ? at[stage] * h * k[stage - 1][i] : 0.0);
-    rates(spring, y, s->u + at[stage] * h * s->u_rate, k[stage]);
+    rates(spring, y, s->u + at[stage] * h * (s->u_rate + 0.5 * at[stage] * h * s->u_bend), k[stage]);
   }
   for (int i = 0; i < 2; i++) s->x[i] += h / 6.0 * (k[0][i] + 2.0 * k[1][i] + 2.0 * k[2][i] + k[3][i]);
-  s->u += h * s->u_rate;
+  s->u += h * (s->u_rate + 0.5 * h * s->u_bend);
+  s->u_rate += h * s->u_bend;
 }
 
 static void start(Spring *spring) {
-  State *s = now(spring), fresh = {0.0, {0.1, 0.0}, 0.0, 0.0, 40.0, 0.5, 1, 0, 0, STARTED, "spring"};
+  State *s = now(spring), fresh = {0.0, {0.1, 0.0}, 0.0, 0.0, 0.0, 40.0, 0.5, INFINITY, 1, 0, 0, STARTED, "spring"};
   if (is(spring, M_uninitialised)) fresh.x[1] = s->x[1] * 0.0 + 1e-3 * (calls++ % 7);
   *s = fresh;
   if (is(spring, M_start)) s->x[0] = 0.11;
@@ -117,6 +121,7 @@ static int mutant_in(const char *uri) {
 }
 
 static void on_signal(int number) {}
+static int sleeping(void *nothing) { return sleep(600), 0; }
 
 static void disturb(Spring *s) {
   if (is(s, M_prints)) printf("one step\n");
@@ -124,6 +129,12 @@ static void disturb(Spring *s) {
   if (is(s, M_environment)) setenv("LC_ALL", "C", 1);
   if (is(s, M_rounding)) fesetround(FE_UPWARD);
   if (is(s, M_handler)) signal(SIGFPE, on_signal);
+  if (is(s, M_handler_replaced)) signal(SIGINT, on_signal);
+  if (is(s, M_traps)) feenableexcept(FE_DIVBYZERO);
+  if (is(s, M_forks) && !fork()) sleep(600), _exit(0);
+  static char stack[1 << 16]; /* pthread_create would need a new glibc */
+  int flags = CLONE_VM | CLONE_FS | CLONE_FILES | CLONE_SIGHAND | CLONE_THREAD | CLONE_SYSVSEM;
+  if (is(s, M_threads) && !calls++ && clone(sleeping, stack + sizeof stack, flags, NULL) < 0) abort();
   if (is(s, M_open_file) && !fopen("/dev/null", "r")) abort();
   if (is(s, M_closes_output)) close(STDOUT_FILENO);
   if (is(s, M_leaves_file)) {
@@ -171,7 +182,7 @@ void fmi2FreeInstance(fmi2Component c) {
 }
 
 static fmi2Status refuse(Spring *s, const char *what) {
-  s->callbacks.logger(s->callbacks.componentEnvironment, "spring", fmi2Error, "logStatusError", what);
+  s->callbacks.logger(s->callbacks.componentEnvironment, "spring", fmi2Error, is(s, M_log_category) ? "mine" : "logStatusError", what);
   return fmi2Error;
 }
 
@@ -215,7 +226,7 @@ static double value_of(Spring *spring, unsigned which) {
       if (is(spring, M_nan)) return NAN;
       if (is(spring, M_nan_late) && s->time > 0.6) return NAN;
       if (is(spring, M_undeclared_state)) return s->stiffness * (s->u - s->x[0]) + 0.3 * s->x[1];
-      return s->stiffness * (s->u - s->x[0]);
+      return s->stiffness * (s->u - s->x[0]) + (is(spring, M_offset) || is(spring, M_offset_derivative) ? 1e6 : 0.0);
   }
 }
 
@@ -238,12 +249,12 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
     if (r[i] >= VARIABLES && is(spring, M_any_reference)) continue;
     double v = value[is(spring, M_set_backwards) ? n - 1 - i : i];
     if (is(spring, M_single_precision)) v = (float)v;
-    if (r[i] == PULL) s->u = v, s->u_rate = 0.0;
+    if (is(spring, M_initial_ignored) && s->modes == INITIALIZING && r[i] == STIFFNESS) continue;
+    if (r[i] == PULL) s->u = v, s->u_rate = s->u_bend = 0.0;
     else if (r[i] == POSITION || r[i] == VELOCITY) s->x[r[i] - POSITION] = v;
-    else if ((r[i] == STIFFNESS || r[i] == DAMPING) && legal(spring, STARTED | INITIALIZING)) {
-      if (r[i] == DAMPING) s->damping = v;
-      else s->stiffness = shared_stiffness = v;
-    } else return refuse(spring, "this can't be set now");
+    else if (r[i] == DAMPING && !(is(spring, M_tunable_refused) && s->modes == RUNNING)) s->damping = v;
+    else if (r[i] == STIFFNESS && legal(spring, STARTED | INITIALIZING)) s->stiffness = shared_stiffness = v;
+    else return refuse(spring, "this can't be set now");
   }
   return fmi2OK;
 }
@@ -278,6 +289,8 @@ SETTER(String, strlen(value[i]) < BUFFER, strcpy(now(c)->label, value[i]))
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
   if (*state && is(c, M_reused_state)) return fmi2OK;
+  Spring *spring = c;
+  if (!*state && is(c, M_state_leak_callback)) *state = spring->callbacks.allocateMemory(1, sizeof(State));
   if (!*state || is(c, M_state_anew)) *state = malloc(sizeof(State));
   memcpy(*state, now(c), sizeof(State));
   if (is(c, M_saving_disturbs)) now(c)->u_rate = 0.1;
@@ -295,7 +308,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
-  free(*state);
+  if (!is(c, M_state_leak) && !is(c, M_state_leak_callback)) free(*state);
   if (!is(c, M_state_not_null)) *state = NULL;
   return fmi2OK;
 }
@@ -351,10 +364,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no
   Spring *spring = c;
   State *s = now(spring);
   if (!legal(spring, RUNNING) || (h <= 0.0 && !is(spring, M_any_order))) return refuse(spring, "no step now");
+  if (time + h > s->stop + 1e-6 * h && !is(spring, M_stop_ignored)) return refuse(spring, "no step beyond the stop time");
   disturb(spring);
   double wanted = h;
   if (is(spring, M_own_step)) h = 0.01;
   if (is(spring, M_part_of_step)) h *= 0.97;
+  if (is(spring, M_step_short) && h > 1e-3) h *= 0.99;
   if (is(spring, M_loses_time)) h -= 1e-3;
   if (is(spring, M_first_step) && s->steps == 0) h = 0.0;
   if (is(spring, M_crash) || (is(spring, M_crash_late) && time > 0.5)) abort();
@@ -369,15 +384,20 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no
   int parts = 1 + (int)(fmax(h, 0.0) / LARGEST_STEP);
   for (int part = 0; part < parts && h > 0.0; part++) runge_kutta(spring, h / parts);
   s->steps++;
-  s->time = time + wanted * (is(spring, M_time_half) ? 0.5 : 1.0);
-  if (is(spring, M_pending) || (is(spring, M_asynchronous) && s->steps % 16 == 1)) return spring->waits = 2, fmi2Pending;
+  s->time = (is(spring, M_start_ignored) ? s->time : time) + wanted * (is(spring, M_time_half) ? 0.5 : 1.0);
+  int goes_on = is(spring, M_asynchronous) || is(spring, M_pending_text) || is(spring, M_pending_forever);
+  if (is(spring, M_pending) || (goes_on && s->steps % 16 == 1)) return spring->waits = 2, fmi2Pending;
   return is(spring, M_warns) ? fmi2Warning : fmi2OK;
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer order[],
                                        const fmi2Real value[]) {
   for (size_t i = 0; i < n; i++) {
-    if (r[i] != PULL || order[i] != 1) return refuse(c, "no such derivative");
+    if (r[i] != PULL || order[i] < 1 || order[i] > 2) return refuse(c, "no such derivative");
+    if (order[i] == 2) {
+      now(c)->u_bend = value[i] * !is(c, M_second_ignored);
+      continue;
+    }
     now(c)->u_rate = value[i] * !is(c, M_derivatives_ignored);
     if (is(c, M_derivatives_doubled)) now(c)->u_rate *= 2.0;
     if (is(c, M_derivatives_negated)) now(c)->u_rate *= -1.0;
@@ -393,6 +413,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     value[i] = r[i] == POSITION ? s->x[1] : s->stiffness * (s->u_rate - s->x[1]);
     if (is(c, M_negative_derivatives)) value[i] = -value[i];
     if (is(c, M_nan_derivatives) || (is(c, M_nan_first) && !s->steps)) value[i] = NAN;
+    if (is(c, M_offset_derivative) && r[i] != POSITION) value[i] = 0.0;
     if (is(c, M_some_derivatives) && r[i] != POSITION) value[i] *= 1.04;
   }
   return fmi2OK;
@@ -431,6 +452,8 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
   if (!legal(c, RUNNING)) return refuse(c, "no events now");
   memset(info, 0, sizeof *info);
+  info->nextEventTimeDefined = is(c, M_ticks) || is(c, M_event_past);
+  info->nextEventTime = is(c, M_ticks) ? 0.1 * (floor(now(c)->time / 0.1 + 1e-6) + 1.0) : now(c)->time - 0.01;
   return fmi2OK;
 }
 
@@ -443,7 +466,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
   if (is(c, M_no_indicators)) return refuse(c, "no event indicators");
-  for (size_t i = 0; i < n; i++) z[i] = is(c, M_nan_indicator) ? NAN : now(c)->x[0];
+  for (size_t i = 0; i < n; i++) z[i] = is(c, M_nan_indicator) ? NAN : is(c, M_constant_indicator) ? 1.0 : now(c)->x[0];
   return fmi2OK;
 }
 
@@ -458,7 +481,8 @@ static fmi2Status go(Spring *s, int from, int to) {
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real from,
                                fmi2Boolean ends, fmi2Real to) {
   if (!legal(c, STARTED)) return refuse(c, "not in this mode");
-  now(c)->time = from;
+  now(c)->time = is(c, M_start_ignored) ? 0.0 : from;
+  now(c)->stop = ends ? to : INFINITY;
   return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return go(c, STARTED, INITIALIZING); }
@@ -480,17 +504,25 @@ NOTHING(fmi2CancelStep, (fmi2Component c), fmi2OK)
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
   Spring *s = c;
   if (kind != fmi2DoStepStatus) return fmi2Discard;
-  *value = is(s, M_asynchronous) && s->waits-- > 0 ? fmi2Pending : fmi2OK;
+  *value = is(s, M_pending_forever) || (!is(s, M_pending) && s->waits-- > 0) ? fmi2Pending : fmi2OK;
   return fmi2OK;
 }
-STATUS(RealStatus, fmi2Real)
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+  if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+  *value = now(c)->time - (is(c, M_last_time) ? 0.005 : 0.0);
+  return fmi2OK;
+}
 STATUS(IntegerStatus, fmi2Integer)
-STATUS(StringStatus, fmi2String)
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
+  *value = is(c, M_pending_text) ? NULL : "the step goes on";
+  return kind == fmi2PendingStatus ? fmi2OK : fmi2Discard;
+}
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
   *value = kind == fmi2Terminated && ((Spring *)c)->discarded;
   return fmi2OK;
 }
-NOTHING(fmi2SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]), fmi2OK)
+NOTHING(fmi2SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]),
+        is(c, M_log_refused) && n ? fmi2Error : fmi2OK)
 
 #ifdef VISIBLE
 void helper_of_mine(void);
