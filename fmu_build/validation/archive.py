@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import subprocess
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
+from typing import Any
 from xml.etree import ElementTree
 
 from flexfmu.fmu_build.archive import DAMAGED, open_archive, read_member, repeated, unsafe
-from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError
+from flexfmu.fmu_build.temporary import temporary_folder
+from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder, native_platform
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
 FOLDERS = {"binaries", "documentation", "extra", "licenses", "resources", "sources", "terminalsAndIcons"}
@@ -21,6 +27,9 @@ FILES = {"modelDescription.xml", "model.png"}
 
 UNREAD = ("resources/", "extra/")
 """Folders whose files no check looks into."""
+
+LONGEST_COMPILATION = 60.0
+"""Time limit of the compiler [s], which only looks at the sources."""
 
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _FLAGS, _ENCRYPTED = 6, 1
@@ -75,13 +84,17 @@ def _flags(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> int:
     return archive.fp.read(1)[0]
 
 
-def unpack(fmu: Path, folder: Path) -> None:
-    """Write the FMU's files, without sources and unsafe paths, to ``folder``, with an empty resources folder if it has none."""
+def unpack(fmu: Path, folder: Path, sources: bool = False) -> None:
+    """Write the FMU's files, without unsafe paths, to ``folder``: all but sources, or these alone.
+
+    The folder has an empty resources folder if the FMU has none.
+    """
     (folder / "resources").mkdir(parents=True)
     with open_archive(fmu, judged=True) as archive:
         for entry in archive.infolist():
             path = PurePosixPath(entry.filename.replace("\\", "/"))
-            if not entry.is_dir() and not path.is_absolute() and ".." not in path.parts and path.parts[0] != "sources":
+            is_safe = not entry.is_dir() and not path.is_absolute() and ".." not in path.parts
+            if is_safe and (path.parts[0] == "sources") == sources:
                 target = folder / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(entry) as packed, target.open("wb") as file:
@@ -146,6 +159,46 @@ def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
             )
         elif not files[path].strip():
             yield Finding(f"{path} is empty", "add its content", Severity.WARNING, path, check="sources")
+
+
+def check_sources(description: Any, fmu: Path) -> Iterator[Finding]:
+    """Yield a finding if the C sources of a build configuration don't compile here; nothing where there is no compiler.
+
+    Args:
+        description: model description as read by fmpy.
+        fmu: the FMU file.
+    """
+    with temporary_folder("validate") as home, suppress(MissingCompilerError, subprocess.TimeoutExpired):
+        unpack(fmu, folder := Path(home) / "fmu", sources=True)
+        for each in [
+            each for configuration in description.buildConfigurations for each in configuration.sourceFileSets
+        ]:
+            names = [name for name in each.sourceFiles if name.endswith(".c") and (folder / "sources" / name).exists()]
+            headers = [str(fmi_header_folder()), ".", *each.includeDirectories]
+            defined = [f"-D{one.name}={one.value or ''}" for one in each.preprocessorDefinitions if not one.optional]
+            command = [
+                *find_compiler(native_platform()).command,
+                "-fsyntax-only",
+                "-w",
+                *(f"-I{each}" for each in headers),
+            ]
+            if not names or (each.language or "C").startswith("C++"):
+                continue
+            ran = subprocess.run(
+                [*command, *defined, *names],
+                cwd=folder / "sources",
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=LONGEST_COMPILATION,
+            )
+            errors = [line for line in ran.stderr.splitlines() if "error:" in line]
+            if ran.returncode and errors:
+                # a header of another library or system is no fault
+                severity = Severity.NOTE if re.search("No such file|not found", errors[0]) else Severity.WARNING
+                remedy = "correct them: tools compile sources for other machines"
+                yield Finding(f"the sources don't compile: {errors[0]}", remedy, severity)
+                return
 
 
 def _names(files: Mapping[str, bytes], path: str, element: str) -> set[str]:

@@ -133,6 +133,7 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
     for element in interfaces(description):
         functions = COSIMULATION_FUNCTIONS if element is description.coSimulation else EXCHANGE_FUNCTIONS
         required[element.modelIdentifier] = required.get(element.modelIdentifier, frozenset()) | functions
+    named = [f"binaries/{folder}/{identifier}{SUFFIXES[folder]}" for identifier in required]
     for identifier, functions in required.items():
         name = f"binaries/{folder}/{identifier}{SUFFIXES[folder]}"
         if name not in files:
@@ -140,8 +141,11 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
             # Windows ignores case
             same = folder.startswith("win") and name.lower() in map(str.lower, there)
             severity = Severity.WARNING if same else Severity.ERROR
-            message = f"{name} is missing, {folder}/ has {', '.join(there)}"
-            yield Finding(message, "name it like the modelIdentifier", severity)
+            message, libraries = f"{name} is missing, {folder}/ has {', '.join(there)}", {*there} - {*named}
+            libraries = {file for file in libraries if file.endswith(SUFFIXES[folder])}
+            if len(libraries) == 1:
+                message = f"{libraries.pop()} is not named after the modelIdentifier {identifier}"
+            yield Finding(message, f"name it {identifier}{SUFFIXES[folder]}", severity)
         elif folder.endswith(("linux64", "-linux")):
             yield from _check_elf(name, files, functions)
         elif not files[name].startswith(_MAGIC[SUFFIXES[folder]]):

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from ctypes import POINTER, byref, c_double, c_size_t, cast, create_string_buffer
+from mmap import mmap
 from time import monotonic, sleep
 from typing import Any, ClassVar
 
@@ -54,17 +55,25 @@ class MisbehaviourError(RuntimeError):
         self.remedy = remedy
 
 
+RECORD = 64
+"""Size of the record of the current call [bytes]."""
+
+_NO_CALL = bytes(RECORD)
+
+
 class Watch:
     """Record of the FMI calls of this process, read by the watchdog thread.
 
     Attributes:
         call: name of the current call; empty if there is none.
+        record: the same in shared memory, which outlives a crash.
         since: its start, by `time.monotonic` [s].
         calls: function → number of calls.
         warnings: function → number of calls that returned fmi2Warning.
     """
 
     call = ""
+    record: ClassVar[bytearray | mmap] = bytearray(RECORD)
     since = 0.0
     calls: ClassVar[Counter[str]] = Counter()
     warnings: ClassVar[Counter[str]] = Counter()
@@ -76,6 +85,7 @@ class _Watched:
     def _call(self, name: str, *arguments: Any) -> Any:
         Watch.since = monotonic()
         Watch.call = name
+        Watch.record[:] = name.encode()[:RECORD].ljust(RECORD)
         Watch.calls[name] += 1
         try:
             status = super()._call(name, *arguments)  # type: ignore[misc]
@@ -83,6 +93,7 @@ class _Watched:
             return status
         finally:
             Watch.call = ""
+            Watch.record[:] = _NO_CALL
 
 
 class FMU2SlaveLibrary(_Watched, fmi2.FMU2Slave):  # type: ignore[misc]

@@ -10,6 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -51,6 +52,7 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
     end, call_limit = monotonic() + limit, CALL_SHARE * limit
     findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
     remaining, step_seconds, hangs = list(jobs), 0.0, Counter[str]()
+    repeated: set[tuple[object, ...]] = set()
     while remaining:
         timeout = end - monotonic()
         if timeout < 0.0:
@@ -58,7 +60,7 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
             break
         # one process for all remaining checks, or for the next one
         batch = remaining if together else remaining[:1]
-        lines, status, last = _run(folder, batch, step_seconds, timeout, call_limit)
+        lines, status, last, call = _run(folder, batch, step_seconds, timeout, call_limit)
         begun, before, again = batch[0], 0, False
         found: list[tuple[str, Finding]] = []
         for line in lines:
@@ -86,7 +88,18 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
         hang = next((line["hang"] for line in lines if "hang" in line), None)
         if status or not has_ended:
             check = "memory" if has_ended else check
-            found.append((begun, _problem(check, status, last, hang, timeout, call_limit)))
+            problem = _problem(check, status, call, last, hang, timeout, call_limit)
+            # a crash that a child of its own repeats is the FMU's; one that wanders may be anybody's
+            if status is not None and hang is None and (kind, status, call) not in repeated:
+                again_in = batch if has_ended else [begun]
+                others, other_status, *_ = _run(folder, again_in, step_seconds, max(end - monotonic(), 1.0), call_limit)
+                if other_status == 0 and any("end" in line for line in others):
+                    message = f"{problem.message}; not so where it is repeated in a process of its own"
+                    remedy = "what came before may be to blame: run the FMU under valgrind"
+                    problem = replace(problem, message=message, remedy=remedy, severity=Severity.NOTE)
+                else:
+                    repeated.add((kind, status, call))
+            found.append((begun, problem))
             hangs[kind] += hang is not None
         for job, finding in found:
             _add(findings, job, finding)
@@ -110,38 +123,42 @@ def _add(findings: dict[str, list[Finding]], job: str, finding: Finding) -> None
 
 def _run(
     folder: Path, jobs: list[str], step_seconds: float, timeout: float, call_limit: float
-) -> tuple[list[dict[str, Any]], int | None, str]:
-    """Run a worker; return the lines of its report, its exit status (None on timeout) and its last words.
+) -> tuple[list[dict[str, Any]], int | None, str, str]:
+    """Run a worker; return the lines of its report, its exit status (None on timeout), its last words and the last FMI call.
 
     Raises:
         RuntimeError: the worker fails before its first check.
     """
     with temporary_folder("validate", folder.parent) as home:
-        report = Path(home) / "report"
+        report, record = Path(home) / "report", Path(home) / "call"
         module = "flexfmu.fmu_build.validation.worker"
         numbers = [repr(call_limit), repr(step_seconds)]
-        command = [sys.executable, "-m", module, str(folder), str(report), *numbers, *jobs]
+        command = [sys.executable, "-m", module, str(folder), str(report), str(record), *numbers, *jobs]
         status, last = _end_of(command, Path(home), timeout)
         # a crash may have cut off the last line
         text = report.read_text(encoding="utf-8") if report.exists() else ""
         lines = [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+        call = record.read_text().strip("\0 ") if record.exists() else ""
     if not lines and status:
         raise RuntimeError(f"the process that checks FMUs ends with status {status} before it begins: {last}")
-    return lines, status, last
+    return lines, status, last, call
 
 
-def _problem(check: str, status: int | None, last: str, hang: str | None, timeout: float, call_limit: float) -> Finding:
+def _problem(
+    check: str, status: int | None, call: str, last: str, hang: str | None, timeout: float, call_limit: float
+) -> Finding:
     """Finding about a crash, a hang or a timeout.
 
     Args:
         check: the check that was running.
         status: exit status, negative for a signal; None if the worker was still running.
+        call: name of the FMI call in which the process ended; empty if it ended between calls.
         last: last line on standard error.
         hang: name of the hanging FMI call, if any.
         timeout: time limit of the worker [s].
         call_limit: time limit of one call [s].
     """
-    severity = Severity.WARNING if check == "calls" else Severity.ERROR
+    severity, where = Severity.WARNING if check == "calls" else Severity.ERROR, f" in {call}" if call else ""
     # a hanging call, or the time limit of the worker
     if hang is not None:
         message = f"{hang} did not return within {call_limit:.3g} s"
@@ -151,9 +168,10 @@ def _problem(check: str, status: int | None, last: str, hang: str | None, timeou
         return Finding(message, "--time-limit gives more", Severity.NOTE, check=check)
     # a call of exit, or a crash
     if status == 0:
-        return Finding("the FMU ended the process that ran it", "an FMU must not call exit", severity, check=check)
+        message = f"the FMU ended the process that ran it{where}"
+        return Finding(message, "an FMU must not call exit", severity, check=check)
     how = f"signal {-status}" if status < 0 else f"exit status {status}"
-    message = f"the process that ran the FMU ended with {how}: {last}"
+    message = f"the process that ran the FMU ended with {how}{where}: {last}"
     return Finding(message, "an FMU must never end its process", severity, check=check)
 
 

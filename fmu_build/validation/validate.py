@@ -9,7 +9,7 @@ from typing import Any
 import fmpy
 
 from flexfmu.fmu_build.temporary import temporary_folder
-from flexfmu.fmu_build.validation.archive import check_archive, check_entries, read_archive, unpack
+from flexfmu.fmu_build.validation.archive import check_archive, check_entries, check_sources, read_archive, unpack
 from flexfmu.fmu_build.validation.binaries import check_binaries, library_name
 from flexfmu.fmu_build.validation.description import fmi_version, interfaces, read_description
 from flexfmu.fmu_build.validation.finding import Finding, Severity, named, ranked
@@ -59,7 +59,10 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     findings += [*named("archive", check_entries(entries, encrypted)), *named("archive", check_archive(files))]
     # binaries, then dynamic checks
     if description is not None and interfaces(description):
-        findings += named("binary", check_binaries(description, files))
+        findings += [
+            *named("binary", check_binaries(description, files)),
+            *named("sources", check_sources(description, path)),
+        ]
         if run and library_name(description, fmpy.platform) in files:
             findings += _check_dynamically(description, path, time_limit)
     return ranked(findings)

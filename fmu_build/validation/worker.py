@@ -1,6 +1,6 @@
 """All dynamic checks: runs those of an FMU in a separate process and writes each finding as a line of JSON to a report file.
 
-python -m flexfmu.fmu_build.validation.worker FOLDER REPORT CALL_LIMIT STEP_SECONDS KIND:CHECK [KIND:CHECK...]
+python -m flexfmu.fmu_build.validation.worker FOLDER REPORT CALL CALL_LIMIT STEP_SECONDS KIND:CHECK [KIND:CHECK...]
 
 Process state that an FMU must not change: locale, rounding, signal handlers, standard streams, files.
 """
@@ -21,6 +21,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from mmap import mmap
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -31,7 +32,7 @@ from fmpy.model_description import read_model_description
 from flexfmu.fmu_build.validation import dependencies, derivatives, exchange, lifecycle, replay, steps, values
 from flexfmu.fmu_build.validation.finding import Finding, Severity, named
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
-from flexfmu.fmu_build.validation.instance import Watch, announce
+from flexfmu.fmu_build.validation.instance import RECORD, Watch, announce
 
 Check = Callable[[FmuUnderTest], Iterator[Finding]]
 """A dynamic check: runs an FMU and yields findings; a failed FMI call may raise fmpy's exception."""
@@ -195,8 +196,11 @@ LOOK = 0.1
 
 def main() -> None:
     """Run the checks that the command line names."""
-    folder, report, limit, step_seconds, *jobs = sys.argv[1:]
-    with Path(report).open("a", encoding="utf-8", buffering=1) as file:
+    folder, report, call, limit, step_seconds, *jobs = sys.argv[1:]
+    with Path(report).open("a", encoding="utf-8", buffering=1) as file, Path(call).open("w+b") as record:
+        # the name of the current call, for who looks after a crash
+        record.truncate(RECORD)
+        Watch.record = mmap(record.fileno(), RECORD)
         # watchdog thread for FMI calls that hang
         watched = (file, float(limit), Path(folder).parent, os.getppid())
         threading.Thread(target=_watch, args=watched, daemon=True).start()

@@ -134,7 +134,7 @@ def _marked_as_encrypted(sound: Files) -> bytes:
     return bytes(content)
 
 
-SOUND = {"sound", "ends_early", "once", "counts", "asynchronous", "offset", "ticks"}
+SOUND = {"sound", "ends_early", "once", "counts", "asynchronous", "offset", "ticks", "crash_wanders"}
 BEHAVIOUR = [
     behaves(name)
     for name in re.findall(r"\bX\((\w+)\)", (SOURCES / "spring.c").read_text(encoding="utf-8"))

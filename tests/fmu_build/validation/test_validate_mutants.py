@@ -145,7 +145,7 @@ def test_mutants_that_run_are_found(found: Found, part: int) -> None:
         "start beyond max": "starts at 2.0, outside -1.0 to 1.0",
         "unknown element": "model description: ",
         "no binary": f"binary: {LIBRARY} is missing",
-        "binary of another name": "linux64/ has binaries/linux64/other.so",
+        "binary of another name": "binaries/linux64/other.so is not named after the modelIdentifier spring; name it spring.so",
         "binary is text": "not a 64-bit ELF file",
         "binary for another processor": "another processor",
         "function missing": "does not export fmi2CancelStep",
