@@ -78,6 +78,8 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         unknowns, knowns = [*rates, *fmu.smooth_outputs], [*fmu.inputs, *states]
         if not unknowns or not knowns or instance.finished:
             return
+        # differences don't resolve less, whatever the size that is declared
+        floor = NEGLIGIBLE * np.maximum([size_of(unknown) for unknown in unknowns], np.abs(instance.get(unknowns)))
         matrix = np.column_stack([instance.directional(unknowns, [known], np.ones(1)) for known in knowns])
         # along all knowns and along every second one, with seeds other than 1
         places = np.arange(len(knowns))
@@ -89,15 +91,18 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         )
     # ignore outputs that are aliases of states: some tools omit these derivatives
     same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
-    wrong = list(_compare(unknowns, knowns, np.where(same, fine, matrix), fine, coarse))
-    yield from wrong or _not_linear(unknowns, knowns, matrix, seeded)
+    wrong = list(_compare(unknowns, knowns, floor, np.where(same, fine, matrix), fine, coarse))
+    yield from wrong or _not_linear(unknowns, knowns, floor, matrix, seeded)
 
 
 def _not_linear(
-    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, seeded: list[tuple[RealArray, RealArray]]
+    unknowns: Sequence[Any],
+    knowns: Sequence[Any],
+    floor: RealArray,
+    matrix: RealArray,
+    seeded: list[tuple[RealArray, RealArray]],
 ) -> Iterator[Finding]:
     """Yield a finding if a derivative along several knowns differs from the sum of single ones times their seeds."""
-    floor = NEGLIGIBLE * np.array([size_of(unknown) for unknown in unknowns])
     sizes = np.array([size_of(known) for known in knowns])
     for seed, given in seeded:
         # compare with the product of Jacobian and seed; a negligible derivative may be a rounding error
@@ -116,7 +121,12 @@ def _not_linear(
 
 
 def _compare(
-    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, differences: RealArray, coarse: RealArray
+    unknowns: Sequence[Any],
+    knowns: Sequence[Any],
+    floor: RealArray,
+    matrix: RealArray,
+    differences: RealArray,
+    coarse: RealArray,
 ) -> Iterator[Finding]:
     """Yield a finding about the worst entry of the Jacobian.
 
@@ -125,14 +135,14 @@ def _compare(
 
     Args:
         unknowns, knowns: variables of rows and columns.
+        floor: change of each unknown that is a rounding error, shape (unknowns,).
         matrix: Jacobian from the FMU, shape (unknowns, knowns).
         differences, coarse: the same by differences with the smaller and the larger step.
     """
     # scaled by the known's size, relative to the largest entry of the row
     sizes = np.array([size_of(known) for known in knowns])
     apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes
-    floor = NEGLIGIBLE * np.array([[size_of(unknown)] for unknown in unknowns])
-    scale = np.maximum((np.abs(differences) * sizes).max(axis=1, keepdims=True), floor)
+    scale = np.maximum((np.abs(differences) * sizes).max(axis=1, keepdims=True), floor[:, None])
     # subtract the uncertainty of the differences
     apart = np.where(np.isfinite(apart), np.maximum(apart - 2.0 * unsure, 0.0) / scale, np.inf)
     # the worst entry

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Any
+from typing import Any, cast
 
 from flexfmu.fmu_build.guard import AVAILABLE, guarded
 from flexfmu.fmu_build.temporary import temporary_folder
@@ -52,7 +52,7 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
     end, call_limit = monotonic() + limit, CALL_SHARE * limit
     findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
     remaining, step_seconds, hangs = list(jobs), 0.0, Counter[str]()
-    repeated: set[tuple[object, ...]] = set()
+    repeated, suspect = set[tuple[object, ...]](), cast("tuple[str, Finding] | None", None)
     while remaining:
         timeout = end - monotonic()
         if timeout < 0.0:
@@ -86,21 +86,24 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
         kind, check = begun.split(":")
         has_ended = any("end" in line for line in lines)
         hang = next((line["hang"] for line in lines if "hang" in line), None)
+        suspected, suspect = suspect, None
         if status or not has_ended:
             check = "memory" if has_ended else check
             problem = _problem(check, status, call, last, hang, timeout, call_limit)
-            # a crash that a child of its own repeats is the FMU's; one that wanders may be anybody's
-            if status is not None and hang is None and (kind, status, call) not in repeated:
-                again_in = batch if has_ended else [begun]
-                others, other_status, *_ = _run(folder, again_in, step_seconds, max(end - monotonic(), 1.0), call_limit)
-                if other_status == 0 and any("end" in line for line in others):
-                    message = f"{problem.message}; not so where it is repeated in a process of its own"
-                    remedy = "what came before may be to blame: run the FMU under valgrind"
-                    problem = replace(problem, message=message, remedy=remedy, severity=Severity.NOTE)
-                else:
-                    repeated.add((kind, status, call))
-            found.append((begun, problem))
             hangs[kind] += hang is not None
+            # a crash is the FMU's where a new process repeats it at once; one that wanders may be anybody's
+            crash = (kind, status, call)
+            is_known = status is None or hang is not None or crash in repeated or (suspected and suspected[0] == begun)
+            if is_known:
+                found.append((begun, problem))
+                repeated.add(crash)
+            else:
+                again, suspect = True, (begun, problem)
+                del found[before:]
+        if suspected and not (begun == suspected[0] and (status or not has_ended)):
+            message = f"{suspected[1].message}; not so where a new process repeats it"
+            remedy = "what came before may be to blame: run the FMU under valgrind"
+            found.append((suspected[0], replace(suspected[1], message=message, remedy=remedy, severity=Severity.NOTE)))
         for job, finding in found:
             _add(findings, job, finding)
         # continue with the next check; without an instance no other check can run

@@ -262,6 +262,14 @@ ARCHIVE = [
     Mutant("no archive", "archive", lambda sound: sound[LIBRARY]),
 ]
 
+
+def _without_exchange(sound: Files) -> bytes:
+    description = re.sub(rb"<ModelExchange.*?</ModelExchange>", b"", sound[DESCRIPTION], flags=re.DOTALL)
+    return zipped(sound | {DESCRIPTION: description, "resources/mutant.txt": b"undeclared_state"})
+
+
+BEHAVIOUR.append(Mutant("state not declared, no model exchange", "behaviour", _without_exchange, runs=True))
+
 MUTANTS = [*ARCHIVE, *DESCRIPTIONS, *BEHAVIOUR]
 
 
