@@ -33,7 +33,7 @@ DIRECTIONAL_TOLERANCE = 1e-4
 SEED_TOLERANCE = 1e-3
 """Tolerance of derivatives along several knowns, relative to the sum of all magnitudes; some FMUs use differences."""
 
-NEGLIGIBLE = 1e-5
+NEGLIGIBLE = 1e-4
 """Change of an unknown, relative to its size, below which difference quotients are rounding errors."""
 
 MOST_POINTS = 60

@@ -120,7 +120,7 @@ def initializes_alike(fmu: FmuUnderTest) -> Iterator[Finding]:
                 return
     if runs:
         when = "where parameters are set in Initialization Mode instead of before it"
-        yield from _compare(fmu, *runs, when, _LATE, fmu.accuracy)
+        yield from _compare(fmu, runs[0], runs[1], when, _LATE, fmu.accuracy)
 
 
 _LATE = "take parameters until Initialization Mode ends, and use them"
