@@ -157,7 +157,7 @@ def _compare(
 
 def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check each order of the output derivatives by differences of the next lower order."""
-    most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is InterfaceType.COSIMULATION else 0
+    most = int(fmu.element.maxOutputDerivativeOrder or 0)
     if not most or not fmu.smooth_outputs:
         return
     references = [variable.valueReference for variable in fmu.smooth_outputs]
@@ -201,7 +201,7 @@ def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> 
 def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check, in co-simulation, that each variable changes at the rate of its declared derivative."""
     pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
-    if fmu.kind is not InterfaceType.COSIMULATION or not pairs:
+    if not pairs:
         return
     with suppress(FMICallException):  # the FMU may refuse to return derivatives
         found = _contradiction(

@@ -63,8 +63,6 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
     Where forces balance, derivatives are differences of large terms: their rounding is judged by what they are elsewhere. What an
     inner iteration within the solver's accuracy leaves is a warning.
     """
-    if fmu.kind is not InterfaceType.EXCHANGE:
-        return
     with fmu.initialized("pure") as instance:
         if not instance.states or instance.finished:
             return
@@ -85,7 +83,7 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that states, state derivatives and nominal values follow the order of ModelStructure/Derivatives."""
-    if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
+    if not fmu.states:
         return
     rates = [unknown.variable for unknown in fmu.description.derivatives]
     with fmu.initialized("states") as instance:
@@ -121,7 +119,7 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2CompletedIntegratorStep does not change the states without requesting an event."""
-    if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
+    if not fmu.states:
         return
     with fmu.initialized("integrator_step") as instance:
         for n in range(1, STEPS + 1):
@@ -148,8 +146,6 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def time_events_lie_ahead(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that after each event the next time event is not in the past, where time goes from event to event."""
-    if fmu.kind is not InterfaceType.EXCHANGE:
-        return
     with fmu.initialized("time_events") as instance:
         time = fmu.start
         for _ in range(STEPS):
@@ -168,7 +164,7 @@ def time_events_lie_ahead(fmu: FmuUnderTest) -> Iterator[Finding]:
 def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check number, finiteness and repeatability of the event indicators, also after events, and that one of them changes."""
     count = int(fmu.description.numberOfEventIndicators or 0)
-    if fmu.kind is not InterfaceType.EXCHANGE or not count:
+    if not count:
         return
     seen: list[RealArray] = []
     with fmu.initialized("event_indicators") as instance:
@@ -215,7 +211,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
 
     A difference that Euler's method explains is the FMU's choice of solver and gives no finding.
     """
-    if fmu.kind is not InterfaceType.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
+    if fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return
     # communication steps whole, and in parts if co-simulation allows it
     sizes = (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)

@@ -16,7 +16,7 @@ from fmpy.fmi1 import FMICallException
 from numpy.polynomial import Polynomial
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest
 from flexfmu.fmu_build.validation.instance import MisbehaviourError, RealArray
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
@@ -182,8 +182,6 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def reports_the_last_successful_time(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2LastSuccessfulTime, if the FMU gives it, is the time of the communication point, or that of the FMU's own step."""
-    if fmu.kind is not InterfaceType.COSIMULATION:
-        return
     with fmu.initialized("last_time") as instance:
         steps = min(TIMES, fmu.steps)
         if not all(instance.step(n) for n in range(steps)):

@@ -75,13 +75,16 @@ def mutant(name: str) -> Mutant:
     "variant",
     [
         "sound",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("runs asynchronously", "large output", "time events")),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("runs asynchronously", "large output", "time events")
+        ),
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("ends the simulation", "once a process")),
     ],
 )
 def test_sound_fmu_has_no_findings(found: Found, library: bytes, variant: str) -> None:
     """Whatever is found in mutants is due to what was spoilt; fmi2Terminated, fmi2Pending and one instance a process are no faults."""
-    assert found(sound_variants(library)[variant]) == []
+    assert found(sound_variants(library)[variant], time_limit=200.0) == []
 
 
 def test_mutants_that_need_not_run_are_found(found: Found) -> None:
@@ -135,7 +138,9 @@ PARTS = 6
 @pytest.mark.parametrize("part", range(PARTS))
 def test_mutants_that_run_are_found(found: Found, part: int) -> None:
     """All but those that no run can tell from a sound FMU."""
-    running = [each for each in MUTANTS if each.runs and each.name not in {*NAMED.split(), "hang", "pending_forever"}][part::PARTS]
+    running = [each for each in MUTANTS if each.runs and each.name not in {*NAMED.split(), "hang", "pending_forever"}][
+        part::PARTS
+    ]
     findings = {each.name: found(each) for each in running}
     assert {name for name, listed in findings.items() if not listed} == UNKNOWABLE & set(findings)
     assert [str(each) for listed in findings.values() for each in listed if not each.remedy] == []
