@@ -76,10 +76,15 @@ CHECKS: dict[str, Check] = {
 }
 """Name of the finding → check. A check that doesn't apply to the FMU yields nothing; if the first fails, the others can't run."""
 
-COSIMULATION_ONLY = "rates, variable step, time, last successful time, input derivatives, output derivatives".split(
-    ", "
-)
-EXCHANGE_ONLY = "derivatives, states, integrator steps, time events, event indicators, interfaces".split(", ")
+COSIMULATION_ONLY = [
+    "rates",
+    "variable step",
+    "time",
+    "last successful time",
+    "input derivatives",
+    "output derivatives",
+]
+EXCHANGE_ONLY = ["derivatives", "states", "integrator steps", "time events", "event indicators", "interfaces"]
 """The checks that are for one interface."""
 
 _ROUNDING = {0: "nearest", 0x400: "downwards", 0x800: "upwards", 0xC00: "towards zero"}
