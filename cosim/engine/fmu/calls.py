@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
-from ctypes import CFUNCTYPE, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
+from ctypes import CFUNCTYPE, Structure, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
@@ -31,8 +31,8 @@ OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
 """Values of fmi2StatusKind: fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2Terminated."""
 
-CO_SIMULATION = 1
-"""Value fmi2CoSimulation of fmi2Type."""
+MODEL_EXCHANGE, CO_SIMULATION = 0, 1
+"""Values fmi2ModelExchange and fmi2CoSimulation of fmi2Type."""
 
 Signature = tuple[Any, ...]
 """C types of the result and of the arguments; pointers are addresses."""
@@ -46,12 +46,15 @@ _FMI2: dict[str, Signature] = {
     "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
     **dict.fromkeys(("fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"), (c_int, c_void_p)),
     **{f"fmi2{verb}{kind}": _TRANSFER for kind in ("Real", "Integer", "Boolean", "String") for verb in ("Get", "Set")},
+    "fmi2GetDirectionalDerivative": (*_TRANSFER, c_size_t, c_void_p, c_void_p),
+    **{f"fmi2{verb}FMUstate": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
+}
+
+_FMI2_STEPS: dict[str, Signature] = {
     "fmi2SetRealInputDerivatives": (*_TRANSFER, c_void_p),
     "fmi2GetRealOutputDerivatives": (*_TRANSFER, c_void_p),
-    "fmi2GetDirectionalDerivative": (*_TRANSFER, c_size_t, c_void_p, c_void_p),
     "fmi2DoStep": (c_int, c_void_p, c_double, c_double, c_int),
     **{f"fmi2Get{kind}Status": (c_int, c_void_p, c_int, c_void_p) for kind in ("", "Real", "Boolean")},
-    **{f"fmi2{verb}FMUstate": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
 }
 
 _FMI3_NUMBERS: dict[str, DTypeLike] = {
@@ -61,23 +64,54 @@ _FMI3_NUMBERS: dict[str, DTypeLike] = {
     "Boolean": np.bool_,
 }
 
-_FMI3_MODES = ("EnterConfiguration", "ExitConfiguration", "ExitInitialization", "EnterEvent", "EnterStep")
+_FMI3_MODES = ("EnterConfiguration", "ExitConfiguration", "ExitInitialization", "EnterEvent")
 
 _FMI3: dict[str, Signature] = {
-    "fmi3InstantiateCoSimulation": (
-        *(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_bool, c_bool),
-        *(c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
-    ),
     "fmi3FreeInstance": (None, c_void_p),
     **{f"fmi3{mode}Mode": (c_int, c_void_p) for mode in _FMI3_MODES},
     "fmi3EnterInitializationMode": (c_int, c_void_p, c_bool, c_double, c_double, c_bool, c_double),
     "fmi3UpdateDiscreteStates": (c_int, *[c_void_p] * 7),
     "fmi3Terminate": (c_int, c_void_p),
-    "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
-    "fmi3GetOutputDerivatives": (*_TRANSFER, c_void_p, c_size_t),
     **{f"fmi3{verb}FMUState": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
     **{f"fmi3{verb}{kind}": (*_TRANSFER, c_size_t) for kind in (*_FMI3_NUMBERS, "String") for verb in ("Get", "Set")},
 }
+
+_FMI3_STEPS: dict[str, Signature] = {
+    "fmi3InstantiateCoSimulation": (
+        *(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_bool, c_bool),
+        *(c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
+    ),
+    "fmi3EnterStepMode": (c_int, c_void_p),
+    "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
+    "fmi3GetOutputDerivatives": (*_TRANSFER, c_void_p, c_size_t),
+}
+
+_VECTOR: Signature = (c_int, c_void_p, c_void_p, c_size_t)
+"""Of a function that reads or sets all states, their derivatives or the event indicators: instance, values and their number."""
+
+
+def _exchange(prefix: str, rates: str, flag: Any, **others: Signature) -> dict[str, Signature]:
+    """Return the functions of model exchange, most of which both versions have."""
+    vectors = (
+        "SetContinuousStates",
+        "GetContinuousStates",
+        rates,
+        "GetEventIndicators",
+        "GetNominalsOfContinuousStates",
+    )
+    found: dict[str, Signature] = {
+        **dict.fromkeys(vectors, _VECTOR),
+        **dict.fromkeys(("EnterEventMode", "EnterContinuousTimeMode"), (c_int, c_void_p)),
+        "SetTime": (c_int, c_void_p, c_double),
+        "CompletedIntegratorStep": (c_int, c_void_p, flag, c_void_p, c_void_p),
+    }
+    return {f"{prefix}{name}": signature for name, signature in (found | others).items()}
+
+
+def _event_info(flag: Any) -> type[Structure]:
+    """Return the type of fmi2EventInfo; the results of fmi3UpdateDiscreteStates have the same order."""
+    flags = ("again", "ends", "nominals_changed", "states_changed", "timed")
+    return type("EventInfo", (Structure,), {"_fields_": [*((each, flag) for each in flags), ("time", c_double)]})
 
 
 @dataclass(frozen=True)
@@ -87,7 +121,12 @@ class Version:
     Attributes:
         prefix: start of the functions' names.
         state: what the functions call a state of the FMU.
-        signatures: functions → signatures.
+        signatures: functions for all interface types → signatures.
+        steps, exchange: those for co-simulation and for model exchange alone.
+        flag: C type of a Boolean.
+        update: function that updates discrete states.
+        rates: function that reads the derivatives of the states.
+        event_info: type of the results of ``update``.
         dtypes: numeric types of variables → element types of the C arrays.
         output_derivatives: function that reads derivatives of outputs.
         counts_values: whether a transfer also takes the number of values, which arrays make larger than that of variables.
@@ -96,6 +135,12 @@ class Version:
     prefix: str
     state: str
     signatures: Mapping[str, Signature]
+    steps: Mapping[str, Signature]
+    exchange: Mapping[str, Signature]
+    flag: Any
+    update: str
+    rates: str
+    event_info: type[Any]
     dtypes: Mapping[str, DTypeLike]
     output_derivatives: str
     counts_values: bool
@@ -103,8 +148,26 @@ class Version:
 
 _FMI2_NUMBERS: dict[str, DTypeLike] = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
 
-FMI2 = Version("fmi2", "FMUstate", _FMI2, _FMI2_NUMBERS, "fmi2GetRealOutputDerivatives", counts_values=False)
-FMI3 = Version("fmi3", "FMUState", _FMI3, _FMI3_NUMBERS, "fmi3GetOutputDerivatives", counts_values=True)
+FMI2 = Version(
+    *("fmi2", "FMUstate", _FMI2, _FMI2_STEPS),
+    _exchange("fmi2", "GetDerivatives", c_int, NewDiscreteStates=(c_int, c_void_p, c_void_p)),
+    *(c_int, "NewDiscreteStates", "GetDerivatives", _event_info(c_int)),
+    *(_FMI2_NUMBERS, "fmi2GetRealOutputDerivatives"),
+    counts_values=False,
+)
+FMI3 = Version(
+    *("fmi3", "FMUState", _FMI3, _FMI3_STEPS),
+    _exchange(
+        *("fmi3", "GetContinuousStateDerivatives", c_bool),
+        InstantiateModelExchange=(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_void_p, c_void_p),
+        GetDirectionalDerivative=(*_TRANSFER, c_size_t, c_void_p, c_size_t, c_void_p, c_size_t),
+        GetNumberOfContinuousStates=(c_int, c_void_p, c_void_p),
+        GetNumberOfEventIndicators=(c_int, c_void_p, c_void_p),
+    ),
+    *(c_bool, "UpdateDiscreteStates", "GetContinuousStateDerivatives", _event_info(c_bool)),
+    *(_FMI3_NUMBERS, "fmi3GetOutputDerivatives"),
+    counts_values=True,
+)
 """fmi2Boolean is an int, fmi3Boolean C's bool; enumerations use the functions of Integer and Int64."""
 
 _RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate")

@@ -40,6 +40,9 @@ Result = TypeVar("Result")
 INTERPOLATION_ORDER = 1
 """Highest input derivative of an FMU that states only canInterpolateInputs; FMI 2.0 has no attribute for the order."""
 
+EXCHANGE_ORDER = 9
+"""Highest input derivative that our integrator takes for an FMU for model exchange, as many as our own FMUs."""
+
 SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.EROFS, errno.EACCES, errno.EIO)
 """Errors of the system while an FMU is unpacked: no space, no file descriptors, no right to write."""
 
@@ -93,10 +96,28 @@ class UnpackedFmu:
         return str(self.description.fmiVersion).startswith("3.")
 
     @property
+    def is_exchange(self) -> bool:
+        """Whether the FMU is for model exchange only."""
+        return self.description.coSimulation is None
+
+    @property
+    def interface(self) -> Any:
+        """The description of co-simulation, or else of model exchange, as fmpy reads it."""
+        return self.description.modelExchange if self.is_exchange else self.description.coSimulation
+
+    @property
+    def gives_directional_derivatives(self) -> bool:
+        """Whether an FMU for model exchange states that it provides directional derivatives."""
+        # fmpy doesn't read the attribute of FMI 3.0
+        stated = parsed(self.folder).getroot().find("ModelExchange")
+        names = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+        return stated is not None and any(stated.get(name) in ("true", "1") for name in names)
+
+    @property
     def library(self) -> Path:
         """Path of the binary for this platform; the file may be missing."""
         platform: str = fmpy.platform_tuple if self.is_fmi3 else fmpy.platform
-        identifier = self.description.coSimulation.modelIdentifier
+        identifier = self.interface.modelIdentifier
         return Path(self.folder, "binaries", platform, f"{identifier}{fmpy.sharedLibraryExtension}")
 
     @property
@@ -127,29 +148,32 @@ class UnpackedFmu:
     @property
     def needs_regular_steps(self) -> bool:
         """Whether all communication steps of the FMU must have the same length."""
-        return not self.description.coSimulation.canHandleVariableCommunicationStepSize
+        return not self.is_exchange and not self.interface.canHandleVariableCommunicationStepSize
 
     @property
     def only_once_per_process(self) -> bool:
         """Whether the FMU can be instantiated only once per process."""
-        return bool(self.description.coSimulation.canBeInstantiatedOnlyOncePerProcess)
+        return bool(self.interface.canBeInstantiatedOnlyOncePerProcess)
 
     @property
     def tool_hint(self) -> str:
         """A hint for the error of an FMU that needs an execution tool; empty for any other FMU."""
-        if not self.description.coSimulation.needsExecutionTool:
+        if not self.interface.needsExecutionTool:
             return ""
         tool = self.description.generationTool or "the tool that exported it"
         return f"; it needs {tool} on this machine, running or licensed (needsExecutionTool = true)"
 
     @property
     def highest_input_derivative(self) -> int:
-        """Order of the highest input derivative that the FMU takes; 0 if it doesn't interpolate inputs, as FMUs of FMI 3.0 but ours.
+        """Order of the highest input derivative that the FMU takes, or our integrator for an FMU for model exchange; 0 if it doesn't
+        interpolate inputs, as FMUs of FMI 3.0 but ours.
 
         Raises:
             FmuFileError: ``maxOrder`` of our own FMUs' annotation isn't a whole number.
         """
-        interpolates = bool(self.description.coSimulation.canInterpolateInputs)
+        if self.is_exchange:
+            return EXCHANGE_ORDER
+        interpolates = bool(self.interface.canInterpolateInputs)
         if not interpolates and not (self.is_fmi3 and self.is_ours):
             return 0
         stated = _annotation(self.path, self.folder, "InputDerivatives", lambda at: int(at["maxOrder"]))
@@ -164,9 +188,11 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the step size isn't positive and finite.
         """
+        if not self.needs_regular_steps:
+            return None
         experiment = self.description.defaultExperiment
-        stated = (experiment.stepSize if experiment else None) or self.description.coSimulation.fixedInternalStepSize
-        if not self.needs_regular_steps or not stated:
+        stated = (experiment.stepSize if experiment else None) or self.interface.fixedInternalStepSize
+        if not stated:
             return None
         step = float(stated)
         if not 0.0 < step < inf:
@@ -175,7 +201,7 @@ class UnpackedFmu:
 
 
 def open_fmu(path: Path) -> UnpackedFmu:
-    """Return an FMI 2.0 or 3.0 co-simulation FMU, unpacked unless this process still has it.
+    """Return an FMI 2.0 or 3.0 FMU for co-simulation or model exchange, unpacked unless this process still has it.
 
     Raises:
         FmuFileError: the FMU is missing, broken, of another kind, or has no binary for this platform.
@@ -317,10 +343,9 @@ def _check(fmu: UnpackedFmu) -> None:
         raise FmuFileError(
             f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0 and 3.0: export it again"
         )
-    # an FMU for co-simulation
-    if description.coSimulation is None:
-        kind = "model exchange" if description.modelExchange is not None else "scheduled execution"
-        raise FmuFileError(f"{path} is for {kind} only; export it for co-simulation")
+    # an FMU for co-simulation or model exchange
+    if fmu.interface is None:
+        raise FmuFileError(f"{path} is for scheduled execution only; export it for co-simulation")
     # a binary for this platform
     if not fmu.library.is_file():
         platform = fmu.library.parent.name

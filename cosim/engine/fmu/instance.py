@@ -1,6 +1,6 @@
 """Instances of an FMU, one at a time: instantiated, the status of every call checked, stepped, and always freed.
 
-Event mode of FMI 3.0 is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled
+FMUs for model exchange are stepped by `ContinuousTime`. In co-simulation event mode of FMI 3.0 is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled
 before the step goes on; steps end at announced time events, and discrete inputs change at events. Intermediate update
 and clocks are not used.
 """
@@ -25,6 +25,7 @@ from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostE
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
 from flexfmu.cosim.engine.fmu.calls import FMI2, FMI3, FmuLog, Version
+from flexfmu.cosim.engine.fmu.exchange import MOST_ROUNDS, NEAR, ContinuousTime
 from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, attempt
 from flexfmu.cosim.engine.slave import Call
 
@@ -33,12 +34,6 @@ StatusCall = Callable[[], int]
 
 BoundStep = tuple["partial[int]", Callable[[int, float, float], BaseException]]
 """fmi2DoStep bound to its component, and a function (status, time, step) → error."""
-
-NEAR = 1e-9
-"""Instants closer than this fraction of the communication step count as one: FMUs sum up their own times."""
-
-MOST_ROUNDS = 1000
-"""Limit of the iterations of one event, and of successive returns from fmi3DoStep without progress in time."""
 
 POLL = 1e-4
 """Interval at which an FMU is polled for the end of an asynchronous step [s]."""
@@ -71,7 +66,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
     description = fmu.description
     arguments = {
         "guid": description.guid,
-        "modelIdentifier": description.coSimulation.modelIdentifier,
+        "modelIdentifier": fmu.interface.modelIdentifier,
         "unzipDirectory": str(fmu.folder),
     }
     if fmu.is_fmi3:
@@ -83,7 +78,8 @@ def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
     library, version = _loaded(fmu, arguments), FMI3 if fmu.is_fmi3 else FMI2
-    calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, version.signatures))
+    signatures = {**version.signatures, **(version.exchange if fmu.is_exchange else version.steps)}
+    calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, signatures))
     if fmu.is_ours:
         fmi.close_after_use(library)
     return calls
@@ -122,6 +118,8 @@ class Instance(ABC):
         instances: number of instances so far.
         input_order: highest order of input derivatives that the FMU takes.
         epoch: changes whenever the FMU's inputs may differ from those set last (new instance, restored state).
+        next_event: time of the next time event [s]; infinite if there is none.
+        exchange: integrates an FMU for model exchange; None for co-simulation.
     """
 
     version: Version
@@ -138,8 +136,16 @@ class Instance(ABC):
         # saved states, whose memory is reused, and the time of the next event after each of them
         self._states: list[c_void_p] = []
         self._spare: list[c_void_p] = []
-        self._events_after: dict[int | None, float] = {}
-        self._next_event = inf
+        self._events_after: dict[int | None, tuple[float, object]] = {}
+        self.next_event = inf
+        # event mode: whether the FMU has it and has left it, the start of the run, and the results of its updates
+        self._has_events, self._events, self._stepping, self._start = False, fmu.is_exchange, False, 0.0
+        self._tolerance: float | None = None
+        kind = self.version.event_info
+        self.event_info = kind()
+        fields = [byref(self.event_info, getattr(kind, name).offset) for name, _ in kind._fields_]
+        self._update_arguments = fields if self.version is FMI3 else [byref(self.event_info)]
+        self.exchange = ContinuousTime(self, fmu) if fmu.is_exchange else None
 
     def instantiate(self, name: str) -> None:
         """Instantiate the FMU; the last instance must have been freed.
@@ -147,7 +153,7 @@ class Instance(ABC):
         Raises:
             SlaveError: the FMU refuses, or has an instance and allows only one per process.
         """
-        self.name, self.no_rollback, self._next_event = name, 1, inf
+        self.name, self.no_rollback, self.next_event, self._stepping = name, 1, inf, False
         self.instances, self.epoch = self.instances + 1, self.epoch + 1
         self._initialized = self._fatal = False
         self._states, self._spare = [], []
@@ -171,15 +177,36 @@ class Instance(ABC):
     def _created(self, name: bytes) -> int | None:
         """Return a new instance; None if the FMU refuses."""
 
-    @abstractmethod
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set up the experiment."""
+        self._start, self._tolerance = start_time, tolerance
+        self._set_up(tolerance is not None, tolerance or 0.0, start_time, True, stop_time)
 
     @abstractmethod
+    def _set_up(self, *experiment: float) -> None:
+        """Set up the experiment: whether there is a tolerance, tolerance, start, whether there is a stop, stop."""
+
     def initialize(self, meanwhile: Call) -> None:
-        """Enter initialisation mode, call ``meanwhile``, and exit initialisation mode."""
+        """Initialise, with ``meanwhile`` called in initialisation mode, and handle the events at the start.
+
+        Raises:
+            SlaveError: the FMU fails.
+        """
+        self._enter_initialization()
+        meanwhile()
+        self.check("initialisation", lambda: self.call("ExitInitializationMode"))
+        self._initialized = True
+        # an FMU with event mode is in it now
+        if self._events:
+            self._update(self._start)
+        self._stepping = True
+        if self.exchange is not None:
+            self.exchange.begin(self._start, self._tolerance)
 
     @abstractmethod
+    def _enter_initialization(self) -> None:
+        """Enter initialisation mode."""
+
     def step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s].
 
@@ -187,6 +214,14 @@ class Instance(ABC):
             SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
             SlaveEnded: the FMU requests the end of the simulation.
         """
+        if self.exchange is not None:
+            self.exchange.step(time, step)
+        else:
+            self._step(time, step)
+
+    @abstractmethod
+    def _step(self, time: float, step: float) -> None:
+        """Advance in co-simulation."""
 
     def bound_step(self) -> BoundStep | None:
         """Return fmi2DoStep bound to the component and a function for the error of a failed step; None if `step` does
@@ -195,12 +230,50 @@ class Instance(ABC):
 
     @property
     def at_events(self) -> bool:
-        """Whether discrete inputs must be changed at an event: the FMU has event mode and is in step mode."""
-        return False
+        """Whether discrete inputs must be changed at an event: the FMU has event mode and isn't in it."""
+        return self._events and self._stepping
 
     def at_event(self, change: StatusCall, time: float | None = None) -> int:
         """Change discrete inputs at an event, or directly without event mode; return the status of the change."""
-        return change()
+        if not self.at_events:
+            return change()
+        self.check("an event", lambda: self.call("EnterEventMode"))
+        self._stepping = False
+        status = change()
+        if status <= fmi.WARNING:
+            self._update(time)
+            self._stepping = True
+            if self.exchange is not None:
+                self.exchange.go_on(inputs_alone=time is None)
+        return status
+
+    def _update(self, time: float | None) -> None:
+        """Update discrete states until none changes any more, then leave event mode."""
+        info, states_changed = self.event_info, False
+        # event iteration
+        for _ in range(MOST_ROUNDS):
+            self.check("an event", lambda: self.call(self.version.update, *self._update_arguments))
+            if info.ends:
+                raise self.ended(time)
+            states_changed = states_changed or bool(info.states_changed or info.nominals_changed)
+            if not info.again:
+                break
+        else:
+            raise self.hangs("wants its discrete states updated", time)
+        # the next time event, and on with steps
+        info.states_changed = states_changed
+        self.next_event = info.time if info.timed else inf
+        self.check(
+            "an event", lambda: self.call("EnterStepMode" if self.exchange is None else "EnterContinuousTimeMode")
+        )
+
+    def ended(self, time: float | None) -> SlaveEnded:
+        """Return the error of an FMU that requests the end of the simulation."""
+        return SlaveEnded(self.name, self.log.complaint() or "terminateSimulation", time)
+
+    def hangs(self, what: str, time: float | None) -> SlaveError:
+        """Return the error of an FMU that makes no progress."""
+        return SlaveError(self.name, f"it {what} {MOST_ROUNDS} times without getting on", time)
 
     def configure(self, change: StatusCall) -> int:
         """Change structural parameters in configuration mode; return the status. From initialisation on, do nothing."""
@@ -244,7 +317,7 @@ class Instance(ABC):
             # even after a failure, its memory must be freed at the end
             if state.value is not None and not any(each is state for each in self._states):
                 self._states.append(state)
-        self._events_after[state.value] = self._next_event
+        self._events_after[state.value] = self.next_event, self.exchange and self.exchange.save()
         self.no_rollback = 0
         return state
 
@@ -256,9 +329,11 @@ class Instance(ABC):
     def restore(self, state: object) -> None:
         """Restore a saved state."""
         saved = cast(c_void_p, state)
-        self._next_event = self._events_after[saved.value]
+        self.next_event, memory = self._events_after[saved.value]
         self.epoch += 1
         self.check("restoring a state", lambda: self.call(f"Set{self.version.state}", saved))
+        if self.exchange is not None:
+            self.exchange.restore(memory)
 
     def free(self) -> None:
         """Terminate and free the instance with its states; after a fatal error no FMI function may be called."""
@@ -286,26 +361,23 @@ class Fmi2Instance(Instance):
     def __init__(self, fmu: UnpackedFmu) -> None:
         super().__init__(fmu)
         self._resources = Path(fmu.folder, "resources").as_uri().encode()
-        self._do_step: partial[int] = partial(self.calls["fmi2DoStep"], self.component)
-        self._asynchronous = bool(fmu.description.coSimulation.canRunAsynchronuously)
-        self._can_go_back = bool(fmu.description.coSimulation.canGetAndSetFMUstate)
+        if not fmu.is_exchange:
+            self._do_step: partial[int] = partial(self.calls["fmi2DoStep"], self.component)
+        self._asynchronous = bool(getattr(fmu.interface, "canRunAsynchronuously", False))
+        self._can_go_back = bool(fmu.interface.canGetAndSetFMUstate)
 
     def _created(self, name: bytes) -> int | None:
-        callbacks, instantiate = byref(self.log.callbacks), self.calls["fmi2Instantiate"]
-        found: int | None = instantiate(name, fmi.CO_SIMULATION, self._guid, self._resources, callbacks, 0, 0)
+        callbacks, kind = byref(self.log.callbacks), fmi.MODEL_EXCHANGE if self.exchange else fmi.CO_SIMULATION
+        found: int | None = self.calls["fmi2Instantiate"](name, kind, self._guid, self._resources, callbacks, 0, 0)
         return found
 
-    def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        arguments = tolerance is not None, tolerance or 0.0, start_time, 1, stop_time
-        self.check("fmi2SetupExperiment", lambda: self.call("SetupExperiment", *arguments))
+    def _set_up(self, *experiment: float) -> None:
+        self.check("fmi2SetupExperiment", lambda: self.call("SetupExperiment", *experiment))
 
-    def initialize(self, meanwhile: Call) -> None:
+    def _enter_initialization(self) -> None:
         self.check("initialisation", lambda: self.call("EnterInitializationMode"))
-        meanwhile()
-        self.check("initialisation", lambda: self.call("ExitInitializationMode"))
-        self._initialized = True
 
-    def step(self, time: float, step: float) -> None:
+    def _step(self, time: float, step: float) -> None:
         status = self._do_step(time, step, self.no_rollback)
         # an asynchronous step: wait until it is done
         if status == fmi.PENDING and self._asynchronous:
@@ -318,7 +390,7 @@ class Fmi2Instance(Instance):
             raise self.step_error(status, time, step)
 
     def bound_step(self) -> BoundStep | None:
-        return None if self._asynchronous else (self._do_step, self.step_error)
+        return None if self._asynchronous or self.exchange is not None else (self._do_step, self.step_error)
 
     def step_error(self, status: int, time: float, step: float) -> SlaveError:
         """Return the error of a failed step, with the last time that the FMU reached."""
@@ -349,18 +421,16 @@ class Fmi3Instance(Instance):
 
     def __init__(self, fmu: UnpackedFmu) -> None:
         super().__init__(fmu)
-        capabilities = fmu.description.coSimulation
-        self._has_events = self._events = bool(capabilities.hasEventMode)
-        self._returns_early = bool(capabilities.mightReturnEarlyFromDoStep)
+        self._has_events = self._events = fmu.is_exchange or bool(fmu.interface.hasEventMode)
+        self._returns_early = bool(getattr(fmu.interface, "mightReturnEarlyFromDoStep", False))
         self._regular = fmu.needs_regular_steps
         folder = fmu.folder / "resources"
         self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
         self._receive = fmi3LogMessageCallback(self._logged)
-        self._experiment: tuple[Any, ...] = ()
-        self._configurable = self._stepping = False
-        # output arguments of fmi3DoStep and of fmi3UpdateDiscreteStates
+        self._experiment: tuple[float, ...] = ()
+        self._configurable = False
+        # output arguments of fmi3DoStep
         self._event, self._ends, self._early, self._reached = c_bool(), c_bool(), c_bool(), c_double()
-        self._again, self._timed, self._unused, self._time = c_bool(), c_bool(), c_bool(), c_double()
 
     def _logged(self, environment: int | None, status: int, category: bytes | None, message: bytes | None) -> None:
         """Add a message of the FMU to the log."""
@@ -368,9 +438,9 @@ class Fmi3Instance(Instance):
 
     def _created(self, name: bytes) -> int | None:
         """Return a new instance; an FMU that states event mode but refuses it is instantiated without."""
-        self._configurable, self._stepping, self._events = True, False, self._has_events
+        self._configurable, self._events = True, self._has_events
         found = self._instantiated(name)
-        if found is None and self._events:
+        if found is None and self._events and self.exchange is None:
             self._events = False
             self.log.open()
             found = self._instantiated(name)
@@ -379,14 +449,18 @@ class Fmi3Instance(Instance):
     def _instantiated(self, name: bytes) -> int | None:
         """Return a new instance with or without event mode; None if the FMU refuses."""
         # other FMUs may log a lot; ours say only so why a step was discarded
-        flags = False, self._fmu.is_ours, self._events, self._events and self._returns_early
-        arguments = name, self._guid, self._resources, *flags, None, 0, None, self._receive, None
-        found: int | None = self.calls["fmi3InstantiateCoSimulation"](*arguments)
+        arguments = name, self._guid, self._resources, False, self._fmu.is_ours
+        found: int | None
+        if self.exchange is not None:
+            found = self.calls["fmi3InstantiateModelExchange"](*arguments, None, self._receive)
+        else:
+            more = self._events, self._events and self._returns_early, None, 0, None, self._receive, None
+            found = self.calls["fmi3InstantiateCoSimulation"](*arguments, *more)
         return found
 
-    def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+    def _set_up(self, *experiment: float) -> None:
         # for fmi3EnterInitializationMode
-        self._experiment = tolerance is not None, tolerance or 0.0, start_time, True, stop_time
+        self._experiment = experiment
 
     def configure(self, change: StatusCall) -> int:
         if not self._configurable:
@@ -396,24 +470,12 @@ class Fmi3Instance(Instance):
         status = change()
         return max(status, self.call("ExitConfigurationMode")) if status <= fmi.WARNING else status
 
-    def initialize(self, meanwhile: Call) -> None:
-        """Initialise, with ``meanwhile`` called in initialisation mode, and handle the events at the start.
-
-        Raises:
-            SlaveError: the FMU fails.
-        """
+    def _enter_initialization(self) -> None:
         # structural parameters are fixed from here on
         self._configurable = False
         self.check("initialisation", lambda: self.call("EnterInitializationMode", *self._experiment))
-        meanwhile()
-        self.check("initialisation", lambda: self.call("ExitInitializationMode"))
-        self._initialized = True
-        # the FMU is in event mode now
-        if self._events:
-            self._update(self._experiment[2])
-        self._stepping = True
 
-    def step(self, time: float, step: float) -> None:
+    def _step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s], from event to event.
 
         Raises:
@@ -425,63 +487,23 @@ class Fmi3Instance(Instance):
         results = byref(self._event), byref(self._ends), byref(self._early), byref(self._reached)
         while True:
             # up to the next announced time event, unless all steps must be equal
-            announced = now < self._next_event < end - near and not self._regular
-            target = self._next_event if announced else end
+            announced = now < self.next_event < end - near and not self._regular
+            target = self.next_event if announced else end
             length = step if (now, target) == (time, end) else target - now
             if (status := do_step(self.component, now, length, bool(self.no_rollback), *results)) > fmi.WARNING:
                 raise self.error(f"the step from {now:.9g} s by {length:.9g} s", status, now)
             reached = self._reached.value if self._early.value else target
             if self._ends.value:
-                raise self._ended(self._reached.value)
-            if self._events and (self._event.value or reached >= self._next_event - near):
+                raise self.ended(self._reached.value)
+            if self._events and (self._event.value or reached >= self.next_event - near):
                 self.at_event(lambda: fmi.OK, reached)
             # done, or on from the event
             if end - reached <= near:
                 return
             idle = 0 if reached > now else idle + 1
             if idle > MOST_ROUNDS:
-                raise self._hangs("returns from fmi3DoStep", reached)
+                raise self.hangs("returns from fmi3DoStep", reached)
             now = max(now, reached)
-
-    @property
-    def at_events(self) -> bool:
-        return self._events and self._stepping
-
-    def at_event(self, change: StatusCall, time: float | None = None) -> int:
-        if not self.at_events:
-            return change()
-        self.check("an event", lambda: self.call("EnterEventMode"))
-        self._stepping = False
-        status = change()
-        if status <= fmi.WARNING:
-            self._update(time)
-            self._stepping = True
-        return status
-
-    def _update(self, time: float | None) -> None:
-        """Update discrete states until none changes any more, then enter step mode."""
-        unused = byref(self._unused)
-        results = byref(self._again), byref(self._ends), unused, unused, byref(self._timed), byref(self._time)
-        # event iteration
-        for _ in range(MOST_ROUNDS):
-            self.check("an event", lambda: self.call("UpdateDiscreteStates", *results))
-            if self._ends.value:
-                raise self._ended(time)
-            if not self._again.value:
-                break
-        else:
-            raise self._hangs("wants its discrete states updated", time)
-        # the next time event, and on with steps
-        self._next_event = self._time.value if self._timed.value else inf
-        self.check("an event", lambda: self.call("EnterStepMode"))
-
-    def _ended(self, time: float | None) -> SlaveEnded:
-        """Return the error of an FMU that requests the end of the simulation."""
-        return SlaveEnded(self.name, self.log.complaint() or "terminateSimulation", time)
-
-    def _hangs(self, what: str, time: float | None) -> SlaveError:
-        """Return the error of an FMU that makes no progress."""
-        return SlaveError(self.name, f"it {what} {MOST_ROUNDS} times without getting on", time)
 
 
 class Checked:

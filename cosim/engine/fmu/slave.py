@@ -1,4 +1,4 @@
-"""An FMI 2.0 or 3.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers.
+"""An FMI 2.0 or 3.0 FMU as a slave, for co-simulation or model exchange: loaded with fmpy, called on preallocated buffers.
 
 A trial instance shows which of its stated output derivatives an FMU of another tool provides.
 """
@@ -74,13 +74,13 @@ class FmuSlave:
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        self._stated_order = int(self._fmu.description.coSimulation.maxOutputDerivativeOrder or 0)
+        self._stated_order = int(getattr(self._fmu.interface, "maxOutputDerivativeOrder", 0) or 0)
         if output_order is not None and not output_order >= 0:
             raise InputError(f"{name}: output_order must be zero or positive, got {output_order}")
         self.max_output_order = self._stated_order if output_order is None else min(output_order, self._stated_order)
         highest = self._fmu.highest_input_derivative
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
-        self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
+        self.can_save = bool(self._fmu.interface.canGetAndSetFMUstate)
         self.needs_regular_steps = self._fmu.needs_regular_steps
         # the instance, transfers of its variables, and calls that set start values
         self._instance: Instance = (Fmi3Instance if self._fmu.is_fmi3 else Fmi2Instance)(self._fmu)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from ctypes import addressof, c_char_p
 from dataclasses import replace
 from functools import lru_cache, partial
+from math import factorial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Version, address, value_references
-from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu
+from flexfmu.cosim.engine.fmu.exchange import ContinuousTime
+from flexfmu.cosim.engine.fmu.file import EXCHANGE_ORDER, KEPT, UnpackedFmu
 from flexfmu.cosim.engine.fmu.instance import Checked, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.variables import (
     Handle,
@@ -31,6 +33,10 @@ from flexfmu.cosim.engine.fmu.variables import (
 )
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
 from flexfmu.fmu_build.interface import FIRST_DERIVATIVES
+
+POWERS = np.arange(EXCHANGE_ORDER + 1)
+FACTORIALS = np.array([float(factorial(k)) for k in range(1, EXCHANGE_ORDER + 1)])
+"""Exponents k of Taylor polynomials, and k! from k = 1 on."""
 
 
 class Transfers:
@@ -71,12 +77,14 @@ class Transfers:
 
     def set(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
         """Return a call that sets the variables from ``values`` (n,); at events discrete ones only if they change."""
-        if (direct := self._directly("fmi2SetReal", handles, values)) is not None:
+        instance, exchanges = self._instance, self._instance.exchange is not None
+        if not exchanges and (direct := self._directly("fmi2SetReal", handles, values)) is not None:
             return direct
         groups = [self._group(each, columns) for each, columns in _groups(handles, by_event=True)]
-        # continuous variables are set in step mode, discrete ones at an event
-        continuous, discrete = ([each for each in groups if each.discrete is kind] for kind in (False, True))
-        instance = self._instance
+        # continuous variables are set in step mode, discrete ones at an event; in model exchange any jump is one
+        continuous, discrete = (
+            [each for each in groups if (each.discrete or exchanges) is kind] for kind in (False, True)
+        )
 
         def call() -> int:
             worst = max((self._send(group, values) for group in continuous), default=OK)
@@ -102,11 +110,36 @@ class Transfers:
     def set_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
         """Return a call that sets input derivatives from ``derivatives`` (orders, n), of Real inputs only.
 
-        FMI 3.0 has no function for them; our own FMUs take them as arrays, other FMUs not at all.
+        FMI 3.0 has no function for them; our own FMUs take them as arrays, other FMUs not at all. In model exchange they are
+        polynomials, which the integrator follows.
         """
+        if self._instance.exchange is not None:
+            return self._polynomials(self._instance.exchange, handles, derivatives)
         if self._instance.version.counts_values:
             return self._derivative_arrays(handles, derivatives)
         return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
+
+    def _polynomials(self, exchange: ContinuousTime, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
+        """Return the call that lets the inputs follow polynomials from their present values on, until they are set again."""
+        columns = [column for column, each in enumerate(handles) if each.kind == "Real"]
+        real = [handles[column] for column in columns]
+        start, values = np.empty((2, len(real)))
+        read, send = self.get(real, start), self._directly("fmi2SetReal", real, values)
+        groups = [self._group(each, places) for each, places in _groups(real, by_event=False)]
+
+        def call() -> int:
+            taylor = derivatives[:, columns] / FACTORIALS[: len(derivatives), None]
+            status = read() if taylor.any() else OK
+            coefficients = np.vstack([start, taylor])
+
+            def follow(elapsed: float) -> int:
+                np.dot(elapsed ** POWERS[: len(coefficients)], coefficients, out=values)
+                return send() if send is not None else max(self._send(each, values) for each in groups)
+
+            exchange.follow(call, follow if taylor.any() else None)
+            return status
+
+        return call
 
     def _derivative_arrays(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
         """Return the call of FMI 3.0 for input derivatives (orders, n); higher ones are zero."""
