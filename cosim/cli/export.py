@@ -246,9 +246,7 @@ def validate(
     sandbox: bool = False,
     json: bool = False,
 ) -> int:
-    """Check any FMU 2.0: archive, description, binaries, and a test of each capability that it claims.
-
-    For an FMU 3.0 only the description is checked.
+    """Check any FMU 2.0 or 3.0: archive, description, binaries, sources, and a test of each capability that it claims.
 
     Prints one line for each kind of finding, the worst first: what is wrong, the remedy, the section of the standard.
 

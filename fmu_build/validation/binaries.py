@@ -18,14 +18,25 @@ from flexfmu.fmu_build.toolchain import fmi_header_folder
 from flexfmu.fmu_build.validation.description import interfaces
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
-_COMMON, _EXCHANGE, _COSIMULATION, *_ = (
-    frozenset(re.findall(r"fmi2FullName\((fmi2\w+)\)", part))
-    for part in (fmi_header_folder() / "fmi2Functions.h").read_text(encoding="utf-8").split("Functions for FMI2 for")
-)
-"""Functions of FMI 2.0 by the sections of the standard's header, of which an FMU exports all of its interfaces."""
 
-COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS = _COMMON | _COSIMULATION, _COMMON | _EXCHANGE
-"""All functions that an FMU for co-simulation, or for model exchange, exports (FMI 2.0.4, section 2.1)."""
+def _functions(version: int, split: str) -> tuple[frozenset[str], frozenset[str]]:
+    """All functions that an FMU for co-simulation, and one for model exchange, exports: by sections of the standard's header."""
+    text = (fmi_header_folder() / f"fmi{version}Functions.h").read_text(encoding="utf-8")
+    parts = re.split(split, text[text.index(f"fmi{version}FullName(") :])
+    common, exchange, cosimulation, *_ = (
+        frozenset(re.findall(rf"FullName\((fmi{version}\w+)\)", part)) for part in parts
+    )
+    return common | cosimulation, common | exchange
+
+
+FUNCTIONS = {2: _functions(2, "Functions for FMI2 for"), 3: _functions(3, "Functions for (?=Model|Co-|Sched)")}
+"""Version of the standard → functions for co-simulation, and for model exchange (FMI 2.0.4, section 2.1)."""
+
+
+def platform(description: Any) -> str:
+    """Folder of this machine's binaries."""
+    return str(fmpy.platform_tuple if description.fmiMajorVersion == 3 else fmpy.platform)
+
 
 SUFFIXES = {
     **dict.fromkeys(("linux64", "linux32", "x86_64-linux", "aarch64-linux"), ".so"),
@@ -109,29 +120,30 @@ def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Fin
     for folder in folders:
         yield from _check_folder(folder, description, files)
     # a folder for this machine
-    if fmpy.platform not in folders:
+    if platform(description) not in folders:
         has = ", ".join(folders) or "no platform at all"
         yield Finding(
-            f"{library_name(description, fmpy.platform)} is missing, the FMU has {has}",
+            f"{library_name(description)} is missing, the FMU has {has}",
             "build it for this machine; what needs running was not checked",
             Severity.WARNING if folders else Severity.ERROR,
         )
 
 
-def library_name(description: Any, platform: str) -> str:
-    """Path inside the FMU of the first interface's library."""
-    return f"binaries/{platform}/{interfaces(description)[0].modelIdentifier}{SUFFIXES.get(platform, '')}"
+def library_name(description: Any) -> str:
+    """Path inside the FMU of the first interface's library for this machine."""
+    folder = platform(description)
+    return f"binaries/{folder}/{interfaces(description)[0].modelIdentifier}{SUFFIXES.get(folder, '')}"
 
 
 def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> Iterator[Finding]:
     if folder not in SUFFIXES:
-        known = ", ".join(name for name in SUFFIXES if "-" not in name)
+        known = ", ".join(name for name in SUFFIXES if ("-" in name) == (description.fmiMajorVersion == 3))
         yield Finding(f"no tool looks into binaries/{folder}/", f"use {known}", Severity.WARNING)
         return
     # a library for each model identifier, with the functions of its interfaces
     required: dict[str, frozenset[str]] = {}
     for element in interfaces(description):
-        functions = COSIMULATION_FUNCTIONS if element is description.coSimulation else EXCHANGE_FUNCTIONS
+        functions = FUNCTIONS[description.fmiMajorVersion][element is not description.coSimulation]
         required[element.modelIdentifier] = required.get(element.modelIdentifier, frozenset()) | functions
     named = [f"binaries/{folder}/{identifier}{SUFFIXES[folder]}" for identifier in required]
     for identifier, functions in required.items():
@@ -168,7 +180,7 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
     # exports: all FMI functions of the interface, nothing else
     if missing := sorted(functions - exports):
         yield Finding(f"{name} does not export {_few(missing)}", "implement and export them all")
-    if foreign := sorted(symbol for symbol in exports if not symbol.startswith("fmi2")):
+    if foreign := sorted(symbol for symbol in exports if not symbol.startswith(("fmi2", "fmi3"))):
         yield Finding(
             f"{name} exports {_few(foreign)} besides the FMI functions",
             "hide them (-fvisibility=hidden): they collide with those of other FMUs",

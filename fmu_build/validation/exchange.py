@@ -269,7 +269,7 @@ def _integrated(fmu: FmuUnderTest, starts: dict[Any, float], tolerance: float = 
             str(fmu.folder),
             fmi_type="ModelExchange",
             validate=False,
-            model_description=fmu.description,
+            model_description=None if fmu.is_fmi3 else fmu.description,
             start_time=fmu.start,
             stop_time=stop,
             output_interval=fmu.step,

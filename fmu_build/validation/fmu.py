@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -10,14 +11,15 @@ from copy import copy
 from ctypes import byref
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from fmpy import fmi2
+from fmpy import fmi2, fmi3
 from fmpy.logging import addLoggerProxy
 
+from flexfmu.fmu_build.validation.fmi3 import FMU3ModelLibrary, FMU3SlaveLibrary
 from flexfmu.fmu_build.validation.instance import (
     GUARD,
     CosimulationInstance,
@@ -128,6 +130,11 @@ class FmuUnderTest:
         return description.coSimulation if self.kind is InterfaceType.COSIMULATION else description.modelExchange
 
     @property
+    def is_fmi3(self) -> bool:
+        """Whether the FMU is one of FMI 3.0."""
+        return bool(self.description.fmiMajorVersion == 3)
+
+    @property
     def can_save(self) -> bool:
         """Whether states can be saved and restored."""
         return bool(self.element.canGetAndSetFMUstate)
@@ -207,16 +214,20 @@ class FmuUnderTest:
         # a copy of the loaded library with its own component
         is_slave = self.kind is InterfaceType.COSIMULATION
         library: Any = copy(self.library)
-        library.callbacks = self._callbacks
-        library.component = library.fmi2Instantiate(
-            name.encode(),
-            fmi2.fmi2CoSimulation if is_slave else fmi2.fmi2ModelExchange,
-            (guid or self.description.guid).encode(),
-            (uri or (self.folder / "resources").absolute().as_uri()).encode(),
-            byref(library.callbacks),
-            fmi2.fmi2False,
-            fmi2.fmi2False,
-        )
+        identity, resources = (guid or self.description.guid).encode(), (self.folder / "resources").absolute()
+        if self.is_fmi3:
+            library.component = library.make(name.encode(), identity, f"{resources}{os.sep}".encode(), self._log)
+        else:
+            library.callbacks = self._callbacks
+            library.component = library.fmi2Instantiate(
+                name.encode(),
+                fmi2.fmi2CoSimulation if is_slave else fmi2.fmi2ModelExchange,
+                identity,
+                (uri or resources.as_uri()).encode(),
+                byref(library.callbacks),
+                fmi2.fmi2False,
+                fmi2.fmi2False,
+            )
         # NULL: a limited number of instances per process, or a failure
         if library.component is None and guid is uri is None and _made[self.folder] and not _alive[self.folder]:
             raise NoMoreInstancesError(
@@ -253,7 +264,12 @@ class FmuUnderTest:
         Raises:
             Exception: fmpy can't load it; its type depends on the cause.
         """
-        return (FMU2SlaveLibrary if self.kind is InterfaceType.COSIMULATION else FMU2ModelLibrary)(
+        is_slave, library = self.kind is InterfaceType.COSIMULATION, cast("Any", FMU2ModelLibrary)
+        if self.is_fmi3:
+            library = partial(FMU3SlaveLibrary if is_slave else FMU3ModelLibrary, self.description.types)
+        elif is_slave:
+            library = FMU2SlaveLibrary
+        return library(
             guid=self.description.guid,
             modelIdentifier=self.element.modelIdentifier,
             unzipDirectory=str(self.folder),
@@ -268,6 +284,16 @@ class FmuUnderTest:
             and variable.causality == causality
             and variability in (None, variable.variability or "continuous")
         ]
+
+    @cached_property
+    def _log(self) -> Any:
+        """The logger of FMI 3.0."""
+
+        def log(_environment: int, _status: int, category: bytes, message: bytes) -> None:
+            self.categories.add((category or b"").decode(errors="replace"))
+            self.messages.append((message or b"").decode(errors="replace"))
+
+        return fmi3.fmi3LogMessageCallback(log)
 
     @cached_property
     def _callbacks(self) -> Any:

@@ -79,7 +79,7 @@ class Watch:
     warnings: ClassVar[Counter[str]] = Counter()
 
 
-class _Watched:
+class Watched:
     """Records each call in `Watch`."""
 
     def _call(self, name: str, *arguments: Any) -> Any:
@@ -96,11 +96,11 @@ class _Watched:
             Watch.record[:] = _NO_CALL
 
 
-class FMU2SlaveLibrary(_Watched, fmi2.FMU2Slave):  # type: ignore[misc]
+class FMU2SlaveLibrary(Watched, fmi2.FMU2Slave):  # type: ignore[misc]
     """The functions for co-simulation; fmpy evaluates the prefix of the class name."""
 
 
-class FMU2ModelLibrary(_Watched, fmi2.FMU2Model):  # type: ignore[misc]
+class FMU2ModelLibrary(Watched, fmi2.FMU2Model):  # type: ignore[misc]
     """The functions for model exchange."""
 
 
@@ -348,7 +348,8 @@ class ExchangeInstance(InstanceUnderTest):
     def initialize(self, values: Mapping[Any, Any] | None = None, late: bool = False) -> None:
         self.enter_initialization(values, late)
         self.library.exitInitializationMode()
-        self.states = len(self.fmu.description.derivatives or ())
+        description = self.fmu.description
+        self.states = int(description.numberOfContinuousStates or len(description.derivatives or ()))
         self.handle_events()
 
     def advance(

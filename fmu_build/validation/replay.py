@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.fmi3 import described
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import MisbehaviourError, RealArray
 from flexfmu.fmu_build.validation.variables import moved, start_of
@@ -335,7 +335,7 @@ def _compare(
 def _main() -> None:
     """Write the results of `_in_new_process` to a file; arguments FOLDER KIND STEP_SECONDS RESULT, the state on standard input."""
     folder, kind, step_seconds, result = sys.argv[1:]
-    description, data = read_model_description(folder, validate=False), sys.stdin.buffer.read()
+    description, data = described(Path(folder)), sys.stdin.buffer.read()
     fmu = FmuUnderTest(description, Path(folder), InterfaceType[kind], float(step_seconds))
     with fmu.instance("other process") as instance:
         if data:

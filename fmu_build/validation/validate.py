@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import fmpy
-
 from flexfmu.fmu_build.temporary import temporary_folder
 from flexfmu.fmu_build.validation.archive import check_archive, check_entries, check_sources, read_archive, unpack
 from flexfmu.fmu_build.validation.binaries import check_binaries, library_name
 from flexfmu.fmu_build.validation.description import fmi_version, interfaces, read_description
 from flexfmu.fmu_build.validation.finding import Finding, Severity, named, ranked
+from flexfmu.fmu_build.validation.fmi3 import in_fmi3
 from flexfmu.fmu_build.validation.fmu import InterfaceType
 from flexfmu.fmu_build.validation.supervisor import run_checks
 from flexfmu.fmu_build.validation.worker import CHECKS, COSIMULATION_ONLY, EXCHANGE_ONLY
@@ -20,21 +19,14 @@ from flexfmu.fmu_build.validation.worker import CHECKS, COSIMULATION_ONLY, EXCHA
 TIME_LIMIT = 120.0
 """Time limit of the dynamic checks [s]; the paper's scene needs a few seconds."""
 
-_FMI3 = Finding(
-    "an FMU of FMI 3.0: its description is checked by fmpy, what it does is not",
-    "run it, and compare with the tool that it comes from",
-    Severity.NOTE,
-    check="model description",
-    section="FMI 3.0, 2.4",
-)
-
 
 def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -> list[Finding]:
-    """Check any FMU 2.0, for co-simulation, model exchange or both.
+    """Check any FMU 2.0 or 3.0, for co-simulation, model exchange or both.
 
     Static checks: archive, model description (by fmpy and by further rules), names, exports and dependencies of the
     binaries. Dynamic checks: those of `flexfmu.fmu_build.validation.worker`. They run in worker processes, so that a
-    crash is a finding; the workers end with this process. Of an FMU 3.0 only the description is checked.
+    crash is a finding; the workers end with this process.
+    Of an FMU 3.0 its scalars are tried (see `flexfmu.fmu_build.validation.fmi3`).
 
     Args:
         path: the FMU file.
@@ -50,12 +42,9 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     entries, files, encrypted = read_archive(path)
     version = fmi_version(files["modelDescription.xml"])
     if version != "2.0" and not version.startswith("3."):
-        message = f"fmiVersion is {version or 'missing'}: FMUs of version 2.0 are checked, of 3.0 the description"
+        message = f"fmiVersion is {version or 'missing'}: FMUs of versions 2.0 and 3.0 are checked"
         return [Finding(message, "export the model as FMI 2.0", check="model description", section="2.2.1")]
     description, findings = read_description(path, files["modelDescription.xml"])
-    # FMI 3.0: only the description
-    if version != "2.0":
-        return ranked([*(replace(finding, section=_FMI3.section) for finding in findings), _FMI3])
     findings += [*named("archive", check_entries(entries, encrypted)), *named("archive", check_archive(files))]
     # binaries, then dynamic checks
     if description is not None and interfaces(description):
@@ -63,8 +52,13 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
             *named("binary", check_binaries(description, files)),
             *named("sources", check_sources(description, path)),
         ]
-        if run and library_name(description, fmpy.platform) in files:
+        if run and library_name(description) in files:
             findings += _check_dynamically(description, path, time_limit)
+    if version != "2.0":
+        findings = [
+            replace(each, message=in_fmi3(each.message), remedy=in_fmi3(each.remedy), section="FMI 3.0")
+            for each in findings
+        ]
     return ranked(findings)
 
 

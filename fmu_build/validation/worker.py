@@ -27,10 +27,10 @@ from typing import Any, TextIO
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.validation import dependencies, derivatives, exchange, lifecycle, replay, steps, values
 from flexfmu.fmu_build.validation.finding import Finding, Severity, named
+from flexfmu.fmu_build.validation.fmi3 import described
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
 from flexfmu.fmu_build.validation.instance import RECORD, Watch, announce
 
@@ -216,7 +216,7 @@ def main() -> None:
         watched = (file, float(limit), Path(folder).parent, os.getppid())
         threading.Thread(target=_watch, args=watched, daemon=True).start()
         # the FMU, and the state of the process before the first check
-        description = read_model_description(folder, validate=False)
+        description = described(Path(folder))
         fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(step_seconds)) for kind in InterfaceType}
         standard = [os.dup(number) for number in range(3)]
         before = surroundings(Path(folder))

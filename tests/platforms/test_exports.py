@@ -13,7 +13,7 @@ from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.sources import Sources
 from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler, native_platform
-from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
+from flexfmu.fmu_build.validation.binaries import FUNCTIONS
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel
 
@@ -51,7 +51,7 @@ def test_exports_and_needs(name: str, library_for: LibraryFor) -> None:
         needed = list(binary.libraries)
         exported = binary.get_export().entries if suffix == ".dll" else binary.exported_symbols
         exports = {each.name for each in exported}
-    assert exports == COSIMULATION_FUNCTIONS | EXCHANGE_FUNCTIONS
+    assert exports == frozenset.union(*FUNCTIONS[2])
     assert needed
     assert [each for each in needed if not re.fullmatch(NEEDED[suffix], each, re.IGNORECASE)] == []
     if name in OLDEST_GLIBC:

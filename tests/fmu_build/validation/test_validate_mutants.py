@@ -166,7 +166,7 @@ def test_mutants_that_run_are_found(found: Found, part: int) -> None:
         "unit's exponent": "units: N/m is defined with m=1",
         "dependency out of range": "model description: Outputs refers to variable 20 of 14",
         "folder in capitals": "archive: Resources/data.txt is where no tool looks; call it resources",
-        "another version": "fmiVersion is 2.1: FMUs of version 2.0 are checked, of 3.0 the description",
+        "another version": "fmiVersion is 2.1: FMUs of versions 2.0 and 3.0 are checked",
     }.items(),
 )
 def test_findings_say_what_and_where(found: Found, name: str, words: str) -> None:

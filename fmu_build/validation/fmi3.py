@@ -1,0 +1,167 @@
+"""FMUs of FMI 3.0 in the words of FMI 2.0, so that the same checks run both: a description, and the functions of a library.
+
+Left out are arrays, Float32, binary and clocked variables, event mode and early return of co-simulation, and scheduled execution.
+"""
+
+from __future__ import annotations
+
+import re
+from ctypes import POINTER, c_uint8, cast
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.etree import ElementTree
+
+from attrs import asdict
+from fmpy import fmi2, fmi3
+from fmpy.fmi1 import FMICallException
+from fmpy.model_description import read_model_description
+
+from flexfmu.fmu_build.validation.instance import MisbehaviourError, Watched
+
+_TYPES = {"Float64": "Real", "Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"} | {
+    f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
+}
+"""Type of FMI 3.0 → type of FMI 2.0."""
+
+_NAMES = {
+    "GetReal": "GetFloat64",
+    "SetReal": "SetFloat64",
+    "GetInteger": "GetInt32",
+    "NewDiscreteStates": "UpdateDiscreteStates",
+    "GetDerivatives": "GetContinuousStateDerivatives",
+    "GetRealOutputDerivatives": "GetOutputDerivatives",
+    "GetFMUstate": "GetFMUState",
+    "SetFMUstate": "SetFMUState",
+    "FreeFMUstate": "FreeFMUState",
+    "SerializedFMUstateSize": "SerializedFMUStateSize",
+    "SerializeFMUstate": "SerializeFMUState",
+    "DeSerializeFMUstate": "DeserializeFMUState",
+}
+"""Function of FMI 2.0 → function of FMI 3.0 with the same meaning, without their prefix; others have the same name."""
+
+
+def in_fmi3(text: str) -> str:
+    """The text with the names of FMI 3.0."""
+    renamed = re.sub(r"\bfmi2(\w+)", lambda match: f"fmi3{_NAMES.get(match[1], match[1])}", text)
+    return renamed.replace("GUID", "instantiation token")
+
+
+def described(folder: Path) -> Any:
+    """The description of an extracted FMU as read by fmpy; of FMI 3.0 what FMI 2.0 has words for."""
+    description = read_model_description(folder, validate=False)
+    if description.fmiMajorVersion != 3:
+        return description
+    # what fmpy leaves out
+    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+    for name, element in (("CoSimulation", description.coSimulation), ("ModelExchange", description.modelExchange)):
+        if element is not None:
+            found = root.find(name)
+            claim = None if found is None else found.get("providesDirectionalDerivatives")
+            element.providesDirectionalDerivative = claim in ("true", "1")
+    # scalars of the types that there are in FMI 2.0
+    kept = [v for v in description.modelVariables if v.type in _TYPES and not v.dimensions and not v.clocks]
+    types = {variable.valueReference: variable.type for variable in kept}
+    for variable in kept:
+        variable.type = _TYPES[variable.type]
+    references = {variable.valueReference for variable in kept}
+    for name in ("outputs", "derivatives", "initialUnknowns"):
+        unknowns = getattr(description, name)
+        known = [unknown for unknown in unknowns if unknown.variable.valueReference in references]
+        # states are set all together: without one of them there is none
+        setattr(description, name, known if name != "derivatives" or len(known) == len(unknowns) else [])
+    description.modelVariables = kept
+    return SimpleNamespace(
+        **asdict(description, recurse=False),
+        guid=description.guid,
+        fmiMajorVersion=description.fmiMajorVersion,
+        types=types,
+    )
+
+
+class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
+    """The functions that both interfaces have, called as those of FMI 2.0; ``types``: value reference → type of FMI 3.0."""
+
+    def __init__(self, types: dict[int, str], **arguments: Any) -> None:
+        super().__init__(**arguments)
+        self.types = types
+
+    def getTypesPlatform(self) -> str:
+        return "default"
+
+    def setupExperiment(self, **experiment: Any) -> None:
+        self._experiment = experiment
+
+    def enterInitializationMode(self) -> None:
+        super().enterInitializationMode(**self._experiment)
+
+    def getInteger(self, references: list[int]) -> list[int]:
+        return [getattr(self, f"get{self._integer(each)}")([each])[0] for each in references]
+
+    def setInteger(self, references: list[int], values: list[int]) -> None:
+        for each, value in zip(references, values, strict=True):
+            getattr(self, f"set{self._integer(each)}")([each], [value])
+
+    def _integer(self, reference: int) -> str:
+        return self.types.get(reference, "Int32").replace("Enumeration", "Int64")
+
+    def getString(self, references: list[int]) -> list[bytes]:
+        return [value.encode() for value in super().getString(references)]
+
+    def fmi2GetReal(self, component: Any, references: Any, count: int, values: Any) -> Any:
+        return self.fmi3GetFloat64(component, references, count, values, count)
+
+    def fmi2SerializeFMUstate(self, component: Any, state: Any, data: Any, size: int) -> Any:
+        return self.fmi3SerializeFMUState(component, state, cast(data, POINTER(c_uint8)), size)
+
+    def fmi2FreeInstance(self, component: Any) -> None:
+        self.fmi3FreeInstance(component)
+
+
+# functions that differ by their name alone
+for _old, _new in (
+    *((f"fmi2{name}", f"fmi3{_NAMES[name]}") for name in ("GetFMUstate", "SerializedFMUstateSize")),
+    *((name, name.replace("FMUs", "FMUS")) for name in ("getFMUstate", "setFMUstate", "freeFMUstate")),
+    *(("deSerializeFMUstate", "deserializeFMUState"), ("newDiscreteStates", "updateDiscreteStates")),
+    *(("getReal", "getFloat64"), ("setReal", "setFloat64")),
+):
+    setattr(_FMU3, _old, getattr(fmi3._FMU3, _new))
+
+
+class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
+    """The functions for co-simulation, without event mode and early return."""
+
+    def make(self, name: bytes, token: bytes, resources: bytes, log: Any) -> Any:
+        update = fmi3.fmi3IntermediateUpdateCallback()
+        return self.fmi3InstantiateCoSimulation(
+            name, token, resources, False, False, False, False, (fmi3.fmi3ValueReference * 0)(), 0, None, log, update
+        )
+
+    def doStep(self, time: float, length: float) -> None:
+        """Make a step; raises `FMICallException` with fmi3Discard where the FMU terminates the simulation, as in FMI 2.0."""
+        _, self._terminates, early, self._last = super().doStep(time, length)
+        if early and not self._terminates:
+            raise MisbehaviourError(
+                "fmi3DoStep returns early, which is not allowed here", "step to the communication point"
+            )
+        if self._terminates:
+            raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
+
+    def getBooleanStatus(self, kind: int) -> bool:
+        return bool(kind == fmi2.fmi2Terminated and self._terminates)
+
+    def getRealStatus(self, kind: int) -> float:
+        return float(self._last)
+
+    def getRealOutputDerivatives(self, references: list[int], orders: list[int]) -> list[float]:
+        return list(self.getOutputDerivatives(references, orders))
+
+
+class FMU3ModelLibrary(_FMU3, fmi3.FMU3Model):  # type: ignore[misc]
+    """The functions for model exchange."""
+
+    def make(self, name: bytes, token: bytes, resources: bytes, log: Any) -> Any:
+        return self.fmi3InstantiateModelExchange(name, token, resources, False, False, None, log)
+
+    def getDerivatives(self, derivatives: Any, count: int) -> Any:
+        return self.getContinuousStateDerivatives(derivatives, count)
