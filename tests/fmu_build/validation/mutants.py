@@ -22,12 +22,12 @@ Files = dict[str, bytes]
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-fPIC", "-shared")
 
 
-def compile_spring(folder: Path, *flags: str) -> bytes:
+def compile_spring(folder: Path, *flags: str, source: str = "spring.c") -> bytes:
     """The library, with further compiler flags."""
     library = folder / "spring.so"
     compiler = find_compiler(native_platform()).command
-    source = [f"-I{fmi_header_folder()}", str(SOURCES / "spring.c"), "-o", str(library), "-lm"]
-    subprocess.run([*compiler, *STRICT, *source, *flags], check=True)
+    files = [f"-I{fmi_header_folder()}", str(SOURCES / source), "-o", str(library), "-lm"]
+    subprocess.run([*compiler, *STRICT, *files, *flags], check=True)
     return library.read_bytes()
 
 
@@ -38,6 +38,13 @@ def spring_files(library: bytes) -> Files:
         LIBRARY: library,
         "sources/spring.c": (SOURCES / "spring.c").read_bytes(),
     }
+
+
+def spring3(library: bytes, mutant: str = "sound") -> bytes:
+    """The archive of the FMU of FMI 3.0, or of a mutant of its behaviour."""
+    description = (SOURCES / "modelDescription3.xml").read_bytes()
+    path = "binaries/x86_64-linux/spring.so"
+    return zipped({DESCRIPTION: description, path: library, "resources/mutant.txt": mutant.encode()})
 
 
 def zipped(

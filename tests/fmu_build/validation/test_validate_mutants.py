@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
-from mutants import DESCRIPTION, LIBRARY, MUTANTS, Mutant, compile_spring, sound_variants, spring_files, zipped
+from mutants import DESCRIPTION, LIBRARY, MUTANTS, Mutant, compile_spring, sound_variants, spring3, spring_files, zipped
 
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -38,6 +38,12 @@ NAMED = (
     "nan_late part_of_step rate start shared_parameter saving_disturbs undeclared_input environment derivatives_doubled"
 )
 """Some that a user meets."""
+
+NAMED_IN_FMI3 = (
+    "any_guid nan_late part_of_step step_short rate start offset_derivative directional state_half undeclared_input start_ignored "
+    "stop_ignored initial_ignored tunable_refused log_category last_time constant_indicator event_past get_backwards handler crash_late"
+)
+"""Some that the same checks find in an FMU of FMI 3.0."""
 
 UNKNOWABLE = {"parameter_ignored"}
 """Mutants that are sound FMUs of another model: a parameter may have no influence."""
@@ -100,6 +106,18 @@ def test_spoilt_behaviour_is_found(found: Found, name: str) -> None:
     findings = found(mutant(name))
     assert any(each.severity is not Severity.NOTE for each in findings)
     assert not any("ended with signal" in each.message for each in findings)
+
+
+@pytest.mark.slow
+def test_behaviour_is_checked_in_fmi3_too(found: Found, tmp_path: Path) -> None:
+    """The same FMU by the functions of FMI 3.0: nothing where it is sound, time events and an early end included; mutants are found, in
+    the words of that version."""
+    library = compile_spring(tmp_path, source="spring3.c")
+    assert [found(spring3(library, name)) for name in ("sound", "ends_early", "offset", "ticks")] == [[]] * 4
+    for name in NAMED_IN_FMI3.split():
+        lines = [str(each) for each in found(spring3(library, name))]
+        assert lines, name
+        assert not any("fmi2" in line or "[FMI 3.0]" not in line for line in lines)
 
 
 def test_a_large_fmu_is_checked_in_little_memory(found: Found, library: bytes) -> None:
