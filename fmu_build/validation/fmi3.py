@@ -5,6 +5,7 @@ Left out are arrays, Float32, binary and clocked variables, event mode and early
 
 from __future__ import annotations
 
+import math
 import re
 from ctypes import POINTER, c_uint8, cast
 from pathlib import Path
@@ -131,6 +132,8 @@ for _old, _new in (
 class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
     """The functions for co-simulation, without event mode and early return."""
 
+    _terminates, _last = False, math.nan
+
     def make(self, name: bytes, token: bytes, resources: bytes, log: Any) -> Any:
         update = fmi3.fmi3IntermediateUpdateCallback()
         return self.fmi3InstantiateCoSimulation(
@@ -139,6 +142,7 @@ class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
 
     def doStep(self, time: float, length: float) -> None:
         """Make a step; raises `FMICallException` with fmi3Discard where the FMU terminates the simulation, as in FMI 2.0."""
+        self._terminates = False
         _, self._terminates, early, self._last = super().doStep(time, length)
         if early and not self._terminates:
             raise MisbehaviourError(

@@ -18,7 +18,9 @@ LIBRARY = "binaries/linux64/model.so"
 
 def _findings(library: bytes) -> list[Finding]:
     """Findings about the only library of an FMU for co-simulation."""
-    description = SimpleNamespace(coSimulation=SimpleNamespace(modelIdentifier="model"), modelExchange=None)
+    description = SimpleNamespace(
+        fmiMajorVersion=2, coSimulation=SimpleNamespace(modelIdentifier="model"), modelExchange=None
+    )
     return [finding for finding in check_binaries(description, {LIBRARY: library}) if LIBRARY in finding.message]
 
 
