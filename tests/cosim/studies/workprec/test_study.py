@@ -122,8 +122,8 @@ def test_formulations(subject: SceneUnderTest) -> None:
 
 @pytest.mark.slow
 def test_the_ladder_climbs() -> None:
-    """Rigid links are wrong by all that elasticity does, and richer sets are nearer to the one with all effects. A run takes the less
-    time the less there is in the model. What a loop has no answer for is named."""
+    """Rigid links are wrong by all that elasticity does, and richer sets are nearer to the one with all effects. A run of all takes
+    longer than one of rigid links. What a loop has no answer for is named."""
     study = studys.run_study(SCENE, ["algorithms", "effects"], lambda text: None)
     assert study.families == ("effects",)
     assert "algorithms: left out" in " ".join(studys.notes(study))
@@ -133,8 +133,8 @@ def test_the_ladder_climbs() -> None:
     assert errors == sorted(errors, reverse=True)
     lines = lines_of(study, "effects")
     (most,) = (line for line in lines if line.startswith("richest ("))
-    times = [min(each.time or 0.0 for each in lines[name]) for name in ("rigid", "4 coordinates", most)]
-    assert all(more > 1.2 * less > 0.0 for less, more in pairwise(times)), times
+    least, longest = (min(each.time or 0.0 for each in lines[name]) for name in ("rigid", most))
+    assert longest > 1.2 * least > 0.0
 
 
 TRIALS = (
