@@ -40,6 +40,12 @@ def test_the_same_rule_gives_the_same_numbers(follower: Tool, shared: SharedRun)
     assert apart(found, expected) < follower.within
 
 
+def test_both_versions_have_the_same_bits(shared: SharedRun, tmp_path: Path) -> None:
+    """ecos imports FMI 3.0 too."""
+    newer = shared_run(shared.scene, tmp_path, fmi="3")
+    np.testing.assert_array_equal(*(tool("ecos").simulate(each, STEP) for each in (shared, newer)))
+
+
 SAMPLES = 160
 """Of the blocks: ramps, sines and steps at every input, and more than the longest memory."""
 

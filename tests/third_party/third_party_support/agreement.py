@@ -26,6 +26,7 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.exchange.ssp.structure import Component, Connector, SspConnection, Structure, ssd_xml
 from flexfmu.cosim.experiment.planning import plan
+from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.model.scene.schema import Scene
 from third_party_support import maestro
 
@@ -61,9 +62,9 @@ class SharedRun:
     folder: Path
 
 
-def shared_run(scene: Scene, folder: Path, signals: Sequence[str] = SIGNALS) -> SharedRun:
+def shared_run(scene: Scene, folder: Path, signals: Sequence[str] = SIGNALS, fmi: FmiVersion = "2") -> SharedRun:
     """Export a scene's slaves, and say which outputs of the robot are compared."""
-    exported = export_slaves(scene, folder / "fmus")
+    exported = export_slaves(scene, folder / "fmus", fmi=fmi)
     fmus = {slave.name: str(slave.path) for slave in exported.slaves}
     connections = [list(pair) for pair in exported.connections]
     return SharedRun(
