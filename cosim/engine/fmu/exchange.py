@@ -1,8 +1,8 @@
 """Model exchange: integrates the states of an FMU between communication points, and finds its events.
 
-The method is Radau IIA of order 5 as SciPy has it (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section
-IV.8): implicit and L-stable, for stiff and other FMUs alike, and of one step, so that a jump of the inputs at a communication
-point costs no start of low order. Its matrices are kept from one communication step to the next.
+The method is Radau IIA of order 5, in C (``c-master/exchange.c``): implicit and L-stable, for stiff and other FMUs alike, and of one
+step, so that a jump of the inputs at a communication point costs no start of low order. Its matrices are kept from one
+communication step to the next.
 
 A step in which an event indicator changes its domain, z > 0 or z <= 0 (FMI 2.0.4, section 3.1.1), is made once more up to the
 first such change: found on the polynomial of the step, and again until step and polynomial end there. The states at
@@ -12,21 +12,33 @@ an event are then those of a whole step, not of its interpolation.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from ctypes import byref, c_size_t
-from math import inf, ulp
-from typing import Any, cast
+from ctypes import (
+    CFUNCTYPE,
+    POINTER,
+    Structure,
+    addressof,
+    byref,
+    c_double,
+    c_int,
+    c_size_t,
+    c_void_p,
+    cast,
+    memmove,
+    sizeof,
+)
+from functools import cache
+from math import ulp
+from typing import Any
 
 import numpy as np
-from scipy.integrate import Radau
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
 from flexfmu.cosim.engine.fmu.calls import address, value_references
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.shared_library import shared_library
 
 NEAR = 1e-9
-"""Instants, and lengths of steps, closer than this fraction of the step count as one: FMUs sum up their own times."""
+"""Instants closer than this fraction of the communication step count as one: FMUs sum up their own times."""
 
 MOST_ROUNDS = 1000
 """Limit of the iterations of one event, and of successive events without progress in time."""
@@ -38,15 +50,45 @@ section 2.1.5: fmi2SetupExperiment)."""
 LEAST_TOLERANCE = 1e-12
 """Least relative tolerance: below it, rounding decides in the FMU's derivatives."""
 
-EVENT_WIDTH = 1e-13
-"""Width of the interval in which an event is located, relative to the step, beside a few roundings of the time."""
+LEAST_STEP = 1e-13
+"""Shortest step after one that the FMU discards, relative to the communication step."""
 
-NODES = (4.0 - 6.0**0.5) / 10.0, (4.0 + 6.0**0.5) / 10.0, 1.0
-"""Parts of a step at which event indicators are read, those of the method: two changes of one are seen in between."""
+_REACHED, _EVENT, _ENDS, _STUCK, _FAILED = range(5)
+"""What ``master_exchange_advance`` returns."""
+
+_FOLLOW = CFUNCTYPE(c_int, c_double)
 
 
-class _DiscardedError(Exception):
-    """The FMU can't evaluate its equations here (fmi2Discard); a shorter step may succeed."""
+class _Record(Structure):
+    """``master_exchange_record``."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("time", "begin", "step", "last", "last_error", "factored")),
+        *(("is_current", c_int), ("is_stale", c_int)),
+    )
+
+
+class _Exchange(Structure):
+    """``master_exchange``."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("component", "set_time", "set_states", "get_rates", "get_indicators")),
+        *(("completed", c_void_p), ("directional", c_void_p), ("follow", c_void_p), ("unknown", c_void_p)),
+        *(("known", c_void_p), ("references", c_size_t), ("is_fmi3", c_int), ("n", c_size_t), ("m", c_size_t)),
+        *(("tolerance", c_double), ("least", c_double), ("absolute", c_void_p), ("nominal", c_void_p)),
+        *(("memory", c_void_p), ("pivots", c_void_p), ("record", _Record), ("status", c_int)),
+    )
+
+
+@cache
+def _library() -> Any:
+    """The functions of ``exchange.c``; a `BuildError` if it can't be compiled, for example without a C compiler."""
+    library: Any = shared_library("master")
+    library.master_exchange_size.argtypes = (c_size_t, c_size_t)
+    library.master_exchange_size.restype = c_size_t
+    library.master_exchange_begin.argtypes = (POINTER(_Exchange), c_void_p, c_int)
+    library.master_exchange_advance.argtypes = (POINTER(_Exchange), c_double)
+    return library
 
 
 class ContinuousTime:
@@ -55,246 +97,141 @@ class ContinuousTime:
     Args:
         instance: the `Instance`; its events are handled by `Instance.at_event`, which ends with `go_on`.
         fmu: its FMU.
+
+    Raises:
+        BuildError: the integrator can't be compiled, for example without a C compiler.
     """
 
     def __init__(self, instance: Any, fmu: Any) -> None:
-        self._instance, self._fmu = instance, fmu
-        calls, prefix, rates = instance.calls, instance.version.prefix, instance.version.rates
-        names = ("SetTime", "SetContinuousStates", rates, "GetEventIndicators", "GetDirectionalDerivative")
-        self._set_time, self._set_states, self._get_rates, self._get_indicators, self._get_directional = (
-            calls[f"{prefix}{name}"] for name in names
-        )
+        self._instance, self._fmu, self._library = instance, fmu, _library()
+        version, interface = instance.version, fmu.interface
         unknowns = [each.variable for each in fmu.description.derivatives or ()]
-        self._unknown = value_references([each.valueReference for each in unknowns])
         known = [each.derivative.valueReference for each in unknowns if each.derivative is not None]
-        self._known = value_references(known)
-        self._has_jacobian = fmu.gives_directional_derivatives and len(known) == len(unknowns)
-        self._completes = bool(fmu.interface.needsCompletedIntegratorStep)
+        self._references = value_references([each.valueReference for each in unknowns]), value_references(known)
+        has_jacobian = fmu.gives_directional_derivatives and len(known) == len(unknowns)
+
+        def function(name: str, wanted: bool = True) -> int | None:
+            return cast(instance.calls[f"{version.prefix}{name}"], c_void_p).value if wanted else None
+
+        self._in_c = _Exchange(
+            addressof(instance.component),
+            *map(function, ("SetTime", "SetContinuousStates", version.rates, "GetEventIndicators")),
+            function("CompletedIntegratorStep", bool(interface.needsCompletedIntegratorStep)),
+            function("GetDirectionalDerivative", has_jacobian),
+            None,
+            *map(address, self._references),
+            len(unknowns),
+            version.counts_values,
+        )
+        self._follow = _FOLLOW(self._set_followed)
         self._followed: dict[object, tuple[float, Callable[[float], int]]] = {}
-        self._solver: Any = None
 
     def begin(self, time: float, tolerance: float | None) -> None:
         """Begin a run after initialisation; ``tolerance`` is relative, None for that of the default experiment."""
-        experiment = self._fmu.description.defaultExperiment
+        experiment, c = self._fmu.description.defaultExperiment, self._in_c
         stated = tolerance or float(getattr(experiment, "tolerance", None) or TOLERANCE)
-        self._tolerance = min(max(stated, LEAST_TOLERANCE), 0.1)
         # numbers of states and event indicators; FMI 3.0 has arrays
-        states, indicators = len(self._unknown), int(self._fmu.description.numberOfEventIndicators or 0)
-        if self._instance.version.counts_values:
+        c.n, c.m = len(self._references[0]), int(self._fmu.description.numberOfEventIndicators or 0)
+        if c.is_fmi3:
             numbers = c_size_t(), c_size_t()
             for number, name in zip(numbers, ("ContinuousStates", "EventIndicators"), strict=True):
-                self._vector(f"GetNumberOf{name}", byref(number))
-            states, indicators = (each.value for each in numbers)
-        # buffers, whose addresses are taken once
-        self._states, self._rate, self._seed, self._nominals = np.zeros((4, states))
-        self._indicators, self._columns = np.zeros(indicators), np.zeros((states, states))
-        self._vectors = tuple((address(each), each.size) for each in (self._states, self._rate, self._indicators))
+                self._call(f"GetNumberOf{name}", byref(number))
+            c.n, c.m = (each.value for each in numbers)
+        self._states, self._nominals, self._absolute = np.ones((3, c.n))
+        self._memory, self._pivots = np.zeros(self._library.master_exchange_size(c.n, c.m)), np.zeros(2 * c.n, np.int32)
+        c.tolerance, c.least, c.status = min(max(stated, LEAST_TOLERANCE), 0.1), 0.0, fmi.OK
+        c.absolute, c.nominal, c.memory, c.pivots = map(
+            address, (self._absolute, self._nominals, self._memory, self._pivots)
+        )
+        c.record = _Record(time=time)
         self._followed.clear()
-        self._time, self._least = time, 0.0
-        self._restart()
+        self._restart(anew=True)
 
     def follow(self, key: object, values: Callable[[float], int] | None) -> None:
         """Let inputs follow ``values``, a function of the time from now [s] that sets them; None to hold them."""
         if values is None:
             self._followed.pop(key, None)
         else:
-            self._followed[key] = self._time, values
+            self._followed[key] = self._in_c.record.time, values
             self._instance.epoch += 1
+        self._in_c.follow = cast(self._follow, c_void_p).value if self._followed else None
+
+    def _set_followed(self, time: float) -> int:
+        """Set the inputs that aren't held; return the worst status."""
+        return max(values(time - begin) for begin, values in self._followed.values())
 
     def save(self) -> object:
         """Return what belongs to a saved state of the FMU."""
-        return copy(self._solver), self._z, self._factored, dict(self._followed)
+        return (
+            _Record.from_buffer_copy(self._in_c.record),
+            self._memory.copy(),
+            self._pivots.copy(),
+            dict(self._followed),
+        )
 
     def restore(self, memory: Any) -> None:
         """Go back to what `save` returned."""
-        solver, self._z, self._factored, followed = memory
-        self._solver, self._time, self._followed = copy(solver), solver.t, dict(followed)
+        record, self._memory[:], self._pivots[:], followed = memory
+        memmove(byref(self._in_c.record), byref(record), sizeof(record))
+        self._followed.clear()
+        self._followed.update(followed)
+        self._in_c.follow = cast(self._follow, c_void_p).value if followed else None
 
     def go_on(self, *, inputs_alone: bool) -> None:
-        """Go on after an event, with the states and derivatives that it has left; ``inputs_alone``: it was a jump of inputs."""
-        if self._instance.event_info.states_changed or not inputs_alone:
-            self._restart()
-            return
-        # the same states, other equations: the matrices and the step stay until they prove wrong
-        solver = self._solver
-        solver.f, solver.sol, solver.current_jac = self._rates(solver.t, solver.y), None, False
-        self._z = self._z_at(solver.t, solver.y)
+        """Go on after an event, with the states and derivatives that it has left; ``inputs_alone``: it was a jump of inputs, after
+        which step and matrices stay until they prove wrong."""
+        self._restart(anew=not inputs_alone or bool(self._instance.event_info.states_changed))
 
     def step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s], from event to event; as `Instance.step`."""
-        instance, end, idle = self._instance, time + step, 0
-        near, self._least = NEAR * step + 4.0 * ulp(end), EVENT_WIDTH * step
-        self._time = self._solver.t = max(time, self._solver.t)
+        instance, c, end, idle = self._instance, self._in_c, time + step, 0
+        record, near, advance = c.record, NEAR * step + 4.0 * ulp(end), self._library.master_exchange_advance
+        c.least, record.time = LEAST_STEP * step, max(time, record.time)
         while True:
-            bound, start = instance.next_event if instance.next_event < end - near else end, self._time
-            event = bound > start and self._advance(bound)
-            # state events and step events, then time events
-            if event or self._time >= instance.next_event - near:
-                if self._time < instance.next_event <= self._time + near:
-                    self._time = self._solver.t = instance.next_event
-                    instance.check("setting the time", lambda: self._place(self._time, self._solver.y))
-                instance.at_event(lambda: fmi.OK, self._time)
-                idle = 0 if self._time > start + EVENT_WIDTH * step else idle + 1
+            start = record.time
+            outcome = advance(c, instance.next_event if instance.next_event < end - near else end)
+            if outcome != _REACHED and outcome != _EVENT:
+                raise self._error(outcome)
+            # state events and step events, then time events, at their very instants
+            if outcome == _EVENT or record.time >= instance.next_event - near:
+                if record.time < instance.next_event <= record.time + near:
+                    record.time = instance.next_event
+                    self._call("SetTime", record.time)
+                instance.at_event(lambda: fmi.OK, record.time)
+                idle = 0 if record.time > start + LEAST_STEP * step else idle + 1
                 if idle > MOST_ROUNDS:
-                    raise instance.hangs("has events", self._time)
-            elif self._time >= end:
+                    raise instance.hangs("has events", record.time)
+            elif record.time >= end:
                 return
 
-    def _advance(self, bound: float) -> bool:
-        """Make one step of the method, at most up to ``bound`` and up to the first state event; return whether there is an event."""
-        instance, before, factored, crossing = self._instance, self._solver, self._factored, inf
-        while True:
-            self._solver = solver = copy(before)
-            try:
-                self._take(bound, factored)
-                crossing, width = self._first_crossing(), EVENT_WIDTH * solver.step_size + 4.0 * ulp(solver.t)
-                if solver.t - crossing <= width or crossing == inf:
-                    break
-                # once more, up to the event
-                bound = crossing
-            except _DiscardedError:
-                bound = before.t + 0.5 * (solver.t - before.t)
-                self._check_discarded(bound)
-        # the FMU at the end of the step
-        self._time = solver.t
-        if self._z.size:
-            self._z = self._z_at(solver.t, solver.y)
-        else:
-            instance.check("setting states", lambda: self._place(solver.t, solver.y))
-        enters, ends = instance.version.flag(), instance.version.flag()
-        if self._completes:
-            self._vector("CompletedIntegratorStep", True, byref(enters), byref(ends))
-        if ends.value:
-            raise instance.ended(solver.t)
-        return crossing < inf or bool(enters.value)
+    def _restart(self, *, anew: bool) -> None:
+        """Begin or go on to integrate at the FMU's present states; ``anew``: with another step and Jacobian."""
+        c = self._in_c
+        if c.n and anew:
+            self._call("GetContinuousStates", address(self._states), c.n)
+            self._call("GetNominalsOfContinuousStates", address(self._nominals), c.n)
+            self._nominals[~(self._nominals > 0.0)] = 1.0
+            self._absolute[:] = ABSOLUTE * c.tolerance * self._nominals
+        states = self._states if anew else self._memory[: c.n].copy()
+        if (outcome := self._library.master_exchange_begin(c, address(states), anew)) != _REACHED:
+            raise self._error(outcome)
 
-    def _take(self, bound: float, factored: float) -> None:
-        """Make one step of SciPy's method, at most up to ``bound``; its factors are those of a step of length ``factored``."""
-        solver = self._solver
-        wanted, length = solver.h_abs, min(solver.h_abs, bound - solver.t)
-        if abs(length - factored) > NEAR * length:
-            solver.LU_real = None
-        solver.t_bound, solver.status = bound, "running"
-        message = solver.step()
-        if solver.status == "failed":
-            raise self._failure(message or "the step became too small")
-        if not np.isfinite(solver.f).all():
-            raise _DiscardedError
-        # a communication point says nothing about the step that the error admits
-        self._factored = solver.t - solver.t_old
-        if solver.t == bound:
-            solver.h_abs = max(solver.h_abs, wanted)
-
-    def _first_crossing(self) -> float:
-        """Return the time just after the first change of an indicator's domain in the last step; infinite if there is none."""
-        if not self._z.size:
-            return inf
-        solver, dense, positive = self._solver, self._solver.dense_output(), self._z > 0.0
-        low, z_low = float(solver.t_old), self._z
-        for node in NODES:
-            high = float(solver.t if node == 1.0 else solver.t_old + node * (solver.t - solver.t_old))
-            z_high = self._z_at(high, solver.y if node == 1.0 else dense(high))
-            if ((z_high > 0.0) != positive).any():
-                break
-            low, z_low = high, z_high
-        else:
-            return inf
-        # the Illinois form of the regula falsi, for the indicator that seems to change first
-        width, weight, side = EVENT_WIDTH * (solver.t - solver.t_old) + 4.0 * ulp(solver.t), 1.0, 0
-        while high - low > width:
-            changed = (z_high > 0.0) != positive
-            from_low, from_high = abs(z_low[changed]), abs(z_high[changed])
-            part = float((weight * from_low / (weight * from_low + from_high + 1e-300)).min())
-            middle = min(max(low + part * (high - low), low + 0.5 * width), high - 0.5 * width)
-            z = self._z_at(middle, dense(middle))
-            last, side = side, 1 if ((z > 0.0) != positive).any() else -1
-            if side > 0:
-                high, z_high = middle, z
-            else:
-                low, z_low = middle, z
-            weight = 1.0 if side != last else weight * (0.5 if side > 0 else 2.0)
-        return high
-
-    def _restart(self) -> None:
-        """Begin to integrate at the FMU's present states."""
-        instance = self._instance
-        for name, buffer in (("ContinuousStates", self._states), ("NominalsOfContinuousStates", self._nominals)):
-            if buffer.size:
-                self._vector(f"Get{name}", address(buffer), buffer.size)
-        nominals = np.where(self._nominals > 0.0, self._nominals, 1.0)
-        x, absolute = self._states.copy(), cast(Any, ABSOLUTE * self._tolerance * nominals)
-        jacobian = self._jacobian if self._has_jacobian else None
-        if not np.isfinite(self._rates(self._time, x)).all():
-            raise self._failure("its derivatives aren't finite")
-        self._solver = Radau(self._rates, self._time, x, inf, rtol=self._tolerance, atol=absolute, jac=jacobian)
-        self._z, self._factored = self._z_at(self._time, x), 0.0
-        instance.check("setting states", lambda: self._place(self._time, x))
-
-    def _vector(self, function: str, *arguments: Any) -> None:
+    def _call(self, function: str, *arguments: Any) -> None:
         """Call a function that must succeed."""
         self._instance.check(function, lambda: self._instance.call(function, *arguments))
 
-    def _place(self, time: float, states: RealArray) -> int:
-        """Set time, inputs that aren't held, and states; return the worst status."""
-        component = self._instance.component
-        worst = int(self._set_time(component, time))
-        for begin, values in self._followed.values():
-            worst = max(worst, values(time - begin))
-        if states.size:
-            self._states[:] = states
-            worst = max(worst, self._set_states(component, *self._vectors[0]))
-        return worst
-
-    def _evaluated(self, what: str, time: float, status: int) -> bool:
-        """Return whether the FMU has evaluated its equations; False if it discards them."""
-        if status > fmi.DISCARD:
-            raise self._instance.error(what, status, time)
-        return status <= fmi.WARNING
-
-    def _rates(self, time: float, states: RealArray) -> RealArray:
-        """Return the derivatives of the states; NaN if the FMU discards them, which makes the method take a shorter step."""
-        if not states.size:
-            return self._rate
-        status = max(self._place(time, states), self._get_rates(self._instance.component, *self._vectors[1]))
-        if self._evaluated("reading derivatives", time, status):
-            return self._rate.copy()
-        self._check_discarded(time)
-        return np.full_like(states, np.nan)
-
-    def _check_discarded(self, time: float) -> None:
-        """Raise the error of an FMU that discards its equations even this near to the last step."""
-        if time - self._time <= self._least:
-            raise self._failure("it can't evaluate its equations (fmi2Discard)")
-
-    def _z_at(self, time: float, states: RealArray) -> RealArray:
-        """Return the event indicators."""
-        if not self._indicators.size:
-            return self._indicators
-        status = max(self._place(time, states), self._get_indicators(self._instance.component, *self._vectors[2]))
-        if not self._evaluated("reading event indicators", time, status):
-            raise _DiscardedError
-        return self._indicators.copy()
-
-    def _jacobian(self, time: float, states: RealArray) -> RealArray:
-        """Return the derivatives of the rates with respect to the states, (n, n), by the FMU's directional derivatives."""
-        component, counts = self._instance.component, self._instance.version.counts_values
-        known = address(self._unknown), len(self._unknown), address(self._known), len(self._known), address(self._seed)
-        size = (states.size,) if counts else ()
-        status = self._place(time, states)
-        for k, column in enumerate(self._columns):
-            self._seed[:] = 0.0
-            self._seed[k] = 1.0
-            status = max(status, self._get_directional(component, *known, *size, address(column), *size))
-        if not self._evaluated("reading directional derivatives", time, status):
-            raise self._instance.error("reading directional derivatives", status, time)
-        return self._columns.T.copy()
-
-    def _failure(self, reason: str) -> SlaveError:
-        """Return the error of an integration that can't go on."""
-        said = self._instance.log.complaint()
-        return SlaveError(
-            self._instance.name,
-            f"the integration of its states stopped at {self._time:.9g} s: {reason}"
-            + (f"; its last message: {said}" if said else ""),
-            self._time,
+    def _error(self, outcome: int) -> SlaveError:
+        """Return the error of an integration that doesn't go on."""
+        instance, time = self._instance, float(self._in_c.record.time)
+        if outcome == _ENDS:
+            return instance.ended(time)  # type: ignore[no-any-return]
+        if outcome == _FAILED:
+            return instance.error("the integration of its states", self._in_c.status, time)  # type: ignore[no-any-return]
+        said, status = instance.log.complaint(), self._in_c.status
+        reason = (
+            "it can't evaluate its equations (fmi2Discard)"
+            if status == fmi.DISCARD
+            else "its equations have no solution there"
         )
+        end = f"; its last message: {said}" if said else ""
+        return SlaveError(instance.name, f"the integration of its states stopped at {time:.9g} s: {reason}{end}", time)

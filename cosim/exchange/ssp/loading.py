@@ -257,7 +257,7 @@ def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str
     for name, fmu in fmus.items():
         used = [each.name for each in fmu.component.connectors if (name, each.name) in connected]
         remarks += check_connectors(fmu, used, units)
-        if fmu.component.implementation == "ModelExchange":
+        if fmu.component.implementation == "ModelExchange" and not fmu.fmu.is_exchange:
             remarks.append(f"{fmu.component.where} is for model exchange; its FMU's co-simulation was taken")
     return remarks
 
