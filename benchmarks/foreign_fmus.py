@@ -9,6 +9,11 @@ the default experiment, else a 500th of its length (of 0.2 s where it has none);
 relative to each output's largest value. Outputs that two runs in fmpy don't repeat (a clock, say) are left out. Our master reads
 outputs before and after it sets inputs, fmpy before alone; for a difference there is also what remains of it when outputs are
 read once. Equal lines are shown once.
+
+    python benchmarks/foreign_fmus.py --exchange FOLDER [FOLDER ...]
+
+The same for model exchange, of FMI 2.0 and 3.0 and without inputs: our integrator and fmpy's CVODE at the tolerance 1e-6, each against ours
+at 1e-10, and CVODE at 1e-10 against that. Co-simulation is taken out of FMUs that have both.
 """
 
 from __future__ import annotations
@@ -16,7 +21,9 @@ from __future__ import annotations
 import hashlib
 import re
 import sys
+import tempfile
 import warnings
+import zipfile
 from collections.abc import Iterator, Sequence
 from itertools import count as counter
 from math import inf
@@ -42,8 +49,8 @@ STEPS, LENGTH = 500, 0.2
 CALL_LIMIT, RUN_LIMIT = 60.0, 600.0
 """Time limits of an FMU for one call, and of fmpy for one run [s]."""
 
-TOLERANCE = 1e-6
-"""Relative tolerance of the FMUs."""
+TOLERANCE, TIGHT = 1e-6, 1e-10
+"""Relative tolerance of the FMUs, and that of a reference."""
 
 EQUAL = 1e-12
 """Relative difference that needs no explanation."""
@@ -103,14 +110,18 @@ def found(folders: Sequence[str]) -> Iterator[Path]:
             yield path
 
 
-def described(path: Path) -> Any:
+def described(path: Path, exchange: bool) -> Any:
     """The model description; None where it isn't an FMU for this comparison."""
     try:
         platforms = fmpy.supported_platforms(str(path))
         description = read_model_description(str(path), validate=False)
     except Exception:
         return None
-    suits = description.fmiVersion == "2.0" and description.coSimulation and fmpy.platform in platforms
+    suits = fmpy.platform in platforms or fmpy.platform_tuple in platforms
+    if exchange:
+        suits = suits and description.modelExchange and description.fmiVersion[0] in "23"
+    else:
+        suits = suits and description.fmiVersion == "2.0" and description.coSimulation
     return description if suits and any(v.causality == "output" for v in description.modelVariables) else None
 
 
@@ -258,17 +269,66 @@ def compared(path: Path, description: Any) -> str:
     return " | ".join((size, result, "; ".join(remarks)))
 
 
+def exchanged(path: Path, description: Any) -> str:
+    """What our integrator and CVODE give in model exchange."""
+    times = points(description)
+    wanted = (v for v in description.modelVariables if v.causality == "output" and not v.dimensions)
+    names = [v.name for v in wanted if v.type not in ("String", "Binary", "Clock")]
+    with tempfile.TemporaryDirectory() as folder:
+        alone = Path(folder, path.name)
+        with zipfile.ZipFile(path) as archive, zipfile.ZipFile(alone, "w") as without:
+            for name in archive.namelist():
+                content = archive.read(name)
+                if name == "modelDescription.xml":
+                    for kind in (b"CoSimulation", b"ScheduledExecution"):
+                        content = re.sub(rb"<%s\b([^>]*/>|.*?</%s>)" % (kind, kind), b"", content, flags=re.DOTALL)
+                without.writestr(name, content)
+
+        def own(tolerance: float) -> tuple[RealArray, dict[str, RealArray]]:
+            system = connect([FmuSlave(alone, "fmu")], [])
+            run = simulate(
+                system, times[-1], times[1] - times[0], start=times[0], tolerance=tolerance, isolation=CALL_LIMIT
+            )
+            if run.outcome.is_failure:
+                raise CosimError(run.message)
+            return run.recording.time, {name: run.recording[f"fmu.{name}"].values for name in names}
+
+        def cvode(tolerance: float) -> Any:
+            arguments = {"fmi_type": "ModelExchange", "record_events": False, "output": names, "validate": False}
+            span = {"start_time": times[0], "stop_time": times[-1], "output_interval": times[1] - times[0]}
+            action = lambda: fmpy.simulate_fmu(str(alone), relative_tolerance=tolerance, **arguments, **span)  # noqa: E731
+            return in_child(action, lambda: None, RUN_LIMIT)
+
+        try:
+            time, reference = own(TIGHT)
+            count, mine = time.size, own(TOLERANCE)[1]
+        except CosimError as error:
+            return f"not ours: {str(error).replace(str(folder), '')}"
+        cells, remarks = [mine], []
+        for tolerance in (TOLERANCE, TIGHT):
+            try:
+                cells.append(cvode(tolerance))
+                count = min(count, len(cells[-1]))
+            except Exception as error:
+                remarks.append(f"fmpy: {str(error).rpartition('/')[2]}")
+    apart_by = [f"{max(apart(each, reference, names, count).values(), default=0.0):.0e}" for each in cells]
+    return " | ".join((f"{time.size - 1} x {times[1] - times[0]:.3g} s", ", ".join(apart_by), "; ".join(remarks)))
+
+
 def main() -> None:
     """Run all, print the table."""
     keep_stdout()
+    exchange = sys.argv[1:2] == ["--exchange"]
+    heads = ("steps", "ours, CVODE, CVODE at 1e-10") if exchange else ("steps, inputs to outputs", "apart")
     print(
-        f"fmpy {fmpy.__version__}, {fmpy.platform}\n\n| exporter | FMU | steps, inputs to outputs | apart | remarks |\n|---|---|---|---|---|",
+        f"fmpy {fmpy.__version__}, {fmpy.platform}\n\n| exporter | FMU | {' | '.join(heads)} | remarks |\n|---|---|---|---|---|",
         flush=True,
     )
-    chosen = [(path, each) for path in found(sys.argv[1:]) if (each := described(path)) is not None]
+    folders = sys.argv[2:] if exchange else sys.argv[1:]
+    chosen = [(path, each) for path in found(folders) if (each := described(path, exchange)) is not None]
     lines = set()
     for path, description in sorted(chosen, key=lambda each: exporter(each[1])):
-        result = compared(path, description)
+        result = (exchanged if exchange else compared)(path, description)
         cells = result.split(" | ") if " | " in result else ["", "", result]
         line = f"| {' | '.join(map(one_line, (exporter(description), path.stem, *cells)))} |"
         if line not in lines:

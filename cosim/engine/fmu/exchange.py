@@ -75,7 +75,13 @@ class _Exchange(Structure):
         *((name, c_void_p) for name in ("component", "set_time", "set_states", "get_rates", "get_indicators")),
         *(("completed", c_void_p), ("directional", c_void_p), ("follow", c_void_p), ("unknown", c_void_p)),
         *(("known", c_void_p), ("references", c_size_t), ("is_fmi3", c_int), ("n", c_size_t), ("m", c_size_t)),
-        *(("tolerance", c_double), ("least", c_double), ("absolute", c_void_p), ("nominal", c_void_p)),
+        *(
+            ("tolerance", c_double),
+            ("least", c_double),
+            ("no_rollback", c_int),
+            ("absolute", c_void_p),
+            ("nominal", c_void_p),
+        ),
         *(("memory", c_void_p), ("pivots", c_void_p), ("record", _Record), ("status", c_int)),
     )
 
@@ -186,7 +192,7 @@ class ContinuousTime:
         """Advance from ``time`` by ``step`` [s], from event to event; as `Instance.step`."""
         instance, c, end, idle = self._instance, self._in_c, time + step, 0
         record, near, advance = c.record, NEAR * step + 4.0 * ulp(end), self._library.master_exchange_advance
-        c.least, record.time = LEAST_STEP * step, max(time, record.time)
+        c.least, c.no_rollback, record.time = LEAST_STEP * step, instance.no_rollback, max(time, record.time)
         while True:
             start = record.time
             outcome = advance(c, instance.next_event if instance.next_event < end - near else end)

@@ -450,10 +450,10 @@ int master_exchange_advance(master_exchange *e, double bound) {
     int enters = 0, ends = 0;
     if (e->completed != NULL && e->is_fmi3) {
       bool enter = false, end = false;
-      e->status = ((fmi3_call)e->completed)(*e->component, true, &enter, &end);
+      e->status = ((fmi3_call)e->completed)(*e->component, e->no_rollback != 0, &enter, &end);
       enters = enter, ends = end;
     } else if (e->completed != NULL) {
-      e->status = ((fmi2_call)e->completed)(*e->component, 1, &enters, &ends);
+      e->status = ((fmi2_call)e->completed)(*e->component, e->no_rollback, &enters, &ends);
     }
     if (e->status > WARNING) return EXCHANGE_FAILED;
     if (ends) return EXCHANGE_ENDS;

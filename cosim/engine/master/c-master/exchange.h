@@ -40,6 +40,7 @@ typedef struct {
   size_t n, m; /* states, event indicators */
   double tolerance; /* relative */
   double least;     /* shortest step [s] */
+  int no_rollback;  /* 1 = no state from before will be restored */
   const double *absolute, *nominal; /* tolerance and usual size of each state */
   double *memory;                   /* master_exchange_size doubles */
   int *pivots;                      /* 2 n */
