@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import subprocess
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,9 +14,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 from flexfmu.fmu_build.archive import DAMAGED, open_archive, read_member, repeated, unsafe
-from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError
+from flexfmu.fmu_build.errors import ArchiveError, CompileError, MissingCompilerError
 from flexfmu.fmu_build.temporary import temporary_folder
-from flexfmu.fmu_build.toolchain import find_compiler, fmi_header_folder, native_platform
+from flexfmu.fmu_build.toolchain import CompileJob, find_compiler, fmi_header_folder, native_platform
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
 FOLDERS = {"binaries", "documentation", "extra", "licenses", "resources", "sources", "terminalsAndIcons"}
@@ -27,9 +26,6 @@ FILES = {"modelDescription.xml", "model.png"}
 
 UNREAD = ("resources/", "extra/")
 """Folders whose files no check looks into."""
-
-LONGEST_COMPILATION = 60.0
-"""Time limit of the compiler [s], which only looks at the sources."""
 
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _FLAGS, _ENCRYPTED = 6, 1
@@ -168,36 +164,24 @@ def check_sources(description: Any, fmu: Path) -> Iterator[Finding]:
         description: model description as read by fmpy.
         fmu: the FMU file.
     """
-    with temporary_folder("validate") as home, suppress(MissingCompilerError, subprocess.TimeoutExpired):
+    sets = [each for configuration in description.buildConfigurations for each in configuration.sourceFileSets]
+    with temporary_folder("validate") as home, suppress(MissingCompilerError):
         unpack(fmu, folder := Path(home) / "fmu", sources=True)
-        for each in [
-            each for configuration in description.buildConfigurations for each in configuration.sourceFileSets
-        ]:
+        for each in sets:
             names = [name for name in each.sourceFiles if name.endswith(".c") and (folder / "sources" / name).exists()]
-            headers = [str(fmi_header_folder()), ".", *each.includeDirectories]
-            defined = [f"-D{one.name}={one.value or ''}" for one in each.preprocessorDefinitions if not one.optional]
-            command = [
-                *find_compiler(native_platform()).command,
+            flags = [
                 "-fsyntax-only",
                 "-w",
-                *(f"-I{each}" for each in headers),
+                *(f"-I{path}" for path in (fmi_header_folder(), ".", *each.includeDirectories)),
             ]
-            if not names or (each.language or "C").startswith("C++"):
-                continue
-            ran = subprocess.run(
-                [*command, *defined, *names],
-                cwd=folder / "sources",
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=LONGEST_COMPILATION,
-            )
-            errors = [line for line in ran.stderr.splitlines() if "error:" in line]
-            if ran.returncode and errors:
+            flags += [f"-D{one.name}={one.value or ''}" for one in each.preprocessorDefinitions if not one.optional]
+            try:
+                jobs = [CompileJob(name, tuple(flags)) for name in names]
+                find_compiler(native_platform()).compile(jobs, folder / "sources")
+            except CompileError as error:
                 # a header of another library or system is no fault
-                severity = Severity.NOTE if re.search("No such file|not found", errors[0]) else Severity.WARNING
-                remedy = "correct them: tools compile sources for other machines"
-                yield Finding(f"the sources don't compile: {errors[0]}", remedy, severity)
+                severity = Severity.NOTE if re.search("No such file|not found", str(error)) else Severity.WARNING
+                yield Finding(str(error), "correct the sources: tools compile them for other machines", severity)
                 return
 
 

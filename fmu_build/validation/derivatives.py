@@ -91,16 +91,12 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         )
     # ignore outputs that are aliases of states: some tools omit these derivatives
     same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
-    wrong = list(_compare(unknowns, knowns, floor, np.where(same, fine, matrix), fine, coarse))
+    wrong = list(_compare(unknowns, knowns, floor, np.where(same, fine, matrix), (fine, coarse)))
     yield from wrong or _not_linear(unknowns, knowns, floor, matrix, seeded)
 
 
 def _not_linear(
-    unknowns: Sequence[Any],
-    knowns: Sequence[Any],
-    floor: RealArray,
-    matrix: RealArray,
-    seeded: list[tuple[RealArray, RealArray]],
+    unknowns: Sequence[Any], knowns: Sequence[Any], floor: RealArray, matrix: RealArray, seeded: Sequence[Any]
 ) -> Iterator[Finding]:
     """Yield a finding if a derivative along several knowns differs from the sum of single ones times their seeds."""
     sizes = np.array([size_of(known) for known in knowns])
@@ -121,12 +117,7 @@ def _not_linear(
 
 
 def _compare(
-    unknowns: Sequence[Any],
-    knowns: Sequence[Any],
-    floor: RealArray,
-    matrix: RealArray,
-    differences: RealArray,
-    coarse: RealArray,
+    unknowns: Sequence[Any], knowns: Sequence[Any], floor: RealArray, matrix: RealArray, slopes: Sequence[RealArray]
 ) -> Iterator[Finding]:
     """Yield a finding about the worst entry of the Jacobian.
 
@@ -137,8 +128,9 @@ def _compare(
         unknowns, knowns: variables of rows and columns.
         floor: change of each unknown that is a rounding error, shape (unknowns,).
         matrix: Jacobian from the FMU, shape (unknowns, knowns).
-        differences, coarse: the same by differences with the smaller and the larger step.
+        slopes: the same by differences with the smaller and the larger step.
     """
+    differences, coarse = slopes
     # scaled by the known's size, relative to the largest entry of the row
     sizes = np.array([size_of(known) for known in knowns])
     apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes

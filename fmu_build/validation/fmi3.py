@@ -55,11 +55,9 @@ def described(folder: Path) -> Any:
         return description
     # what fmpy leaves out
     root = ElementTree.parse(folder / "modelDescription.xml").getroot()
-    for name, element in (("CoSimulation", description.coSimulation), ("ModelExchange", description.modelExchange)):
-        if element is not None:
-            found = root.find(name)
-            claim = None if found is None else found.get("providesDirectionalDerivatives")
-            element.providesDirectionalDerivative = claim in ("true", "1")
+    claims = {each.tag for each in root if each.get("providesDirectionalDerivatives") in ("true", "1")}
+    for element in filter(None, (description.coSimulation, description.modelExchange)):
+        element.providesDirectionalDerivative = type(element).__name__ in claims
     # scalars of the types that there are in FMI 2.0
     kept = [v for v in description.modelVariables if v.type in _TYPES and not v.dimensions and not v.clocks]
     types = {variable.valueReference: variable.type for variable in kept}
@@ -72,20 +70,13 @@ def described(folder: Path) -> Any:
         # states are set all together: without one of them there is none
         setattr(description, name, known if name != "derivatives" or len(known) == len(unknowns) else [])
     description.modelVariables = kept
-    return SimpleNamespace(
-        **asdict(description, recurse=False),
-        guid=description.guid,
-        fmiMajorVersion=description.fmiMajorVersion,
-        types=types,
-    )
+    return SimpleNamespace(**asdict(description, recurse=False), guid=description.guid, fmiMajorVersion=3, types=types)
 
 
 class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
     """The functions that both interfaces have, called as those of FMI 2.0; ``types``: value reference → type of FMI 3.0."""
 
-    def __init__(self, types: dict[int, str], **arguments: Any) -> None:
-        super().__init__(**arguments)
-        self.types = types
+    types: dict[int, str]
 
     def getTypesPlatform(self) -> str:
         return "default"
@@ -115,18 +106,14 @@ class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
     def fmi2SerializeFMUstate(self, component: Any, state: Any, data: Any, size: int) -> Any:
         return self.fmi3SerializeFMUState(component, state, cast(data, POINTER(c_uint8)), size)
 
-    def fmi2FreeInstance(self, component: Any) -> None:
-        self.fmi3FreeInstance(component)
-
-
-# functions that differ by their name alone
-for _old, _new in (
-    *((f"fmi2{name}", f"fmi3{_NAMES[name]}") for name in ("GetFMUstate", "SerializedFMUstateSize")),
-    *((name, name.replace("FMUs", "FMUS")) for name in ("getFMUstate", "setFMUstate", "freeFMUstate")),
-    *(("deSerializeFMUstate", "deserializeFMUState"), ("newDiscreteStates", "updateDiscreteStates")),
-    *(("getReal", "getFloat64"), ("setReal", "setFloat64")),
-):
-    setattr(_FMU3, _old, getattr(fmi3._FMU3, _new))
+    def __getattr__(self, name: str) -> Any:
+        """A function that differs by its name alone: getReal, fmi2FreeInstance."""
+        if name.startswith("fmi2"):
+            return getattr(self, in_fmi3(name))
+        renamed = _NAMES.get(name[:1].upper() + name[1:])
+        if renamed is None:
+            raise AttributeError(name)
+        return getattr(self, renamed[:1].lower() + renamed[1:])
 
 
 class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
@@ -146,7 +133,7 @@ class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
         _, self._terminates, early, self._last = super().doStep(time, length)
         if early and not self._terminates:
             raise MisbehaviourError(
-                "fmi3DoStep returns early, which is not allowed here", "step to the communication point"
+                "fmi3DoStep returns early, as is not allowed here", "step to the communication point"
             )
         if self._terminates:
             raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
@@ -157,15 +144,9 @@ class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
     def getRealStatus(self, kind: int) -> float:
         return float(self._last)
 
-    def getRealOutputDerivatives(self, references: list[int], orders: list[int]) -> list[float]:
-        return list(self.getOutputDerivatives(references, orders))
-
 
 class FMU3ModelLibrary(_FMU3, fmi3.FMU3Model):  # type: ignore[misc]
     """The functions for model exchange."""
 
     def make(self, name: bytes, token: bytes, resources: bytes, log: Any) -> Any:
         return self.fmi3InstantiateModelExchange(name, token, resources, False, False, None, log)
-
-    def getDerivatives(self, derivatives: Any, count: int) -> Any:
-        return self.getContinuousStateDerivatives(derivatives, count)

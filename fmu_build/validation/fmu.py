@@ -11,9 +11,9 @@ from copy import copy
 from ctypes import byref
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from fmpy import fmi2, fmi3
@@ -216,6 +216,7 @@ class FmuUnderTest:
         library: Any = copy(self.library)
         identity, resources = (guid or self.description.guid).encode(), (self.folder / "resources").absolute()
         if self.is_fmi3:
+            library.types = self.description.types
             library.component = library.make(name.encode(), identity, f"{resources}{os.sep}".encode(), self._log)
         else:
             library.callbacks = self._callbacks
@@ -264,12 +265,8 @@ class FmuUnderTest:
         Raises:
             Exception: fmpy can't load it; its type depends on the cause.
         """
-        is_slave, library = self.kind is InterfaceType.COSIMULATION, cast("Any", FMU2ModelLibrary)
-        if self.is_fmi3:
-            library = partial(FMU3SlaveLibrary if is_slave else FMU3ModelLibrary, self.description.types)
-        elif is_slave:
-            library = FMU2SlaveLibrary
-        return library(
+        kinds = (FMU3ModelLibrary, FMU3SlaveLibrary) if self.is_fmi3 else (FMU2ModelLibrary, FMU2SlaveLibrary)
+        return kinds[self.kind is InterfaceType.COSIMULATION](
             guid=self.description.guid,
             modelIdentifier=self.element.modelIdentifier,
             unzipDirectory=str(self.folder),
@@ -290,18 +287,20 @@ class FmuUnderTest:
         """The logger of FMI 3.0."""
 
         def log(_environment: int, _status: int, category: bytes, message: bytes) -> None:
-            self.categories.add((category or b"").decode(errors="replace"))
-            self.messages.append((message or b"").decode(errors="replace"))
+            self._collect(category, message)
 
         return fmi3.fmi3LogMessageCallback(log)
+
+    def _collect(self, category: bytes | None, message: bytes | None) -> None:
+        self.categories.add((category or b"").decode(errors="replace"))
+        self.messages.append((message or b"").decode(errors="replace"))
 
     @cached_property
     def _callbacks(self) -> Any:
         """The callbacks of all instances."""
 
         def log(_environment: int, _name: bytes, _status: int, category: bytes, message: bytes) -> None:
-            self.categories.add((category or b"").decode(errors="replace"))
-            self.messages.append((message or b"").decode(errors="replace"))
+            self._collect(category, message)
 
         # each block lies between guards; Python keeps it until the FMU frees it
         def allocate(count: int, size: int) -> int | None:

@@ -317,7 +317,7 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
                 yield Finding(message, "fill nvr values", section="2.1.7", check="memory")
     # unknown value references
     when = f"for the value reference {NO_VARIABLE}, which no variable has"
-    yield from _accepted(fmu, _UNKNOWN, _initialize, when, Severity.WARNING)
+    yield from _accepted(fmu, _UNKNOWN, 0, when, Severity.WARNING)
     # calls in the wrong state
     early: FmiCalls = {"fmi2ExitInitializationMode": ("exitInitializationMode",)}
     late: FmiCalls = {"fmi2EnterInitializationMode": ("enterInitializationMode",)}
@@ -329,32 +329,28 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
     if fixed := [v for v in fmu.settable("parameter") if v.type == "Real" and v.variability == "fixed"][:1]:
         name, arguments = fixed[0].name, ([fixed[0].valueReference], [start_of(fixed[0])])
         late[f"fmi2SetReal of the fixed parameter {name}"] = ("setReal", *arguments)
-    yield from _accepted(fmu, early, lambda _: None, "before the initialisation")
-    yield from _accepted(fmu, late, _initialize, "after the initialisation")
+    yield from _accepted(fmu, early, None, "before the initialisation")
+    yield from _accepted(fmu, late, 0, "after the initialisation")
     if fmu.kind is InterfaceType.COSIMULATION:
         short = copy(fmu)
         short.stop = fmu.start + 2 * fmu.step
         beyond: FmiCalls = {"fmi2DoStep": ("doStep", short.stop, fmu.step)}
-        yield from _accepted(short, beyond, _two_steps, "beyond the stop time")
-
-
-def _initialize(instance: Any) -> None:
-    instance.initialize()
-
-
-def _two_steps(instance: Any) -> None:
-    instance.initialize()
-    instance.advance(0, 2)
+        yield from _accepted(short, beyond, 2, "beyond the stop time")
 
 
 def _accepted(
-    fmu: FmuUnderTest, calls: FmiCalls, prepare: Callable[[Any], object], when: str, severity: Severity = Severity.NOTE
+    fmu: FmuUnderTest, calls: FmiCalls, steps: int | None, when: str, severity: Severity = Severity.NOTE
 ) -> Iterator[Finding]:
-    """Yield one finding for all accepted calls; each call has a separate instance, since an error may end it."""
+    """Yield one finding for all accepted calls; each call has a separate instance, since an error may end it.
+
+    ``steps`` are made before the call; None: the instance is not even initialised.
+    """
     accepted = []
     for name, (method, *arguments) in calls.items():
         with fmu.instance("illegal") as instance:
-            prepare(instance)
+            if steps is not None:
+                instance.initialize()
+                instance.advance(0, steps)
             if instance.finished:
                 continue
             announce(f"{name} {when}")

@@ -115,30 +115,22 @@ def _short_steps(fmu: FmuUnderTest, whole: RealArray, half: RealArray) -> Iterat
         with fmu.instance("small steps") as instance:
             initialize_perturbed(instance)
             runs.append(instance.read_steps(fmu.smooth_outputs, len(whole), parts))
-    if len(runs[0]) < len(whole) or len(runs[1]) < len(whole):
+    small, exact = runs
+    if not len(small) == len(exact) == len(whole):
         return
-    small, smaller = runs
-    first, second, unsure = change(fmu, whole, smaller), change(fmu, half, smaller), change(fmu, small, smaller)
-    # the time that is missing at each point, in proportion to the time that has passed
-    time = fmu.step * np.arange(1.0, len(whole) + 1)
-    lag = -time[:, None] * np.gradient(smaller, fmu.step, axis=0)
-    power = (lag**2).sum(axis=0).clip(1e-300)
-    shares = [((rows - smaller) * lag).sum(axis=0) / power for rows in (whole, half)]
-    left = np.sqrt(
-        (((whole - smaller) - shares[0] * lag) ** 2).sum(axis=0) / ((whole - smaller) ** 2).sum(axis=0).clip(1e-300)
+    # the time that is missing at each point, in proportion to the time that has passed, by least squares
+    lag = -fmu.step * np.arange(1.0, len(whole) + 1)[:, None] * np.gradient(exact, fmu.step, axis=0)
+    share, other = (((rows - exact) * lag).sum(axis=0) / (lag**2).sum(axis=0).clip(1e-300) for rows in (whole, half))
+    apart, left, unsure = (
+        np.linalg.norm(each, axis=0) for each in (whole - exact, whole - exact - share * lag, small - exact)
     )
-    same = np.abs(shares[0] - shares[1]) < SAME_SHARE * np.abs(shares[0])
-    wrong = (
-        same & (shares[0] > SHORT) & (left < STRETCHED) & (second > SHORT) & (unsure < 0.1 * np.minimum(first, second))
-    )
+    wrong = (share > SHORT) & (np.abs(share - other) < SAME_SHARE * share) & (change(fmu, half, exact) > SHORT)
+    wrong &= (left < STRETCHED * apart) & (unsure < 0.1 * apart)
     if wrong.any():
-        n = int(np.argmax(np.where(wrong, shares[0], 0.0)))
-        yield Finding(
-            f"{fmu.smooth_outputs[n].name} is {shares[0][n]:.2%} of the time late with steps of {fmu.step:g} s, and not with steps "
-            f"of {fmu.step / SMALL_PARTS:.2g} s",
-            "advance by all of communicationStepSize",
-            Severity.WARNING,
-        )
+        n = int(np.argmax(np.where(wrong, share, 0.0)))
+        late = f"{share[n]:.2%} of the time late with steps of {fmu.step:g} s"
+        message = f"{fmu.smooth_outputs[n].name} is {late}, and not with steps of {fmu.step / SMALL_PARTS:.2g} s"
+        yield Finding(message, "advance by all of communicationStepSize", Severity.WARNING)
 
 
 def initialize_perturbed(instance: Any) -> None:

@@ -14,7 +14,7 @@ from flexfmu.fmu_build.validation.finding import Finding, Severity, named, ranke
 from flexfmu.fmu_build.validation.fmi3 import in_fmi3
 from flexfmu.fmu_build.validation.fmu import InterfaceType
 from flexfmu.fmu_build.validation.supervisor import run_checks
-from flexfmu.fmu_build.validation.worker import CHECKS, COSIMULATION_ONLY, EXCHANGE_ONLY
+from flexfmu.fmu_build.validation.worker import CHECKS, EXCHANGE_ONLY, SLAVE_ONLY
 
 TIME_LIMIT = 120.0
 """Time limit of the dynamic checks [s]; the paper's scene needs a few seconds."""
@@ -67,7 +67,7 @@ def _check_dynamically(description: Any, fmu: Path, limit: float) -> list[Findin
     elements = {InterfaceType.COSIMULATION: description.coSimulation, InterfaceType.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
     single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
-    others = {InterfaceType.COSIMULATION: EXCHANGE_ONLY, InterfaceType.EXCHANGE: COSIMULATION_ONLY}
+    others = {InterfaceType.COSIMULATION: EXCHANGE_ONLY, InterfaceType.EXCHANGE: SLAVE_ONLY}
     jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS if check not in others[kind]]
     with temporary_folder("validate") as home:
         folder = Path(home) / "fmu"
