@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fmu_build" / "validation"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "third_party"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "cosim" / "exchange" / "fmu_export"))

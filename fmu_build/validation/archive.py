@@ -169,14 +169,10 @@ def check_sources(description: Any, fmu: Path) -> Iterator[Finding]:
         unpack(fmu, folder := Path(home) / "fmu", sources=True)
         for each in sets:
             names = [name for name in each.sourceFiles if name.endswith(".c") and (folder / "sources" / name).exists()]
-            flags = [
-                "-fsyntax-only",
-                "-w",
-                *(f"-I{path}" for path in (fmi_header_folder(), ".", *each.includeDirectories)),
-            ]
+            flags = [f"-I{path}" for path in (fmi_header_folder(), ".", *each.includeDirectories)]
             flags += [f"-D{one.name}={one.value or ''}" for one in each.preprocessorDefinitions if not one.optional]
             try:
-                jobs = [CompileJob(name, tuple(flags)) for name in names]
+                jobs = [CompileJob(name, ("-fsyntax-only", "-w", *flags)) for name in names]
                 find_compiler(native_platform()).compile(jobs, folder / "sources")
             except CompileError as error:
                 # a header of another library or system is no fault

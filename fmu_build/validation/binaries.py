@@ -23,9 +23,8 @@ def _functions(version: int, split: str) -> tuple[frozenset[str], frozenset[str]
     """All functions that an FMU for co-simulation, and one for model exchange, exports: by sections of the standard's header."""
     text = (fmi_header_folder() / f"fmi{version}Functions.h").read_text(encoding="utf-8")
     parts = re.split(split, text[text.index(f"fmi{version}FullName(") :])
-    common, exchange, cosimulation, *_ = (
-        frozenset(re.findall(rf"FullName\((fmi{version}\w+)\)", part)) for part in parts
-    )
+    found = [frozenset(re.findall(rf"FullName\((fmi{version}\w+)\)", part)) for part in parts]
+    common, exchange, cosimulation, *_ = found
     return common | cosimulation, common | exchange
 
 
@@ -153,10 +152,10 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
             # Windows ignores case
             same = folder.startswith("win") and name.lower() in map(str.lower, there)
             severity = Severity.WARNING if same else Severity.ERROR
-            message, libraries = f"{name} is missing, {folder}/ has {', '.join(there)}", {*there} - {*named}
-            libraries = {file for file in libraries if file.endswith(SUFFIXES[folder])}
-            if len(libraries) == 1:
-                message = f"{libraries.pop()} is not named after the modelIdentifier {identifier}"
+            message = f"{name} is missing, {folder}/ has {', '.join(there)}"
+            others = [file for file in there if file.endswith(SUFFIXES[folder]) and file not in named]
+            if len(others) == 1:
+                message = f"{others[0]} is not named after the modelIdentifier {identifier}"
             yield Finding(message, f"name it {identifier}{SUFFIXES[folder]}", severity)
         elif folder.endswith(("linux64", "-linux")):
             yield from _check_elf(name, files, functions)

@@ -49,19 +49,14 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
             yield from _violations(unknowns, states, instance, reported, states)
     # without model exchange states can be set in Initialization Mode alone, where they may determine parameters too
     if fmu.description.modelExchange is None and fmu.perturbable_states:
-        fixed = [
-            v for v in fmu.description.modelVariables if v.type == "Real" and v.variability in ("fixed", "tunable")
-        ]
+        reals = [variable for variable in fmu.description.modelVariables if variable.type == "Real"]
+        fixed = [variable for variable in reals if variable.variability in ("fixed", "tunable")]
         with fmu.instance("state_dependencies") as instance:
             instance.enter_initialization()
-            base = instance.get(fixed)
-            alone = [
-                state
-                for state in fmu.perturbable_states
-                if all(np.array_equal(base, each) for each in answers(instance, fixed, state, SHARE)[:2])
-            ]
-            for finding in _violations(unknowns, alone, instance, reported):
-                yield replace(finding, severity=Severity.WARNING)
+            for state in fmu.perturbable_states:
+                up, down, _ = answers(instance, fixed, state, SHARE)
+                for finding in _violations(unknowns, [state] * np.array_equal(up, down), instance, reported):
+                    yield replace(finding, severity=Severity.WARNING)
 
 
 def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:

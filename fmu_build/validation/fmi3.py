@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from ctypes import POINTER, c_uint8, cast
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
+from flexfmu.fmu_build.validation.finding import Finding
 from flexfmu.fmu_build.validation.instance import MisbehaviourError, Watched
 
 _TYPES = {"Float64": "Real", "Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"} | {
@@ -32,20 +34,19 @@ _NAMES = {
     "NewDiscreteStates": "UpdateDiscreteStates",
     "GetDerivatives": "GetContinuousStateDerivatives",
     "GetRealOutputDerivatives": "GetOutputDerivatives",
-    "GetFMUstate": "GetFMUState",
-    "SetFMUstate": "SetFMUState",
-    "FreeFMUstate": "FreeFMUState",
-    "SerializedFMUstateSize": "SerializedFMUStateSize",
-    "SerializeFMUstate": "SerializeFMUState",
-    "DeSerializeFMUstate": "DeserializeFMUState",
 }
 """Function of FMI 2.0 → function of FMI 3.0 with the same meaning, without their prefix; others have the same name."""
 
 
-def in_fmi3(text: str) -> str:
-    """The text with the names of FMI 3.0."""
-    renamed = re.sub(r"\bfmi2(\w+)", lambda match: f"fmi3{_NAMES.get(match[1], match[1])}", text)
-    return renamed.replace("GUID", "instantiation token")
+def in_fmi3(finding: Finding) -> Finding:
+    """The finding with the names of FMI 3.0."""
+    message, remedy = (_renamed(text).replace("GUID", "token") for text in (finding.message, finding.remedy))
+    return replace(finding, message=message, remedy=remedy, section="FMI 3.0")
+
+
+def _renamed(text: str) -> str:
+    text = text.replace("FMUstate", "FMUState").replace("DeSerialize", "Deserialize")
+    return re.sub(r"\bfmi2(\w+)", lambda match: f"fmi3{_NAMES.get(match[1], match[1])}", text)
 
 
 def described(folder: Path) -> Any:
@@ -78,9 +79,6 @@ class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
 
     types: dict[int, str]
 
-    def getTypesPlatform(self) -> str:
-        return "default"
-
     def setupExperiment(self, **experiment: Any) -> None:
         self._experiment = experiment
 
@@ -97,9 +95,6 @@ class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
     def _integer(self, reference: int) -> str:
         return self.types.get(reference, "Int32").replace("Enumeration", "Int64")
 
-    def getString(self, references: list[int]) -> list[bytes]:
-        return [value.encode() for value in super().getString(references)]
-
     def fmi2GetReal(self, component: Any, references: Any, count: int, values: Any) -> Any:
         return self.fmi3GetFloat64(component, references, count, values, count)
 
@@ -108,12 +103,11 @@ class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
 
     def __getattr__(self, name: str) -> Any:
         """A function that differs by its name alone: getReal, fmi2FreeInstance."""
-        if name.startswith("fmi2"):
-            return getattr(self, in_fmi3(name))
-        renamed = _NAMES.get(name[:1].upper() + name[1:])
-        if renamed is None:
+        new = _renamed(name if name.startswith("fmi2") else f"fmi2{name[:1].upper()}{name[1:]}")
+        new = new if name.startswith("fmi2") else new[4:5].lower() + new[5:]
+        if new == name:
             raise AttributeError(name)
-        return getattr(self, renamed[:1].lower() + renamed[1:])
+        return getattr(self, new)
 
 
 class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
@@ -132,9 +126,7 @@ class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
         self._terminates = False
         _, self._terminates, early, self._last = super().doStep(time, length)
         if early and not self._terminates:
-            raise MisbehaviourError(
-                "fmi3DoStep returns early, as is not allowed here", "step to the communication point"
-            )
+            raise MisbehaviourError("fmi3DoStep returns early, though it must not", "make the whole step")
         if self._terminates:
             raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
 

@@ -286,10 +286,7 @@ class FmuUnderTest:
     def _log(self) -> Any:
         """The logger of FMI 3.0."""
 
-        def log(_environment: int, _status: int, category: bytes, message: bytes) -> None:
-            self._collect(category, message)
-
-        return fmi3.fmi3LogMessageCallback(log)
+        return fmi3.fmi3LogMessageCallback(lambda _environment, _status, *texts: self._collect(*texts))
 
     def _collect(self, category: bytes | None, message: bytes | None) -> None:
         self.categories.add((category or b"").decode(errors="replace"))

@@ -58,8 +58,6 @@ class MisbehaviourError(RuntimeError):
 RECORD = 64
 """Size of the record of the current call [bytes]."""
 
-_NO_CALL = bytes(RECORD)
-
 
 class Watch:
     """Record of the FMI calls of this process, read by the watchdog thread.
@@ -93,7 +91,7 @@ class Watched:
             return status
         finally:
             Watch.call = ""
-            Watch.record[:] = _NO_CALL
+            Watch.record[:] = bytes(RECORD)
 
 
 class FMU2SlaveLibrary(Watched, fmi2.FMU2Slave):  # type: ignore[misc]
@@ -188,7 +186,7 @@ class InstanceUnderTest(ABC):
             where = [n for n, variable in enumerate(variables) if variable.type == kind]
             getter = getattr(self.library, f"get{_ACCESS[kind]}")
             for n, value in zip(where, getter([variables[n].valueReference for n in where]), strict=True):
-                values[n] = (value or b"").decode(errors="replace") if kind == "String" else value
+                values[n] = value.decode(errors="replace") if isinstance(value, bytes) else value
         return values
 
     def write(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
@@ -326,10 +324,7 @@ class CosimulationInstance(InstanceUnderTest):
         begin = monotonic()
         while (status := self.library.getStatus(fmi2.fmi2DoStepStatus)) == _PENDING:
             if monotonic() - begin > LONGEST_PENDING:
-                raise MisbehaviourError(
-                    f"a pending fmi2DoStep is not finished after {LONGEST_PENDING:g} s",
-                    "let fmi2GetStatus return its end",
-                )
+                raise MisbehaviourError(f"fmi2DoStep is pending for {LONGEST_PENDING:g} s", "let the step end")
             try:
                 self.library.getStringStatus(fmi2.fmi2PendingStatus)
             except FMICallException:  # it may have nothing to say

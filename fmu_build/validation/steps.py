@@ -7,6 +7,7 @@ Richardson extrapolation). An input ramp, set by its derivative, is compared wit
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from math import factorial
 from typing import Any
 
@@ -42,11 +43,8 @@ LONGEST_SMALL_STEPS = 5.0
 SHORT = 0.003
 """Share of a communication step that may be missing."""
 
-SAME_SHARE = 0.1
-"""Largest relative difference of two shares that are the same."""
-
-STRETCHED = 0.2
-"""Part of a difference that a stretched time axis may leave unexplained."""
+ALIKE = 0.2
+"""Largest relative difference of two shares that are the same, and part of a difference that they may leave unexplained."""
 
 STAIRS = 16
 """Duration of a ramp in communication steps; for discrete outputs in samples within one communication step."""
@@ -79,11 +77,7 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
     if not fmu.has_variable_step or not fmu.smooth_outputs:
         return
     # the same motion with whole, half and quarter steps
-    runs = []
-    for parts in PARTS:
-        with fmu.instance("halved") as instance:
-            initialize_perturbed(instance)
-            runs.append(instance.read_steps(fmu.smooth_outputs, min(fmu.steps, SPLIT_POINTS), parts))
+    runs = _runs(fmu, min(fmu.steps, SPLIT_POINTS), PARTS)
     length = min(map(len, runs))
     whole, half, quarter = (rows[:length] for rows in runs)
     if length < 3:
@@ -110,27 +104,31 @@ def _short_steps(fmu: FmuUnderTest, whole: RealArray, half: RealArray) -> Iterat
         whole, half: smooth outputs at communication points, with whole and half steps, shape (points, outputs).
     """
     # two sizes of small steps, which agree
-    runs = []
-    for parts in (SMALL_PARTS, 2 * SMALL_PARTS):
-        with fmu.instance("small steps") as instance:
-            initialize_perturbed(instance)
-            runs.append(instance.read_steps(fmu.smooth_outputs, len(whole), parts))
-    small, exact = runs
+    small, exact = _runs(fmu, len(whole), (SMALL_PARTS, 2 * SMALL_PARTS))
     if not len(small) == len(exact) == len(whole):
         return
     # the time that is missing at each point, in proportion to the time that has passed, by least squares
     lag = -fmu.step * np.arange(1.0, len(whole) + 1)[:, None] * np.gradient(exact, fmu.step, axis=0)
     share, other = (((rows - exact) * lag).sum(axis=0) / (lag**2).sum(axis=0).clip(1e-300) for rows in (whole, half))
-    apart, left, unsure = (
-        np.linalg.norm(each, axis=0) for each in (whole - exact, whole - exact - share * lag, small - exact)
-    )
-    wrong = (share > SHORT) & (np.abs(share - other) < SAME_SHARE * share) & (change(fmu, half, exact) > SHORT)
-    wrong &= (left < STRETCHED * apart) & (unsure < 0.1 * apart)
+    errors = (whole - exact, whole - exact - share * lag, small - exact)
+    apart, left, unsure = (np.linalg.norm(each, axis=0) for each in errors)
+    wrong = (share > SHORT) & (np.abs(share - other) < ALIKE * share) & (change(fmu, half, exact) > SHORT)
+    wrong &= (left < ALIKE * apart) & (unsure < ALIKE * apart)
     if wrong.any():
         n = int(np.argmax(np.where(wrong, share, 0.0)))
         late = f"{share[n]:.2%} of the time late with steps of {fmu.step:g} s"
         message = f"{fmu.smooth_outputs[n].name} is {late}, and not with steps of {fmu.step / SMALL_PARTS:.2g} s"
         yield Finding(message, "advance by all of communicationStepSize", Severity.WARNING)
+
+
+def _runs(fmu: FmuUnderTest, steps: int, parts: Sequence[int]) -> list[RealArray]:
+    """The smooth outputs after each communication step of a perturbed run, for each number of parts of a step."""
+    runs = []
+    for each in parts:
+        with fmu.instance("parts") as instance:
+            initialize_perturbed(instance)
+            runs.append(instance.read_steps(fmu.smooth_outputs, steps, each))
+    return runs
 
 
 def initialize_perturbed(instance: Any) -> None:
@@ -174,14 +172,11 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def reports_the_last_successful_time(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check that fmi2LastSuccessfulTime, if the FMU gives it, is the time of the communication point, or that of the FMU's own step."""
-    with fmu.initialized("last_time") as instance:
-        steps = min(TIMES, fmu.steps)
+    steps = min(TIMES, fmu.steps)
+    with suppress(FMICallException), fmu.initialized("last_time") as instance:
         if not all(instance.step(n) for n in range(steps)):
             return
-        try:
-            given = float(instance.library.getRealStatus(fmi2.fmi2LastSuccessfulTime))
-        except FMICallException:
-            return
+        given = float(instance.library.getRealStatus(fmi2.fmi2LastSuccessfulTime))
         time = fmu.start + steps * fmu.step
         if not min(abs(given - each) for each in (time, *instance.get(fmu.times))) < 0.1 * fmu.step:
             message = f"fmi2LastSuccessfulTime is {given:.9g} s after steps to {time:.9g} s"

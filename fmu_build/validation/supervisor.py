@@ -93,8 +93,7 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
             hangs[kind] += hang is not None
             # a crash is the FMU's where a new process repeats it at once; one that wanders may be anybody's
             crash = (kind, status, call)
-            is_known = status is None or hang is not None or crash in repeated or (suspected and suspected[0] == begun)
-            if is_known:
+            if status is None or hang is not None or crash in repeated or (suspected and suspected[0] == begun):
                 found.append((begun, problem))
                 repeated.add(crash)
             else:

@@ -48,18 +48,11 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     findings += [*named("archive", check_entries(entries, encrypted)), *named("archive", check_archive(files))]
     # binaries, then dynamic checks
     if description is not None and interfaces(description):
-        findings += [
-            *named("binary", check_binaries(description, files)),
-            *named("sources", check_sources(description, path)),
-        ]
+        findings += named("binary", check_binaries(description, files))
+        findings += named("sources", check_sources(description, path))
         if run and library_name(description) in files:
             findings += _check_dynamically(description, path, time_limit)
-    if version != "2.0":
-        findings = [
-            replace(each, message=in_fmi3(each.message), remedy=in_fmi3(each.remedy), section="FMI 3.0")
-            for each in findings
-        ]
-    return ranked(findings)
+    return ranked(findings if version == "2.0" else map(in_fmi3, findings))
 
 
 def _check_dynamically(description: Any, fmu: Path, limit: float) -> list[Finding]:

@@ -108,31 +108,23 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def tunable_parameters_are_taken(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Check that tunable parameters can be set while the simulation runs, and keep the value; in model exchange in Event Mode."""
+    """Check that tunable parameters can be set while the simulation runs, in model exchange in Event Mode."""
     tunable = [variable for variable in fmu.settable("parameter") if variable.variability == "tunable"]
     if not tunable:
         return
-    with fmu.instance("tunable") as instance:
-        instance.initialize()
+    with fmu.initialized("tunable") as instance:
         instance.advance(0, min(fmu.steps, 3))
         if instance.finished:
             return
         if fmu.kind is InterfaceType.EXCHANGE:
             instance.library.enterEventMode()
         for variable in tunable:
-            # the value that it has can't be a wrong one
-            for value in (instance.read([variable])[0], other_value(variable)):
-                try:
-                    instance.write([variable], [start_value(variable) if value is None else value])
-                except FMICallException:
-                    if value != other_value(variable):
-                        message = f"the tunable parameter {variable.name} is refused while the simulation runs"
-                        remedy = "take it at communication points and events, or call it fixed"
-                        yield Finding(message, remedy, subject=variable.name)
-                    return
-            got = instance.read([variable])[0]
-            if value is not None and not _is_close(variable, got, value):
-                yield _forgotten(variable, got, value, "while the simulation runs, it was set to")
+            try:  # the value that it has can't be a wrong one
+                instance.write([variable], instance.read([variable]))
+            except FMICallException:
+                message = f"the tunable parameter {variable.name} is refused while the simulation runs"
+                yield Finding(message, "take it at communication points, or call it fixed", subject=variable.name)
+                return
 
 
 def _kept(instance: Any, changes: dict[Any, Any], variables: Sequence[Any] | None = None) -> dict[Any, Any] | None:

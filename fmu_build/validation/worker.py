@@ -13,7 +13,6 @@ import json
 import locale
 import os
 import platform
-import re
 import shutil
 import signal
 import sys
@@ -105,13 +104,11 @@ def surroundings(fmu: Path) -> dict[str, Any]:
         seen["environment"] = _environment(libc)
         seen["mask of new files"] = os.umask(0)
         os.umask(seen["mask of new files"])
-        if sys.platform == "linux":
-            seen["floating-point traps"] = ctypes.CDLL("libm.so.6").fegetexcept()
-    # on Linux: signal handlers, open files, threads and child processes
-    status = Path("/proc/self/status")
-    if status.exists():
-        seen["signal handlers"] = re.findall(r"^Sig(?:Blk|Ign|Cgt):.*", status.read_text(), re.MULTILINE)
-        seen["signal handlers"] += [_handler(libc, number) for number in range(1, signal.SIGRTMIN)]
+    # on Linux: floating-point traps, signal handlers, open files, threads and child processes
+    if sys.platform == "linux":
+        seen["floating-point traps"] = ctypes.CDLL("libm.so.6").fegetexcept()
+        seen["signal handlers"] = [_handler(libc, number) for number in range(1, signal.SIGRTMIN)]
+        seen["blocked signals"] = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         seen["open files"] = len(os.listdir("/proc/self/fd"))
         tasks = list(Path("/proc/self/task").iterdir())
         seen["threads"] = len(tasks)
@@ -159,7 +156,7 @@ def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Find
                 change += f" to {new:#05o}"
             case "rounding of numbers" if platform.machine() in ("x86_64", "AMD64"):
                 change += f" to {_ROUNDING.get(new, new)}"
-            case _ if what != "signal handlers":
+            case _ if what not in ("signal handlers", "blocked signals"):
                 change += f" to {new}"
         yield Finding(f"the FMU {change}{whose}", remedy, Severity.WARNING)
 
