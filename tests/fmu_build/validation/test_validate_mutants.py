@@ -41,7 +41,7 @@ NAMED = (
 
 NAMED_IN_FMI3 = (
     "any_guid nan_late part_of_step step_short rate start offset_derivative directional state_half undeclared_input start_ignored "
-    "stop_ignored initial_ignored tunable_refused log_category last_time constant_indicator event_past get_backwards handler crash_late"
+    "stop_ignored initial_ignored tunable_refused log_category last_time constant_indicator event_past get_backwards handler"
 )
 """Some that the same checks find in an FMU of FMI 3.0."""
 
