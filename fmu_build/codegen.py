@@ -25,8 +25,9 @@ MAX_INPUT_ORDER = 9
 DESCRIPTION_FILE = "model_description.c"
 HEADER_FILE = "model_functions.h"
 LANES_FILE = "model_residual_lanes.c"
+SPARSE_FILE = "model_sparse.c"
 
-SIGNATURES = {**FUNCTION_SIGNATURES, **EVENT_SIGNATURES}
+SIGNATURES = {**FUNCTION_SIGNATURES, **EVENT_SIGNATURES, "jacobian": (("y", "v", "a", "u", "d"), "entries")}
 
 UNKNOWNS = ("y", "v", "a", "j", "dy", "dv")
 INPUTS = ("u", "u1", "u2", "du")
@@ -60,6 +61,60 @@ def identifier(name: str) -> str:
     return cleaned if re.match(r"[A-Za-z_]", cleaned) else f"model_{cleaned}"
 
 
+@dataclass(frozen=True)
+class Pattern:
+    """Entries of a sparse matrix and of its factors, by columns; the rows of each column in the order of elimination.
+
+    Attributes:
+        order: unknowns in the order of elimination.
+        starts: first entry of each column, and the number of entries.
+        diagonals: which entry of each column is on the diagonal.
+        rows: row of each entry.
+    """
+
+    order: tuple[int, ...]
+    starts: tuple[int, ...]
+    diagonals: tuple[int, ...]
+    rows: tuple[int, ...]
+
+
+SPARSE_FROM = 8
+"""Number of unknowns from which a Newton matrix may be sparse."""
+
+SPARSE_SHARE = 0.1
+"""Products in the factors of a sparse matrix, most for one of n rows, relative to n^3: those of a dense one are a third of that."""
+
+
+def sparse_matrix(model: SymbolicModel) -> tuple[Pattern, casadi.Function] | None:
+    """The pattern of M, D and K, derivatives of the residual by accelerations, rates and coordinates, with that of their factors, and
+    the function that gives the entries of the three; None where dense matrices take less time, and where friction changes rows."""
+    n = model.degrees_of_freedom
+    if n < SPARSE_FROM or model.frictions:
+        return None
+    names, residual = SIGNATURES["jacobian"][0], _function(model, "residual")
+    arguments = [casadi.SX.sym(name, residual.sparsity_in(i)) for i, name in enumerate(names)]
+    value = residual(*arguments)
+    blocks = [casadi.jacobian(value, arguments[i]) for i in (2, 1, 0)]
+    pattern = casadi.Sparsity.diag(n)
+    for block in blocks:
+        pattern = pattern + block.sparsity() + block.sparsity().T
+    # factors, whose pattern is that of Cholesky's
+    upper, order = pattern.ldl(True)
+    if sum(count**2 for count in np.diff(upper.T.colind())) > SPARSE_SHARE * n**3:
+        return None
+    factors = upper + upper.T + casadi.Sparsity.diag(n)
+    position = {unknown: k for k, unknown in enumerate(order)}
+    columns = [[order[row] for row in factors.row()[slice(*factors.colind()[k : k + 2])]] for k in range(n)]
+    columns = [columns[position[c]] for c in range(n)]
+    starts = np.cumsum([0, *map(len, columns)]).tolist()
+    rows = [row for column in columns for row in column]
+    diagonals = [starts[c] + column.index(c) for c, column in enumerate(columns)]
+    entries = casadi.vertcat(*(block[row, c] for block in blocks for c, column in enumerate(columns) for row in column))
+    return Pattern(tuple(order), tuple(starts), tuple(diagonals), tuple(rows)), casadi.Function(
+        "jacobian", arguments, [casadi.densify(entries)]
+    )
+
+
 def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[GeneratedFunction, ...]]:
     """C files of the model's functions (name → text, header included) and the facts for the constant tables.
 
@@ -67,8 +122,13 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
         ModelError: a function is missing or has a wrong signature, or the mass matrix isn't symmetric or not that of the residual.
     """
     sizes = _sizes(model)
-    names = SIGNATURES if model.events else FUNCTION_SIGNATURES
-    prepared = {name: _prepare(name, _function(model, name), sizes) for name in names}
+    functions = {
+        name: _function(model, name) for name in (*FUNCTION_SIGNATURES, *(EVENT_SIGNATURES if model.events else ()))
+    }
+    if (sparse := sparse_matrix(model)) is not None:
+        functions["jacobian"] = sparse[1]
+        sizes["entries"] = (3 * len(sparse[0].rows), 1)
+    prepared = {name: _prepare(name, function, sizes) for name, function in functions.items()}
     _check_mass_matrix(model, prepared)
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
     # operations of twins side by side where the model has any; CasADi's code for what branches
@@ -79,6 +139,8 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     }
     if (lanes := lanes_code(prepared["residual"])) is not None:
         files[LANES_FILE] = render(LANES_FILE + ".j2", function=lanes)
+    if sparse is not None:
+        files[SPARSE_FILE] = render(SPARSE_FILE + ".j2", pattern=sparse[0])
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
 
 
@@ -117,6 +179,7 @@ def generate_description(
         n_derived=_function(model, "derive").numel_out(0),
         max_input_order=MAX_INPUT_ORDER,
         has_lanes=has_lanes,
+        sparse=any(each.field == "jacobian" for each in functions),
     )
 
 

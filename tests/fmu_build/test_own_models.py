@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,37 @@ def leak_rates(t: float, s: Any) -> Any:
     return [-float(brentq(lambda w: w**3 + w - 2 * s[0], -10.0, 10.0, xtol=1e-15))]
 
 
+COUPLED = np.zeros((12, 12))
+"""A matrix of the states of `network`, of which each is coupled with a few others drawn, in one direction."""
+_RANDOM = np.random.default_rng(3)
+COUPLED[np.arange(12), np.arange(12)] = -(10.0 ** _RANDOM.uniform(-1, 2, 12))
+for _row in range(12):
+    COUPLED[_row, _RANDOM.choice(12, 2)] += _RANDOM.uniform(-2.0, 2.0, 2)
+
+
+def network() -> SymbolicModel:
+    """Fast and slow states with drawn couplings: the matrices are sparse and not symmetric."""
+    rates = lambda x, t: [casadi.sin(t) + casadi.dot(casadi.SX(row), casadi.vertcat(*x)) for row in COUPLED]  # noqa: E731
+    return flexfmu.ode("network", x={f"x{k}": 1.0 for k in range(12)}, rhs=rates)
+
+
+def chain() -> SymbolicModel:
+    """Ten masses in a row, with hardening springs and without damping."""
+
+    def residual(q: Any, a: Any) -> list[Any]:
+        stretch = [right - left for left, right in pairwise([0.0, *q, 0.0])]
+        forces = [s + s**3 for s in stretch]
+        return [each + left - right for each, left, right in zip(a, forces, forces[1:], strict=False)]
+
+    return flexfmu.second_order("chain", q={f"q{k}": 1.0 if k == 0 else 0.0 for k in range(10)}, residual=residual)
+
+
+def chain_rates(t: float, s: Any) -> Any:
+    """The same by hand."""
+    stretch = np.diff([0.0, *s[:10], 0.0])
+    return [*s[10:], *np.diff(stretch + stretch**3)]
+
+
 CASES: Mapping[str, tuple[Callable[[], SymbolicModel], Rates, list[float], float, list[str]]] = {
     "vdp": (van_der_pol, lambda t, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], [2, 0], 20.0, ["x0", "x1"]),
     "robertson": (
@@ -137,6 +169,8 @@ CASES: Mapping[str, tuple[Callable[[], SymbolicModel], Rates, list[float], float
     "forced": (forced, lambda t, s: [s[1], np.sin(3 * t) - 0.1 * s[1] - 4 * s[0]], [0, 1], 10.0, ["y", "der(y)"]),
     "pendulum": (pendulum, pendulum_rates, [1, 0, 0, 0], 3.0, ["x", "y", "vx", "vy"]),
     "leak": (leak, leak_rates, [1], 5.0, ["x"]),
+    "network": (network, lambda t, s: COUPLED @ s + np.sin(t), [1] * 12, 3.0, [f"x{k}" for k in range(12)]),
+    "chain": (chain, chain_rates, [1, *[0] * 19], 10.0, [n.format(k) for n in ("q{}", "der(q{})") for k in range(10)]),
 }
 """Model, its rates by hand, start, end [s], outputs that show the states."""
 

@@ -50,6 +50,15 @@ typedef struct {
   int has_reset;
 } flex_event;
 
+/* a matrix whose entries are stored by columns without most zeros, and its factors in the place of these */
+typedef struct {
+  int count;                                    /* entries */
+  const int *diagonals;                         /* which of them are on the diagonal */
+  int (*factor)(int is_complex, real *a, real *x);          /* x is scratch; 0, or 1 if a pivot is zero or not finite */
+  void (*solve)(int is_complex, const real *lu, real *x);   /* x = inverse(A) x */
+  void (*multiply)(const real *a, const real *x, real *y);  /* y = A x; y is not x */
+} flex_sparse;
+
 typedef struct {
   const char *name;
   const char *guid;
@@ -102,6 +111,10 @@ typedef struct {
   void (*residual_lanes)(const double *y, const double *v, const double *a, const double *u, const double *d, double *r);
   flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */
   flex_function outputs;        /* (y, v, a, u, d) -> o [n_outputs] */
+
+  /* Newton's matrix where it is sparse: entries of M, D and K = dr/da, dr/dv, dr/dy. NULL where matrices are dense */
+  const flex_sparse *sparse;
+  flex_function jacobian;       /* (y, v, a, u, d) -> M, D, K; only where there is `sparse` */
 
   /* directional derivatives: what small changes dy, dv, .. of the arguments make of the results. Residual and outputs
    * share most of their operations, so one function gives both, without what changes of the acceleration add: M da to dr,

@@ -16,7 +16,7 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
                                       &model->mass_matrix,    &model->outputs,        &model->motion_forward,
                                       &model->motion_rate1,   &model->motion_rate2,   &model->singularity,
                                       &model->error_scale,    &model->initial_coordinates, &model->start_forward,
-                                      &model->event_numbers,  &model->event_resets};
+                                      &model->event_numbers,  &model->event_resets,  &model->jacobian};
 
   // the largest work space that any function needs, at least room for the arguments
   int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;

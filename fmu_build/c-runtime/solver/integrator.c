@@ -58,7 +58,8 @@
 #define SEGMENT (FLEX_DENSE_NODES + 2)
 #define MOTION 5
 
-void flex_integrator_take_state(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena) {
+void flex_integrator_take_state(flex_integrator *integrator, const flex_model *model, flex_arena *arena) {
+  int n = model->n;
   size_t size = (size_t)n;
   integrator->n = n;
   integrator->motion_count = (7 + FLEX_MAX_STAGES + size) * size;
@@ -74,8 +75,8 @@ void flex_integrator_take_state(flex_integrator *integrator, int n, int n_inputs
   }
   integrator->segments = flex_take_reals(arena, 2 * SEGMENT * size);
   integrator->far_motion = flex_take_reals(arena, MOTION * size);
-  integrator->far_u = flex_take_reals(arena, (size_t)n_inputs);
-  flex_stages_take_state(&integrator->stages, n, arena);
+  integrator->far_u = flex_take_reals(arena, (size_t)model->n_inputs);
+  flex_stages_take_state(&integrator->stages, model, arena);
 }
 
 void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena) {

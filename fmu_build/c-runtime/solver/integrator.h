@@ -47,7 +47,7 @@ struct flex_integrator {
   real *saved, *full_y, *full_v, *full_a, *change, *defect, *end_u, *explicit_y, *explicit_v, *explicit_a;
 };
 
-void flex_integrator_take_state(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
+void flex_integrator_take_state(flex_integrator *integrator, const flex_model *model, flex_arena *arena);
 void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
 
 /* chooses the method and the relative tolerance; with another one, what is known about steps has to be forgotten */

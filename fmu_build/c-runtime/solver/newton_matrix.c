@@ -18,13 +18,14 @@
 
 enum { LANES = 4 };
 
-void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena) {
-  size_t square = (size_t)n * (size_t)n;
-  matrix->n = n;
-  matrix->mass = flex_take_reals(arena, square);
-  matrix->damping = flex_take_reals(arena, square);
-  matrix->stiffness = flex_take_reals(arena, square);
-  matrix->inverses = flex_take_reals(arena, 2 * 2 * FLEX_MAX_BLOCKS * square);
+void flex_newton_take_state(flex_newton_matrix *matrix, const flex_model *model, flex_arena *arena) {
+  matrix->n = model->n;
+  matrix->sparse = model->sparse;
+  matrix->entries = model->sparse ? model->sparse->count : model->n * model->n;
+  size_t size = (size_t)matrix->entries;
+  real *all = flex_take_reals(arena, 3 * size);
+  if (all) matrix->mass = all, matrix->damping = all + size, matrix->stiffness = all + 2 * size;
+  matrix->inverses = flex_take_reals(arena, 2 * 2 * FLEX_MAX_BLOCKS * size);
 }
 
 void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena) {
@@ -108,6 +109,12 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
                         const real *a, const real *u, const real *position_weight, const real *rate_weight,
                         real scale) {
   int n = matrix->n;
+  if (matrix->sparse) {
+    const real *const arguments[] = {y, v, a, u, equations->d};
+    matrix->record->is_known = !flex_call(equations, &equations->model->jacobian, 5, arguments, matrix->mass);
+    forget_inverses(matrix);
+    return !matrix->record->is_known;
+  }
   memcpy(matrix->y, y, (size_t)n * sizeof *y);
   memcpy(matrix->v, v, (size_t)n * sizeof *v);
   int refused = flex_mass_matrix(equations, y, u, matrix->mass);
@@ -141,7 +148,7 @@ int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations
 // matrix of one eigenvalue z: M + h z D + h^2 z^2 K
 static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z, real h, real *block) {
   const real *mass = matrix->mass, *damping = matrix->damping, *stiffness = matrix->stiffness;
-  int count = matrix->n * matrix->n;
+  int count = matrix->entries;
   real re = h * z->value[0], im = h * z->value[1];
   real square_re = re * re - im * im, square_im = 2.0 * re * im;
   if (!z->is_complex) {
@@ -156,7 +163,7 @@ static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z,
 
 // place of the present inverse for one eigenvalue
 static real *inverse_of(const flex_newton_matrix *matrix, int block) {
-  return matrix->inverses + 2 * (FLEX_MAX_BLOCKS * matrix->record->present + block) * matrix->n * matrix->n;
+  return matrix->inverses + 2 * (FLEX_MAX_BLOCKS * matrix->record->present + block) * matrix->entries;
 }
 
 // whether the present inverses are for the step size h
@@ -175,9 +182,11 @@ int flex_newton_factor(flex_newton_matrix *matrix, double h, real pace) {
   if (serves(record, h)) return 0;
   for (int k = 0; k < tableau->n_blocks; k++) {
     real *inverse = inverse_of(matrix, k);
+    int is_complex = tableau->blocks[k].is_complex;
     assemble(matrix, &tableau->blocks[k], flex_paced(h, pace), inverse);
-    singular |= tableau->blocks[k].is_complex ? flex_complex_invert(matrix->n, inverse, matrix->pivots)
-                                              : flex_invert(matrix->n, inverse, matrix->pivots);
+    singular |= matrix->sparse ? matrix->sparse->factor(is_complex, inverse, matrix->component)
+                : is_complex   ? flex_complex_invert(matrix->n, inverse, matrix->pivots)
+                               : flex_invert(matrix->n, inverse, matrix->pivots);
   }
   record->steps[record->present] = singular ? 0.0 : h;
   record->factorisations++;
@@ -204,6 +213,19 @@ static void real_basis(const flex_tableau *tableau, basis *found) {
   }
 }
 
+// x = the inverse for one eigenvalue times b; they are not the same
+static void apply_inverse(const flex_newton_matrix *matrix, int block, const real *b, real *x) {
+  int is_complex = matrix->tableau->blocks[block].is_complex;
+  if (matrix->sparse) {
+    memcpy(x, b, (size_t)((1 + is_complex) * matrix->n) * sizeof *x);
+    matrix->sparse->solve(is_complex, inverse_of(matrix, block), x);
+  } else if (is_complex) {
+    flex_complex_multiply(matrix->n, inverse_of(matrix, block), b, x);
+  } else {
+    flex_multiply(matrix->n, inverse_of(matrix, block), b, x);
+  }
+}
+
 // the systems of all eigenvalues, components to solutions: a real eigenvalue's first, complex ones as pairs
 static void solve_blocks(flex_newton_matrix *matrix) {
   const flex_tableau *tableau = matrix->tableau;
@@ -212,10 +234,7 @@ static void solve_blocks(flex_newton_matrix *matrix) {
   int n = matrix->n;
   for (int k = 0; k < tableau->n_blocks; k++) {
     int width = 1 + tableau->blocks[k].is_complex;
-    if (width == 1)
-      flex_multiply(n, inverse_of(matrix, k), x, solution);
-    else
-      flex_complex_multiply(n, inverse_of(matrix, k), x, solution);
+    apply_inverse(matrix, k, x, solution);
     x += width * n, solution += width * n;
   }
 }
@@ -296,13 +315,16 @@ void flex_newton_solve_lanes(flex_newton_matrix *matrix, double *x) {
 void flex_newton_filter(flex_newton_matrix *matrix, real *x) {
   int n = matrix->n;
   real *rhs = matrix->component, *solution = matrix->solution;
-  flex_multiply(n, matrix->mass, x, rhs);
+  if (matrix->sparse)
+    matrix->sparse->multiply(matrix->mass, x, rhs);
+  else
+    flex_multiply(n, matrix->mass, x, rhs);
   if (!matrix->tableau->blocks[0].is_complex) {
-    flex_multiply(n, inverse_of(matrix, 0), rhs, x);
+    apply_inverse(matrix, 0, rhs, x);
     return;
   }
   memset(rhs + n, 0, (size_t)n * sizeof *rhs);
   to_pairs(n, rhs, solution);
-  flex_complex_multiply(n, inverse_of(matrix, 0), solution, rhs);
+  apply_inverse(matrix, 0, solution, rhs);
   for (int i = 0; i < n; i++) x[i] = flex_hypot(rhs[2 * i], rhs[2 * i + 1]);
 }

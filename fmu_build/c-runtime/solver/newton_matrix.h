@@ -18,11 +18,12 @@ typedef struct {
 } flex_newton_record;
 
 typedef struct {
-  int n;
+  int n, entries; /* of a matrix */
+  const flex_sparse *sparse; /* NULL where it is dense */
   const flex_tableau *tableau;
   flex_newton_record *record;
 
-  /* numeric state: M, D, K [n n] and the inverses of the matrices of all eigenvalues, for two step sizes */
+  /* numeric state: M, D, K and the inverses of the matrices of all eigenvalues, or their factors, for two step sizes */
   real *mass, *damping, *stiffness, *inverses;
 
   /* scratch */
@@ -33,7 +34,7 @@ typedef struct {
   double to_components[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_stages[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
 } flex_newton_matrix;
 
-void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena);
+void flex_newton_take_state(flex_newton_matrix *matrix, const flex_model *model, flex_arena *arena);
 void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena);
 
 /* chooses the method */
@@ -42,7 +43,7 @@ void flex_newton_use(flex_newton_matrix *matrix, const flex_tableau *tableau);
 /* forgets M, D, K and the inverses */
 void flex_newton_clear(flex_newton_matrix *matrix);
 
-/* M, D, K at a point by differences. position_weight, rate_weight, scale: the error norm and the size of the motion in it,
+/* M, D, K at a point, by differences unless they are sparse. position_weight, rate_weight, scale: the error norm and the size of the motion in it,
  * which give each coordinate its own difference. Returns 0, or 1 if the model refused to be evaluated. */
 int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *v,
                         const real *a, const real *u, const real *position_weight, const real *rate_weight,

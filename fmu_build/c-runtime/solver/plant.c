@@ -40,7 +40,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->modes = flex_take_ints(arena, (size_t)flex_switches(model));
   plant->forgiven = flex_take_doubles(arena, (size_t)model->n_events);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
-  flex_integrator_take_state(&plant->integrator, model->n, model->n_inputs, arena);
+  flex_integrator_take_state(&plant->integrator, model, arena);
   plant->state_size = arena->used - begin;
 
   // scratch
@@ -249,7 +249,8 @@ static int find_overdamped(flex_plant *plant) {
 
   // each coordinate by itself
   for (int i = 0; !refused && i < n; i++) {
-    real m = matrix->mass[i * n + i], d = matrix->damping[i * n + i], k = matrix->stiffness[i * n + i];
+    int diagonal = model->sparse ? model->sparse->diagonals[i] : i * n + i;
+    real m = matrix->mass[diagonal], d = matrix->damping[diagonal], k = matrix->stiffness[diagonal];
     found |= !flex_is_zero_or_more(flex_larger(OVERDAMPED * flex_sqrt(flex_fabs(k) * m) - d, FAST_DECAY * m - d));
   }
   flex_newton_clear(matrix);

@@ -36,9 +36,9 @@
 #define ROUNDING 8.0
 #define STAGNATION 1e3
 
-void flex_stages_take_state(flex_stages *stages, int n, flex_arena *arena) {
-  stages->n = n;
-  flex_newton_take_state(&stages->matrix, n, arena);
+void flex_stages_take_state(flex_stages *stages, const flex_model *model, flex_arena *arena) {
+  stages->n = model->n;
+  flex_newton_take_state(&stages->matrix, model, arena);
 }
 
 void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_arena *arena) {
@@ -237,23 +237,24 @@ static int is_useless(const flex_stages_record *record) {
   return !record->matrix.is_known || record->contraction > WORN_CONTRACTION;
 }
 
-static int renews_mass_alone(const flex_stages_record *record) {
-  return !is_useless(record) && record->renewals < MOST_RENEWALS;
+static int renews_mass_alone(const flex_stages *stages) {
+  return !is_useless(stages->record) && stages->record->renewals < MOST_RENEWALS && !stages->matrix.sparse;
 }
 
 // a refresh pays when the iterations that it would have saved cost as much: the mass matrix, if need be 2 n residuals, and
-// the factors against the residuals and the solution of the stages, which take about as long
+// the factors against the residuals and the solution of the stages, which take about as long; sparse ones hardly count
 static int is_worn(const flex_stages *stages) {
   const flex_stages_record *record = stages->record;
   double saved = record->excess_iterations * 2.0 * stages->tableau->stages;
-  return is_useless(record) || saved > (renews_mass_alone(record) ? 1.0 : 3.0) * stages->n + 10.0;
+  double share = stages->matrix.sparse ? 0.2 : renews_mass_alone(stages) ? 1.0 : 3.0;
+  return is_useless(record) || saved > share * stages->n + 10.0;
 }
 
 // matrix at the start of the step, with the inputs at its middle
 static int refresh(flex_stages *stages, double t, double h, const real *y, const real *v, const real *a,
                    real scale) {
   flex_stages_record *record = stages->record;
-  int mass_alone = renews_mass_alone(record);
+  int mass_alone = renews_mass_alone(stages);
   flex_inputs_evaluate(stages->inputs, t, 0.5 * h, stages->u);
   record->renewals = mass_alone ? record->renewals + 1 : 0;
   record->excess_iterations = 0.0;

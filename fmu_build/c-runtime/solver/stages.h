@@ -54,7 +54,7 @@ typedef struct {
   double to_position[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_rate[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
 } flex_stages;
 
-void flex_stages_take_state(flex_stages *stages, int n, flex_arena *arena);
+void flex_stages_take_state(flex_stages *stages, const flex_model *model, flex_arena *arena);
 void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_arena *arena);
 
 /* chooses the method; with another one, what is known about the matrix has to be forgotten */
