@@ -11,31 +11,19 @@ an event are then those of a whole step, not of its interpolation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from ctypes import (
-    CFUNCTYPE,
-    POINTER,
-    Structure,
-    addressof,
-    byref,
-    c_double,
-    c_int,
-    c_size_t,
-    c_void_p,
-    cast,
-    memmove,
-    sizeof,
-)
+from ctypes import POINTER, Structure, addressof, byref, c_double, c_int, c_size_t, c_void_p, cast, memmove, sizeof
 from functools import cache
 from math import ulp
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
 from flexfmu.cosim.engine.fmu.calls import address, value_references
 from flexfmu.cosim.engine.shared_library import shared_library
+from flexfmu.cosim.engine.slave import RealArray
 
 NEAR = 1e-9
 """Instants closer than this fraction of the communication step count as one: FMUs sum up their own times."""
@@ -56,8 +44,6 @@ LEAST_STEP = 1e-13
 _REACHED, _EVENT, _ENDS, _STUCK, _FAILED = range(5)
 """What ``master_exchange_advance`` returns."""
 
-_FOLLOW = CFUNCTYPE(c_int, c_double)
-
 
 class _Record(Structure):
     """``master_exchange_record``."""
@@ -68,12 +54,22 @@ class _Record(Structure):
     )
 
 
+class _Polynomials(Structure):
+    """``master_exchange_polynomials``."""
+
+    _fields_ = (
+        *(("references", c_void_p), ("references_count", c_size_t), ("count", c_size_t), ("powers", c_size_t)),
+        *(("coefficients", c_void_p), ("values", c_void_p), ("begin", c_double)),
+    )
+
+
 class _Exchange(Structure):
     """``master_exchange``."""
 
     _fields_ = (
         *((name, c_void_p) for name in ("component", "set_time", "set_states", "get_rates", "get_indicators")),
-        *(("completed", c_void_p), ("directional", c_void_p), ("follow", c_void_p), ("unknown", c_void_p)),
+        *(("completed", c_void_p), ("directional", c_void_p), ("set_real", c_void_p)),
+        *(("polynomials", c_void_p), ("polynomials_count", c_size_t), ("unknown", c_void_p)),
         *(("known", c_void_p), ("references", c_size_t), ("is_fmi3", c_int), ("n", c_size_t), ("m", c_size_t)),
         *(
             ("tolerance", c_double),
@@ -124,13 +120,14 @@ class ContinuousTime:
             *map(function, ("SetTime", "SetContinuousStates", version.rates, "GetEventIndicators")),
             function("CompletedIntegratorStep", bool(interface.needsCompletedIntegratorStep)),
             function("GetDirectionalDerivative", has_jacobian),
-            None,
+            function("SetFloat64" if version.counts_values else "SetReal"),
+            *(None, 0),
             *map(address, self._references),
             len(unknowns),
             version.counts_values,
         )
-        self._follow = _FOLLOW(self._set_followed)
-        self._followed: dict[object, tuple[float, Callable[[float], int]]] = {}
+        self._followed: dict[object, tuple[float, NDArray[np.uint32], RealArray]] = {}
+        self._bound: list[Any] = []
 
     def begin(self, time: float, tolerance: float | None) -> None:
         """Begin a run after initialisation; ``tolerance`` is relative, None for that of the default experiment."""
@@ -151,20 +148,34 @@ class ContinuousTime:
         )
         c.record = _Record(time=time)
         self._followed.clear()
+        self._bind_polynomials()
         self._restart(anew=True)
 
-    def follow(self, key: object, values: Callable[[float], int] | None) -> None:
-        """Let inputs follow ``values``, a function of the time from now [s] that sets them; None to hold them."""
-        if values is None:
-            self._followed.pop(key, None)
-        else:
-            self._followed[key] = self._in_c.record.time, values
-            self._instance.epoch += 1
-        self._in_c.follow = cast(self._follow, c_void_p).value if self._followed else None
+    def follow(self, key: object, references: NDArray[np.uint32], coefficients: RealArray | None) -> None:
+        """Let real inputs follow polynomials of the time from now [s]; None to hold them.
 
-    def _set_followed(self, time: float) -> int:
-        """Set the inputs that aren't held; return the worst status."""
-        return max(values(time - begin) for begin, values in self._followed.values())
+        Args:
+            key: what replaces its earlier polynomials.
+            references: value references; in FMI 3.0 of whole arrays.
+            coefficients: (powers, elements) coefficients, from power 0.
+        """
+        if coefficients is not None:
+            self._followed[key] = self._in_c.record.time, references, coefficients
+            self._instance.epoch += 1
+        elif self._followed.pop(key, None) is None:
+            return
+        self._bind_polynomials()
+
+    def _bind_polynomials(self) -> None:
+        """Pass the polynomials of all inputs that aren't held to C, and keep them alive."""
+        each = [(*found, np.empty(found[2].shape[1])) for found in self._followed.values()]
+        table = (_Polynomials * len(each))()
+        for group, (begin, references, coefficients, values) in zip(table, each, strict=True):
+            group.references, group.references_count, group.count = address(references), references.size, values.size
+            group.powers, group.coefficients = len(coefficients), address(coefficients)
+            group.values, group.begin = address(values), begin
+        self._bound = [each, table]
+        self._in_c.polynomials, self._in_c.polynomials_count = addressof(table), len(each)
 
     def save(self) -> object:
         """Return what belongs to a saved state of the FMU."""
@@ -181,7 +192,7 @@ class ContinuousTime:
         memmove(byref(self._in_c.record), byref(record), sizeof(record))
         self._followed.clear()
         self._followed.update(followed)
-        self._in_c.follow = cast(self._follow, c_void_p).value if followed else None
+        self._bind_polynomials()
 
     def go_on(self, *, inputs_alone: bool) -> None:
         """Go on after an event, with the states and derivatives that it has left; ``inputs_alone``: it was a jump of inputs, after

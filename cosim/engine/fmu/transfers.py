@@ -34,9 +34,8 @@ from flexfmu.cosim.engine.fmu.variables import (
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
 from flexfmu.fmu_build.interface import FIRST_DERIVATIVES
 
-POWERS = np.arange(EXCHANGE_ORDER + 1)
 FACTORIALS = np.array([float(factorial(k)) for k in range(1, EXCHANGE_ORDER + 1)])
-"""Exponents k of Taylor polynomials, and k! from k = 1 on."""
+"""k! from k = 1 on."""
 
 
 class Transfers:
@@ -120,23 +119,25 @@ class Transfers:
         return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
 
     def _polynomials(self, exchange: ContinuousTime, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
-        """Return the call that lets the inputs follow polynomials from their present values on, until they are set again."""
-        columns = [column for column, each in enumerate(handles) if each.kind == "Real"]
-        real = [handles[column] for column in columns]
-        start, values = np.empty((2, len(real)))
-        read, send = self.get(real, start), self._directly("fmi2SetReal", real, values)
-        groups = [self._group(each, places) for each, places in _groups(real, by_event=False)]
+        """Return the call that lets real inputs of double precision follow polynomials from their present values on, until they
+        are set again; elements of their arrays that aren't among them are held."""
+        columns = [column for column, each in enumerate(handles) if each.type in ("Real", "Float64")]
+        own = {handles[column].reference: handles[column] for column in columns}
+        whole = [replace(each, place=place) for each in own.values() for place in range(each.size)]
+        at = {(each.reference, each.place): index for index, each in enumerate(whole)}
+        places = [at[handles[column].reference, handles[column].place] for column in columns]
+        start, references = np.empty(len(whole)), value_references([*own])
+        read = self.get(whole, start)
 
         def call() -> int:
             taylor = derivatives[:, columns] / FACTORIALS[: len(derivatives), None]
-            status = read() if taylor.any() else OK
-            coefficients = np.vstack([start, taylor])
-
-            def follow(elapsed: float) -> int:
-                np.dot(elapsed ** POWERS[: len(coefficients)], coefficients, out=values)
-                return send() if send is not None else max(self._send(each, values) for each in groups)
-
-            exchange.follow(call, follow if taylor.any() else None)
+            if not taylor.any():
+                exchange.follow(call, references, None)
+                return OK
+            status = read()
+            coefficients = np.zeros((1 + len(taylor), len(whole)))
+            coefficients[0], coefficients[1:, places] = start, taylor
+            exchange.follow(call, references, coefficients)
             return status
 
         return call

@@ -64,8 +64,20 @@ static pieces split(const master_exchange *e) {
 
 // time, inputs that aren't held, and states
 static int place(master_exchange *e, double time, const double *x) {
+  typedef int (*fmi2_call)(void *, const unsigned *, size_t, const double *);
+  typedef int (*fmi3_call)(void *, const unsigned *, size_t, const double *, size_t);
   int status = e->set_time(*e->component, time);
-  if (e->follow != NULL && status <= WARNING) status = e->follow(time);
+  for (size_t g = 0; g < e->polynomials_count && status <= WARNING; g++) {
+    const master_exchange_polynomials *u = e->polynomials + g;
+    for (size_t k = 0; k < u->count; k++) {
+      u->values[k] = 0.0;
+      for (size_t i = u->powers; i-- > 0;) u->values[k] = u->values[k] * (time - u->begin) + u->coefficients[i * u->count + k];
+    }
+    if (e->is_fmi3)
+      status = ((fmi3_call)e->set_real)(*e->component, u->references, u->references_count, u->values, u->count);
+    else
+      status = ((fmi2_call)e->set_real)(*e->component, u->references, u->references_count, u->values);
+  }
   if (e->n > 0 && status <= WARNING) status = e->set_states(*e->component, x, e->n);
   return e->status = status;
 }

@@ -25,6 +25,15 @@ typedef struct {
   int is_stale;            /* 1 = the Jacobian has to be renewed */
 } master_exchange_record;
 
+/* inputs that follow polynomials of the time since `begin`: coefficients[power][input] */
+typedef struct {
+  const unsigned *references;
+  size_t references_count, count, powers;
+  const double *coefficients;
+  double *values;
+  double begin; /* [s] */
+} master_exchange_polynomials;
+
 typedef struct {
   void *const *component; /* where the handle of the FMU's instance is */
   int (*set_time)(void *, double);
@@ -33,7 +42,9 @@ typedef struct {
   int (*get_indicators)(void *, double *, size_t);
   void (*completed)(void);   /* fmi2- or fmi3CompletedIntegratorStep; NULL where it isn't needed */
   void (*directional)(void); /* fmi2- or fmi3GetDirectionalDerivative; NULL for differences */
-  int (*follow)(double);     /* sets the inputs that aren't held; NULL if there are none */
+  void (*set_real)(void);    /* fmi2SetReal or fmi3SetFloat64 */
+  const master_exchange_polynomials *polynomials; /* inputs that aren't held */
+  size_t polynomials_count;
   const unsigned *unknown, *known; /* value references of derivatives and states */
   size_t references;
   int is_fmi3;

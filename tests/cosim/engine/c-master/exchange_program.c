@@ -40,8 +40,8 @@ int main(void) {
   int pivots[6];
   size_t size = master_exchange_size(3, 1);
   double *memory = calloc(size, sizeof *memory);
-  master_exchange e = {&component, set_time, set_states, get_rates, get_indicators, (void (*)(void))completed, NULL, NULL, NULL, NULL, 0,
-                       0, 3, 1, 1e-8, 1e-12, 1, absolute, nominal, memory, pivots, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0}, 0};
+  master_exchange e = {&component, set_time, set_states, get_rates, get_indicators, (void (*)(void))completed, NULL, NULL, NULL, 0, NULL, NULL,
+                       0, 0, 3, 1, 1e-8, 1e-12, 1, absolute, nominal, memory, pivots, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0}, 0};
   int outcome = master_exchange_begin(&e, b.x, 1), bounces = 0;
   double fall = sqrt(2.0 / 9.81), expected = fall, rate = 9.81 * fall;
   while (outcome == EXCHANGE_REACHED && e.record.time < 2.0) {
