@@ -17,7 +17,7 @@ import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -63,31 +63,15 @@ RELAXATION = 1e4
 CONVERGED = 1e-4
 """Largest last correction of Newton's iterations relative to the size of z: the error that it leaves is about its square."""
 
+DRAWN = 3
+"""Number of points at which the symmetry of a mass matrix is checked beside the start."""
+
 ITERATIONS, START_ITERATIONS = 3, 50
 """Newton iterations for constraints, in every evaluation of the equations and at the start."""
 
 
 @dataclass(frozen=True)
-class Declaration:
-    """A state, parameter or input with its start value, or an output with its equation; see `variable`."""
-
-    value: Any
-    unit: str = "1"
-    nominal: float | None = None
-    minimum: float | None = None
-    maximum: float | None = None
-    description: str = ""
-
-
-def variable(
-    value: Any,
-    unit: str = "1",
-    *,
-    nominal: float | None = None,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    description: str = "",
-) -> Declaration:
+class variable:  # noqa: N801 - written by users as a call
     """A state, input or parameter with more than its start value, or an output with more than its equation.
 
         flexfmu.variable(0.05, "rad", nominal=1.0)
@@ -103,20 +87,21 @@ def variable(
     Raises:
         ModelError: the unit is unknown.
     """
-    unit_exponents(unit)
-    return Declaration(value, unit, nominal, minimum, maximum, description)
+
+    value: Any
+    unit: str = "1"
+    _: KW_ONLY
+    nominal: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        unit_exponents(self.unit)
 
 
 @dataclass(frozen=True)
-class Passage:
-    """An event; see `event`."""
-
-    number: Equation
-    direction: int = 0
-    reset: Equation = None
-
-
-def event(number: Equation, direction: int = 0, reset: Equation = None) -> Passage:
+class event:  # noqa: N801 - written by users as a call
     """An event: the passage of a number through zero, at which the equations see another side, or states are reset.
 
         bounce = flexfmu.event(lambda q: q.height, -1, lambda v, p: {"der(height)": -p.restitution * v.height})
@@ -130,9 +115,16 @@ def event(number: Equation, direction: int = 0, reset: Equation = None) -> Passa
     Raises:
         ModelError: the direction is none of these.
     """
-    if direction not in (-1, 0, 1):
-        raise ModelError(f"the direction of an event is 1 (upwards), -1 (downwards) or 0 (both), got {direction!r}")
-    return Passage(number, direction, reset)
+
+    number: Equation
+    direction: int = 0
+    reset: Equation = None
+
+    def __post_init__(self) -> None:
+        if self.direction not in (-1, 0, 1):
+            raise ModelError(
+                f"the direction of an event is 1 (upwards), -1 (downwards) or 0 (both), got {self.direction!r}"
+            )
 
 
 class Names:
@@ -175,7 +167,7 @@ def ode(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
-    events: Mapping[str, Passage] | None = None,
+    events: Mapping[str, event] | None = None,
     description: str = "",
 ) -> SymbolicModel:
     """A model of first order: x' = rhs(x, u, p, t).
@@ -209,7 +201,7 @@ def second_order(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
-    events: Mapping[str, Passage] | None = None,
+    events: Mapping[str, event] | None = None,
     friction: Mapping[str, Equation] | None = None,
     description: str = "",
 ) -> SymbolicModel:
@@ -251,7 +243,7 @@ def lagrangian(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
-    events: Mapping[str, Passage] | None = None,
+    events: Mapping[str, event] | None = None,
     friction: Mapping[str, Equation] | None = None,
     description: str = "",
 ) -> SymbolicModel:
@@ -295,7 +287,7 @@ def dae(
     p: Mapping[str, Any] | None = None,
     derived: Mapping[str, Equation] | None = None,
     outputs: Mapping[str, Equation] | None = None,
-    events: Mapping[str, Passage] | None = None,
+    events: Mapping[str, event] | None = None,
     description: str = "",
 ) -> SymbolicModel:
     """A model with constraints: x' = rhs(x, z, u, p, t), 0 = constraints(x, z, u, p, t), of index 1: they determine z.
@@ -353,13 +345,13 @@ def _check_name(name: Any) -> None:
         raise ModelError(f"{name!r} can't be the name of a variable; write it like angle, arm.angle or temperature[1]")
 
 
-def _declared(scope: str, name: str, value: Any) -> Declaration:
+def _declared(scope: str, name: str, value: Any) -> variable:
     """A user's entry with its numbers checked.
 
     Raises:
         ModelError: a number isn't finite, the nominal value isn't positive, the range is empty, or the unit or name is unknown.
     """
-    given = value if isinstance(value, Declaration) else Declaration(value)
+    given = value if isinstance(value, variable) else variable(value)
     _check_name(name)
 
     def number(what: str, entry: Any) -> float:
@@ -376,7 +368,6 @@ def _declared(scope: str, name: str, value: Any) -> Declaration:
         None if (entry := getattr(given, what)) is None else number(what, entry)
         for what in ("nominal", "minimum", "maximum")
     )
-    unit_exponents(given.unit)
     return replace(given, value=number("start", given.value), nominal=nominal, minimum=low, maximum=high)
 
 
@@ -412,7 +403,7 @@ class _Draft:
         u: Mapping[str, Any] | None,
         p: Mapping[str, Any] | None,
         derived: Mapping[str, Equation] | None,
-        events: Mapping[str, Passage] | None,
+        events: Mapping[str, event] | None,
         friction: Mapping[str, Equation] | None = None,
     ) -> None:
         if not isinstance(name, str) or not name:
@@ -439,7 +430,7 @@ class _Draft:
         n = self.n_second + self.n_first + 1
         self.y, self.v, self.a = (casadi.SX.sym(letter, n) for letter in "yva")
         self.events = dict(events or {})
-        if wrong := [each for each, entry in self.events.items() if not isinstance(entry, Passage)]:
+        if wrong := [each for each, entry in self.events.items() if not isinstance(entry, event)]:
             raise ModelError(f"event '{wrong[0]}' of model '{name}' must be made by flexfmu.event")
         self.friction = {each: f if isinstance(f, tuple) else (f, f) for each, f in (friction or {}).items()}
         if wrong := [each for each, pair in self.friction.items() if each not in q or len(pair) != 2]:
@@ -540,6 +531,10 @@ class _Draft:
         except ModelError:
             raise
         except Exception as error:
+            if "truth value" in str(error):
+                raise ModelError(
+                    f"{where} compares symbols in Python (if, max, and); make the switch an event and use its side, or make it smooth"
+                ) from error
             reason = str(error).strip().splitlines()
             raise ModelError(f"{where}: {type(error).__name__}{f': {reason[-1]}' if reason else ''}") from error
 
@@ -572,7 +567,10 @@ class _Draft:
         for k in range(function.n_instructions()):
             operation = function.instruction_id(k)
             if operation == casadi.OP_CONST and not isfinite(function.instruction_constant(k)):
-                raise ModelError(f"{where} has the number {function.instruction_constant(k)}, which isn't finite")
+                raise ModelError(
+                    f"{where} has the number {function.instruction_constant(k)}, which isn't finite; functions of symbols are CasADi's, as "
+                    "casadi.sin, not those of math"
+                )
             if operation in SWITCHES and not switches:
                 raise ModelError(
                     f"{where} jumps ({SWITCHES[operation]}), which no integrator steps over accurately; make it smooth, with tanh for "
@@ -615,9 +613,10 @@ class _Draft:
                 break
             left, sizes, right = np.linalg.svd(matrix)
             if sizes[-1] <= SINGULAR * max(sizes[0], 1e-300):
+                remedy = "give another guess in z; or " if casadi.depends_on(slope, unknowns) else ""
                 raise ModelError(
                     f"the constraints of model '{self.name}' don't determine '{names[int(np.argmax(abs(right[-1])))]}' (constraint "
-                    f"{int(np.argmax(abs(left[:, -1]))) + 1} is the same for all its values): the index is 2 or 3; differentiate that "
+                    f"{int(np.argmax(abs(left[:, -1]))) + 1} doesn't change with it): {remedy}the index is 2 or 3; differentiate that "
                     "constraint by time until it holds the variable, or take second_order or lagrangian with coordinates that fulfil it"
                 )
             step = np.linalg.solve(matrix, residual)
@@ -663,8 +662,7 @@ class _Draft:
             shown.append((Variable(each, given.unit, text, "output", nominal=given.nominal), self.scopes["z"][each]))
         for each, source in (outputs or {}).items():
             _check_name(each)
-            given = source if isinstance(source, Declaration) else Declaration(source)
-            unit_exponents(given.unit)
+            given = source if isinstance(source, variable) else variable(source)
             (value,) = self.evaluated(f"output '{each}'", given.value, [each], switches=True)
             text = given.description or f"Output {each}"
             shown.append(
@@ -774,15 +772,22 @@ class _Draft:
         ):
             if casadi.depends_on(mass, symbols):
                 raise ModelError(f"{what}, the derivative of the residual by the accelerations, depends on {text}")
-        matrix = self._at_start(casadi.densify(mass), casadi.SX.sym("nothing", 0))([]).full()
-        if not np.isfinite(matrix).all():
-            raise ModelError(f"{what} has entries that are no finite numbers at the start")
-        sizes = np.sqrt(abs(np.outer(matrix.diagonal(), matrix.diagonal())))
-        for i, j in zip(*np.nonzero(abs(matrix - matrix.T) > 1e-9 * np.maximum(abs(matrix), sizes)), strict=True):
-            raise ModelError(
-                f"{what} isn't symmetric: its entry ({names[i]}, {names[j]}) is {matrix[i, j]:.6g}, its entry ({names[j]}, {names[i]}) is "
-                f"{matrix[j, i]:.6g}; write the equations as those of Lagrange are, the one of a coordinate in its place"
-            )
+        moved = casadi.SX.sym("moved", self.n_second)
+        shifted = casadi.substitute(mass, self.y[: self.n_second], self.y[: self.n_second] + moved)
+        masses = self._at_start(casadi.densify(shifted), moved)
+        # symmetric at the start, and at coordinates drawn around it
+        for shift in (0.0 * np.ones(len(names)), *np.random.default_rng(0).uniform(-0.1, 0.1, (DRAWN, len(names)))):
+            matrix = masses(shift).full()
+            if not shift.any() and not np.isfinite(matrix).all():
+                raise ModelError(f"{what} has entries that are no finite numbers at the start")
+            sizes = np.sqrt(abs(np.outer(matrix.diagonal(), matrix.diagonal())))
+            for i, j in zip(*np.nonzero(abs(matrix - matrix.T) > 1e-9 * np.maximum(abs(matrix), sizes)), strict=True):
+                raise ModelError(
+                    f"{what} isn't symmetric{' away from the start' if shift.any() else ''}: its entry ({names[i]}, {names[j]}) is "
+                    f"{matrix[i, j]:.6g}, its entry ({names[j]}, {names[i]}) is {matrix[j, i]:.6g}; write the equations as those of "
+                    "Lagrange are, the one of a coordinate in its place"
+                )
+        matrix = masses(0.0).full()
         scale = 1.0 / np.sqrt(np.where(matrix.diagonal() == 0.0, 1.0, abs(matrix.diagonal())))
         values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
         sign = 1.0 if values.sum() > 0.0 else -1.0
@@ -798,7 +803,7 @@ class _Draft:
     def _nominals(self) -> tuple[float, ...]:
         """Usual sizes of the states: coordinates, rates, states of first order."""
 
-        def size(given: Declaration) -> float:
+        def size(given: variable) -> float:
             return given.nominal or abs(given.value) or 1.0
 
         q, rates = self.given["q"], self.given["rates"]
