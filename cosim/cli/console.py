@@ -20,7 +20,7 @@ from importlib.machinery import PathFinder
 from io import StringIO
 from pathlib import Path
 from threading import Thread
-from time import sleep
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Never, TextIO
 
 import typer
@@ -98,13 +98,24 @@ def rich_output() -> Iterator[Console]:
 OTHERS = 34
 """Columns that a progress bar's text leaves for the bar and the times."""
 
+PIPED_INTERVAL = 60.0
+"""Time between two lines of progress in a pipe [s]."""
+
 
 @contextmanager
 def progress() -> Iterator[ShowProgress]:
-    """A progress bar on standard error; nothing when that is piped."""
+    """A progress bar on standard error; where that is piped, a line for each `PIPED_INTERVAL`."""
     stderr: TextIO | None = sys.stderr
     if stderr is None or not stderr.isatty():
-        yield lambda text, fraction: None
+        due = monotonic() + PIPED_INTERVAL
+
+        def show_line(text: str, fraction: float | None) -> None:
+            nonlocal due
+            if monotonic() >= due:
+                due = monotonic() + PIPED_INTERVAL
+                show_note(text if fraction is None else f"{text}, {100.0 * fraction:.0f} %")
+
+        yield show_line
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn

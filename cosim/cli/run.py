@@ -164,7 +164,10 @@ def _run_scene(
             document = changed_document(source, target, {**dict(map(parse_setting, changes or ())), **answer.changes})
             document.pop("accuracy", None)
             wishes = ", ".join(f"{each.name} = {each.asked}" for each in answer.figures)
-            write_whole(target, f"# settings chosen for {wishes}\n{document.as_string()}")
+            text = document.as_string()
+            # a first line for editors, which names the schema, stays first
+            start = text.index("\n") + 1 if text.startswith("#:") else 0
+            write_whole(target, f"{text[:start]}# settings chosen for {wishes}\n{text[start:]}")
         show("planning the motion, building the FMU", None)
         (names, every, order), section = recorded, scene.cosimulation
         order = section.record_order if order is None else order

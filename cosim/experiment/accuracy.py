@@ -80,11 +80,16 @@ class FigureError:
     total: float
 
     def __str__(self) -> str:
-        bound = f"{self.total:.2g} {shown_unit(self.unit)}".rstrip()
-        relative = f", {self.total / abs(self.value):.1e} of {abs(self.value):.4g}" if self.value else ""
+        number, unit = quantity_of(self.asked, self.name)
+        scale = self.allowed / number  # of what was asked for, in its unit
+
+        def text(error: float) -> str:
+            return f"{error / scale:.1e} {unit}".rstrip()
+
         return (
-            f"{self.name}: error at most {bound}{relative} (asked {self.asked}; model {self.model:.1e}, "
-            f"numerics {self.numerics:.1e}, richest model known to {self.reference:.1e})"
+            f"{self.name}: error at most {text(self.total)} of {abs(self.value) / (scale if unit else 1.0):.4g} "
+            f"{unit or shown_unit(self.unit)} (asked {self.asked}; model {text(self.model)}, numerics {text(self.numerics)} of either sign, "
+            f"richest model known to {text(self.reference)})"
         )
 
 

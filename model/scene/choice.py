@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.section import Section, as_tuple, quantity
@@ -59,8 +59,11 @@ def _asked(value: Any) -> float | str:
     return value if isinstance(value, str) else float(value)
 
 
-Accuracy = dict[str, Annotated[float | str, BeforeValidator(_asked)]]
-"""Metric → largest error of a run, of model and numerics together: relative, a number, or absolute, a text with its unit."""
+Accuracy = Annotated[
+    dict[str, Annotated[float | str, BeforeValidator(_asked)]] | None, AfterValidator(lambda asked: asked or None)
+]
+"""Metric → largest error of a run, of model and numerics together: relative, a number, or absolute, a text with its unit; None for an
+empty table."""
 
 
 class EstimatedEffect(Section):

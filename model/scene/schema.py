@@ -59,7 +59,7 @@ class Scene(Section):
     disturbance: Annotated[tuple[DisturbanceKind, ...], BeforeValidator(as_tuple)] = ()
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
     plan: PlanSection | None = None
-    accuracy: Accuracy | None = None
+    accuracy: Accuracy = None
 
     @property
     def is_open(self) -> bool:

@@ -88,7 +88,10 @@ ROUNDS = 5
 WITHOUT_ERROR = 1e12
 """Safety factor with which only the richest set is within a limit."""
 
-TOLERANCES = tuple(each * 10.0**-k for k in range(1, 11) for each in (1.0, 0.3))
+FINEST = 1e-10
+"""Smallest relative error that can be asked for: runs at `EXACT` aren't better."""
+
+TOLERANCES = tuple(float(f"{each}e-{k}") for k in range(1, 11) for each in (1, 0.3))
 INTEGRATORS = ("automatic", "gauss3", "gauss4")
 """Integrators that win somewhere; for rigid links nothing is stiff."""
 
@@ -160,7 +163,7 @@ def with_numerics(scene: Scene, step: float | None, integrator: str, tolerance: 
             "cosimulation.step": "auto" if step is None else step,
             "cosimulation.integrator": integrator,
             "cosimulation.integrator_step": 0.0,
-            "cosimulation.tolerance": tolerance,
+            "cosimulation.tolerance": float(f"{tolerance:.2g}"),
         }
     )
 
@@ -182,6 +185,8 @@ def check_figures(scene: Scene, asked: Mapping[str, float | str], key: str = "ac
                 f"`{key}` names {name}, which needs a standstill after the motion: give `trajectory.dwell` above 0 s"
             )
         if not isinstance(value, str):
+            if value < FINEST:
+                raise InputError(f"`{key}.{name}` = {value:g} can't be had: the smallest relative error is {FINEST:g}")
             continue
         number, unit = quantity_of(value, name)
         own = definition(name).unit
@@ -289,14 +294,15 @@ class Chooser:
             earlier, rest, before = rest, better.change(found), most
             most, found = finer, better
         self.richest, self.reference = most, found
-        self.known = rest
+        # further modes, of which the next may change more than the last, aren't known to do less than what ends the search
+        self.known = np.maximum(rest, CONVERGED * self.allowed)
         if self._floor is None:
             # and how well it is integrated
             twice = self._observe(
                 with_numerics(most, 0.5 * self._exact_step, "automatic", 0.1 * EXACT),
                 "running the richest set, more precisely",
             )
-            self.known = rest + twice.change(found)
+            self.known = self.known + twice.change(found)
 
     def _allowed(self, name: str, values: Mapping[str, float]) -> float:
         asked, value, key = self.asked[name], values[name], "accuracy" if self._floor is None else "effects.of"
@@ -570,7 +576,10 @@ class Chooser:
                 f"no settings of scene {self.scene.name} are accurate enough: the richest model itself, {setting_text(self.richest)}, is known "
                 f"to {float((self.known / self.allowed).max()):.2g} times what was asked; ask for less"
             )
-        why, default, following = self._why(chosen), self.trial(self.scene), self.cheapest(TENTH)
+        following = self.cheapest(TENTH)
+        if following is not None and following.time < chosen.time:
+            chosen = following
+        why, default = self._why(chosen), self.trial(self.scene)
         exact = with_numerics(self.richest, self._exact_step, "automatic", EXACT)
         dearest = PricedSettings(setting_text(exact), self.reference.time, float((self.known / self.allowed).max()))
         figures = tuple(
@@ -665,8 +674,8 @@ def accuracy_answer(scene: Scene, show: ShowProgress = quiet) -> AccuracyAnswer:
         found = Chooser(scene, asked, show, journal).answer()
         store(f"{digest}.json", kind.dump_json(found))
     except KeyboardInterrupt:
-        folder = None  # to be continued
-        raise
+        folder = None
+        raise KeyboardInterrupt("the same command continues the choice of settings") from None
     finally:
         if folder is not None:
             journal.remove()

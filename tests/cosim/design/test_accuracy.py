@@ -84,6 +84,7 @@ def test_settings_of_a_sweep_hold_at_its_corners(scene_6kg: Scene) -> None:
         ({"peak_torque_1": "1"}, "no unit"),
         ({"end_position_error": "-1 um"}, "must be above 0"),
         ({"gain_margin": 1e-2}, "has no controller"),
+        ({"peak_torque_1": 1e-14}, "the smallest relative error is 1e-10"),
     ],
 )
 def test_wrong_requests_are_one_sentence(scene_6kg: Scene, asked: dict[str, float | str], message: str) -> None:
@@ -97,6 +98,12 @@ def test_relative_errors_are_between_zero_and_one(scene_6kg: Scene, value: float
     """And the message names the key."""
     with pytest.raises(flexfmu.SceneError, match=r"accuracy\.peak_torque_1"):
         scene_6kg.replace({"accuracy": {"peak_torque_1": value}})
+
+
+def test_an_empty_table_asks_for_nothing(scene_6kg: Scene) -> None:
+    """And the scene stays one that can be kept."""
+    scene = scene_6kg.replace({"accuracy": {}})
+    assert (scene.accuracy, hash(scene)) == (None, hash(scene_6kg))
 
 
 @pytest.mark.slow
