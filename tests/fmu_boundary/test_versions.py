@@ -28,7 +28,6 @@ from flexfmu.fmu_build.description import TERMINALS
 from flexfmu.fmu_build.sources import BUILD_DESCRIPTION, runtime_sources
 from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.fmu_build.trajectory_build import Motion
-from flexfmu.fmu_build.validation.finding import Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
 
 STOP, STEP = 0.02, 1e-3
@@ -84,7 +83,7 @@ def test_descriptions_are_valid(name: str) -> None:
     """Schema, model structure, references and units; schemas of terminals and build description. What the FMU does is judged by
     the other tests."""
     path = BUILD[name]("3")
-    assert [each.severity for each in validate_fmu(path)] == [Severity.NOTE]
+    assert validate_fmu(path, run=False) == []
     schemas = Path(fmpy.__file__).parent / "schema" / "fmi3"
     with zipfile.ZipFile(path) as archive:
         for schema, member in (("TerminalsAndIcons", TERMINALS), ("BuildDescription", BUILD_DESCRIPTION)):
