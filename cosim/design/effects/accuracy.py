@@ -294,15 +294,19 @@ class Chooser:
             earlier, rest, before = rest, better.change(found), most
             most, found = finer, better
         self.richest, self.reference = most, found
-        # further modes, of which the next may change more than the last, aren't known to do less than what ends the search
-        self.known = np.maximum(rest, CONVERGED * self.allowed)
+        self.known = rest
         if self._floor is None:
             # and how well it is integrated
             twice = self._observe(
                 with_numerics(most, 0.5 * self._exact_step, "automatic", 0.1 * EXACT),
                 "running the richest set, more precisely",
             )
-            self.known = self.known + twice.change(found)
+            self.known = rest + twice.change(found)
+
+    @property
+    def reserve(self) -> RealArray:
+        """What is stated of the richest model's error [SI]: the next mode may change more than the last, by which it is known."""
+        return np.maximum(self.known, CONVERGED * self.allowed)
 
     def _allowed(self, name: str, values: Mapping[str, float]) -> float:
         asked, value, key = self.asked[name], values[name], "accuracy" if self._floor is None else "effects.of"
@@ -545,6 +549,7 @@ class Chooser:
 
     def cheapest(self, target: float = 1.0) -> SettingTrial | None:
         """Return the cheapest setting whose errors are at most ``target`` times what is allowed; None where there is none."""
+        target *= 1.0 - CONVERGED  # the rest is the `reserve`
         found, best = list[SettingTrial](), inf
         for base in self._sets(target):
             if found and base == self.richest:
@@ -592,8 +597,8 @@ class Chooser:
                 self.reference.values[0],
                 chosen.model,
                 chosen.numerics,
-                self.known,
-                chosen.both + self.known,
+                self.reserve,
+                chosen.both + self.reserve,
                 strict=True,
             )
         )

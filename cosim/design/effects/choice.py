@@ -190,7 +190,7 @@ def choose_effects(
     trial = chooser.measured(chosen.replace(changes))  # or why it fails
     # what is stated, in the order of the metrics; estimates don't have all of them
     estimates = chooser.estimates
-    total = dict(zip(asked, ((trial.both + chooser.known) / chooser.allowed).tolist(), strict=True))
+    total = dict(zip(asked, ((trial.both + chooser.reserve) / chooser.allowed).tolist(), strict=True))
 
     def relative(values: Mapping[Any, float], factor: float = tolerance) -> Shares:
         return tuple(factor * values[name] if name in values else None for name in names)

@@ -61,6 +61,7 @@ def test_the_total_error_is_within_what_was_asked(scene_6kg: Scene) -> None:
         assert errors[figure.name] * abs(figure.value) <= figure.total <= figure.allowed
         assert run.metrics[figure.name].error == figure.total
     assert answer.default is not None
+    assert answer.following is not None
     assert answer.chosen.time < 0.5 * answer.default.time < answer.dearest.time
     # cached: the same answer at once
     assert accuracy_answer(scene_6kg.replace({"accuracy": asked})) == answer
