@@ -306,7 +306,8 @@ class Chooser:
     @property
     def reserve(self) -> RealArray:
         """What is stated of the richest model's error [SI]: the next mode may change more than the last, by which it is known."""
-        return np.maximum(self.known, CONVERGED * self.allowed)
+        found: RealArray = np.maximum(self.known, CONVERGED * self.allowed)
+        return found
 
     def _allowed(self, name: str, values: Mapping[str, float]) -> float:
         asked, value, key = self.asked[name], values[name], "accuracy" if self._floor is None else "effects.of"
