@@ -213,17 +213,11 @@ static void real_basis(const flex_tableau *tableau, basis *found) {
   }
 }
 
-// x = the inverse for one eigenvalue times b; they are not the same
-static void apply_inverse(const flex_newton_matrix *matrix, int block, const real *b, real *x) {
+// x = the inverse for one eigenvalue times b, by its sparse factors; they are not the same
+static void solve_sparse(const flex_newton_matrix *matrix, int block, const real *b, real *x) {
   int is_complex = matrix->tableau->blocks[block].is_complex;
-  if (matrix->sparse) {
-    memcpy(x, b, (size_t)((1 + is_complex) * matrix->n) * sizeof *x);
-    matrix->sparse->solve(is_complex, inverse_of(matrix, block), x);
-  } else if (is_complex) {
-    flex_complex_multiply(matrix->n, inverse_of(matrix, block), b, x);
-  } else {
-    flex_multiply(matrix->n, inverse_of(matrix, block), b, x);
-  }
+  memcpy(x, b, (size_t)((1 + is_complex) * matrix->n) * sizeof *x);
+  matrix->sparse->solve(is_complex, inverse_of(matrix, block), x);
 }
 
 // the systems of all eigenvalues, components to solutions: a real eigenvalue's first, complex ones as pairs
@@ -234,7 +228,12 @@ static void solve_blocks(flex_newton_matrix *matrix) {
   int n = matrix->n;
   for (int k = 0; k < tableau->n_blocks; k++) {
     int width = 1 + tableau->blocks[k].is_complex;
-    apply_inverse(matrix, k, x, solution);
+    if (matrix->sparse)
+      solve_sparse(matrix, k, x, solution);
+    else if (width == 1)
+      flex_multiply(n, inverse_of(matrix, k), x, solution);
+    else
+      flex_complex_multiply(n, inverse_of(matrix, k), x, solution);
     x += width * n, solution += width * n;
   }
 }
@@ -312,19 +311,34 @@ void flex_newton_solve_lanes(flex_newton_matrix *matrix, double *x) {
 }
 #endif
 
-void flex_newton_filter(flex_newton_matrix *matrix, real *x) {
+static void filter_sparse(flex_newton_matrix *matrix, real *x) {
   int n = matrix->n;
   real *rhs = matrix->component, *solution = matrix->solution;
-  if (matrix->sparse)
-    matrix->sparse->multiply(matrix->mass, x, rhs);
-  else
-    flex_multiply(n, matrix->mass, x, rhs);
+  matrix->sparse->multiply(matrix->mass, x, rhs);
   if (!matrix->tableau->blocks[0].is_complex) {
-    apply_inverse(matrix, 0, rhs, x);
+    solve_sparse(matrix, 0, rhs, x);
     return;
   }
   memset(rhs + n, 0, (size_t)n * sizeof *rhs);
   to_pairs(n, rhs, solution);
-  apply_inverse(matrix, 0, solution, rhs);
+  solve_sparse(matrix, 0, solution, rhs);
+  for (int i = 0; i < n; i++) x[i] = flex_hypot(rhs[2 * i], rhs[2 * i + 1]);
+}
+
+void flex_newton_filter(flex_newton_matrix *matrix, real *x) {
+  int n = matrix->n;
+  real *rhs = matrix->component, *solution = matrix->solution;
+  if (matrix->sparse) {
+    filter_sparse(matrix, x);
+    return;
+  }
+  flex_multiply(n, matrix->mass, x, rhs);
+  if (!matrix->tableau->blocks[0].is_complex) {
+    flex_multiply(n, inverse_of(matrix, 0), rhs, x);
+    return;
+  }
+  memset(rhs + n, 0, (size_t)n * sizeof *rhs);
+  to_pairs(n, rhs, solution);
+  flex_complex_multiply(n, inverse_of(matrix, 0), solution, rhs);
   for (int i = 0; i < n; i++) x[i] = flex_hypot(rhs[2 * i], rhs[2 * i + 1]);
 }
