@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import flexfmu
+from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.own_models import rate_unit
@@ -340,6 +341,23 @@ def test_starts_are_parameters_of_the_fmu() -> None:
     half = flexfmu.slave(van_der_pol(), "half", parameters={"start.x0": 0.5, "mu": 0.0, "start.x1": 0.0})
     run = flexfmu.simulate([half], stop_time=6.0, step=0.1, tolerance=1e-8).recording
     assert np.allclose(run["half.x0"].values, 0.5 * np.cos(run.time), atol=1e-7)
+
+
+@pytest.mark.parametrize("case", ["vdp", "lotka", "network", "chain"])
+def test_lanes_are_runs_one_by_one(case: str) -> None:
+    """Variants of a start value side by side in the processor's lanes move as the equations say."""
+    make, rates, start, end, names = CASES[case]
+    path, scales = build_fmu(make()).path, np.linspace(0.5, 1.5, 9)
+    time = np.linspace(0.0, end, POINTS + 1)
+    course = SampledInputs(time, np.zeros(time.size, bool), (), np.zeros(0), np.zeros((POINTS, 1, 0)), (), POINTS)
+    lanes = Lockstep(path, {}, course, [f"start.{names[0]}"], names, order=0, tolerance=1e-9)
+    found, failed = lanes.record(scales[:, None] * start[0])
+    assert not failed.any()
+    for scale, values in zip(scales, found[:, :, 0], strict=True):
+        exact = solve_ivp(
+            rates, (0, end), [scale * start[0], *start[1:]], method="DOP853", rtol=1e-12, atol=1e-14, t_eval=time
+        ).y
+        assert abs(values - exact).max() < 1e-6 * abs(exact).max()
 
 
 def test_linearised_about_a_point() -> None:

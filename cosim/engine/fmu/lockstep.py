@@ -142,7 +142,8 @@ class Lockstep:
             tolerance=max(tolerance, LEAST_TOLERANCE),
             fixed_step=float(settings.get(FIXED_STEP, 0.0)),
             method=number(INTEGRATOR.name),
-            starts_static=int(number(INITIAL.name) == INITIAL.items["static"][0]),
+            # models without this choice start from the values that their states have
+            starts_static=int(INITIAL.name in variables and number(INITIAL.name) == INITIAL.items["static"][0]),
             n_changed=len(changed),
             n_recorded=len(outputs),
             order=order,
