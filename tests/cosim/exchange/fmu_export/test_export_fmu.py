@@ -72,7 +72,7 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
     assert list(interpolates_inputs(fmu)) == []
     monkeypatch.setattr(fmpy.fmi2.FMU2Slave, "setRealInputDerivatives", lambda *_: None)
     (finding,) = interpolates_inputs(fmu)
-    assert "with a derivative of in1 out1 is 0.00775 off" in finding.message
+    assert "with derivative 1 of in1 out1 is 0.00775 off" in finding.message
 
 
 def test_description_says_what_it_is(tmp_path: Path) -> None:
