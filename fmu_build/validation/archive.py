@@ -172,7 +172,8 @@ def check_sources(description: Any, fmu: Path) -> Iterator[Finding]:
             flags = [f"-I{path}" for path in (fmi_header_folder(), ".", *each.includeDirectories)]
             flags += [f"-D{one.name}={one.value or ''}" for one in each.preprocessorDefinitions if not one.optional]
             try:
-                jobs = [CompileJob(name, ("-fsyntax-only", "-w", *flags)) for name in names]
+                # to objects, since `zig cc` fails with -fsyntax-only
+                jobs = [CompileJob(name, ("-O0", "-w", *flags)) for name in names]
                 find_compiler(native_platform()).compile(jobs, folder / "sources")
             except CompileError as error:
                 # a header of another library or system is no fault
