@@ -34,7 +34,6 @@ from flexfmu.model.scene.schema import Scene
 
 ROOT = Path(__file__).parents[3]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
-STEEL = {"density": 7850.0, "youngs_modulus": 210e9}
 TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.5}
 """A wish that rigid links fulfil."""
 
