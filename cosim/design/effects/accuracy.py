@@ -1,9 +1,10 @@
 """Chooses effects, communication step, integrator and tolerance together, such that figures of a scene have the accuracy that is asked for.
 
 The error of a figure is what a run of the scene as it is, loop included, differs from the richest model by: a set of effects that one
-more mode of every family changes by at most `CONVERGED` of what is allowed, integrated at `EXACT`. Its bound is the difference of the two
-runs, at least that of the set of effects alone, and what the richest model itself isn't known to; the next tighter tolerance may not be worse. Its parts are shown: the effects that
-are left out (a run at `EXACT` beside the richest model's), and the numerics (the setting beside its own run at `EXACT`). Sets of effects are a
+more mode of every family changes by at most `CONVERGED` of what is allowed, integrated at `EXACT`. Its bound is the distance of the two
+runs, at least that of the set of effects alone, and what the richest model itself isn't known to; the next tighter tolerance may not be
+worse. Two parts are shown: the effects that are left out (a run at `EXACT` beside the richest model's), and the numerics (the setting
+beside its own run at `EXACT`). Sets of effects are a
 ladder and, where it has a gap, what the linear estimates of `flexfmu.cosim.design.effects.estimator` choose; runs decide. Tolerances are
 tightened from the loosest on, and left where another setting is cheaper already. The choice of effects alone
 (`flexfmu.cosim.design.effects.choice`) is the same with the communication step and the integrator of the scene.
