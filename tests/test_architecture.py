@@ -97,6 +97,7 @@ ALONE = {
     "cosim.studies.sweep.picture": "drawing",
     "cosim.studies.workprec.figures": "drawing",
     "cosim.studies.workprec.solver_trials": "other solvers and equations for them, which hard cases use too",
+    "fmu_build.own_assembly": "the contract from checked equations",
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
     "model.multipliers": "the second form of the equations",

@@ -22,7 +22,7 @@ import flexfmu
 from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.own_models import rate_unit
+from flexfmu.fmu_build.own_entries import rate_unit
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel
 
