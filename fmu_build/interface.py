@@ -114,7 +114,7 @@ class Interface:
 
 FIRST_INTEGER, TIME, FIRST_INDICATOR, FIRST_DERIVATIVES = (sort << 28 for sort in range(1, 5))
 """First value references of FMI 3.0, where they are unique: of Integers, the time, event indicators and the derivatives of inputs;
-Reals begin at 0. See ``c-runtime/fmi3/fmi3_instance.h``."""
+Reals begin at 0. See ``c-runtime/fmi3/fmi3_version.h``."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
@@ -53,12 +52,17 @@ _FOLDERS: Mapping[str, tuple[str, ...]] = {
 """What is compiled → folders of ``c-runtime`` that it needs; their files lie side by side in an FMU."""
 
 _FMI_FOLDERS: Mapping[tuple[str, FmiVersion], tuple[str, ...]] = {
-    ("plant", "2"): ("fmi2", "fmi2-exchange"),
-    ("block", "2"): ("fmi2",),
-    ("trajectory", "2"): ("fmi2",),
-    **{(kind, "3"): ("fmi2", "fmi2-exchange", "fmi3", f"fmi3-{kind}") for kind in ("plant", "block", "trajectory")},
+    ("plant", "2"): ("fmi", "exchange", "fmi2", "fmi2-exchange"),
+    ("block", "2"): ("fmi", "fmi2"),
+    ("trajectory", "2"): ("fmi", "fmi2"),
+    ("plant", "3"): ("fmi", "exchange", "fmi3"),
+    ("block", "3"): ("fmi", "exchange", "no-exchange", "fmi3"),
+    ("trajectory", "3"): ("fmi", "exchange", "no-exchange", "fmi3"),
 }
 """Kind of FMU and version of FMI → further folders."""
+
+_SHARED = ("fmi", "exchange")
+"""Folders that both versions have, written in the words of FMI 2.0."""
 
 _FMI3_TEXTS = (
     ("fmi2Component", "fmi3Instance"),
@@ -66,19 +70,12 @@ _FMI3_TEXTS = (
     ("fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives"),
     ("FMUstate", "FMUState"),
     ("DeSerialize", "Deserialize"),
-    ("flex_allocate(&instance->callbacks, ", "calloc(1, "),
-    ("flex_release(&instance->callbacks, ", "free("),
-    ("  instance->reason[0] = '\\0';\n", ""),
+    ("the GUID", "the instantiation token"),
+    ('"step complete"', '"step mode"'),
+    ("FMI2", "FMI3"),
     ("fmi2", "fmi3"),
 )
-"""What makes functions of FMI 3.0 of those of FMI 2.0: the importer gives no memory, and no step is asked for its status."""
-
-_FMI2_ALONE = re.compile(r"^fmi2Status fmi2(?:EnterEventMode|NewDiscreteStates)\(.*?^}\n\n", re.MULTILINE | re.DOTALL)
-"""Functions that are others in FMI 3.0."""
-
-_RENAMED = ("fmi2_snapshots.c", "model_exchange.c")
-_SHARED = ("backend.h", "model_exchange.h", "old_glibc.h", *_RENAMED)
-"""Files of the layer of FMI 2.0 that FMI 3.0 has too; in some of them functions and types have the names of FMI 3.0."""
+"""What makes code in the words of FMI 3.0 of that in the words of FMI 2.0."""
 
 
 @dataclass(frozen=True)
@@ -251,20 +248,15 @@ def runtime_sources(kind: RuntimeKind = "plant", fmi: FmiVersion = "2") -> dict[
     """
     root = files("flexfmu.fmu_build") / "c-runtime"
     layer = _FMI_FOLDERS.get((kind, fmi), ())
-    entries = [
-        entry
-        for folder in (*_FOLDERS[kind], *layer)
-        for entry in (root / folder).iterdir()
-        if entry.name.endswith((".c", ".h")) and (fmi == "2" or not folder.startswith("fmi2") or entry.name in _SHARED)
-    ]
     headers = [fmi_header_folder() / name for name in FMI_HEADERS[fmi]] if layer else []
-    texts = {entry.name: entry.read_text(encoding="utf-8") for entry in (*entries, *headers)}
-    # saved states and model exchange are the same in both versions but for names
-    for name in _RENAMED if fmi == "3" and layer else ():
-        text = _FMI2_ALONE.sub("", texts.pop(name))
-        for old, new in _FMI3_TEXTS:
-            text = text.replace(old, new)
-        texts[name.replace("fmi2", "fmi3")] = text
+    texts = {entry.name: entry.read_text(encoding="utf-8") for entry in headers}
+    for folder in (*_FOLDERS[kind], *layer):
+        for entry in (root / folder).iterdir():
+            if entry.name.endswith((".c", ".h")):
+                text = entry.read_text(encoding="utf-8")
+                for old, new in _FMI3_TEXTS if fmi == "3" and folder in _SHARED else ():
+                    text = text.replace(old, new)
+                texts[entry.name] = text
     return dict(sorted(texts.items()))
 
 

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "check.h"
-#include "fmi2_instance.h"
+#include "instance.h"
 
 typedef struct {
   int n_heard[N_LOG_CATEGORIES]; /* messages, by category */

@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "fmi3_instance.h"
+#include "instance.h"
 
 enum { MOST = 24 };
 

@@ -186,7 +186,8 @@ LEGAL = {
 @pytest.mark.skipif(not COMPILER, reason="no C compiler")
 def test_the_runtime_has_the_standards_table(tmp_path: Path) -> None:
     """What the compiler makes of the C table; that it is obeyed is what the fuzzer sees."""
-    (tmp_path / "fmi3_states.h").write_text(runtime_sources("plant", "3")["fmi3_states.h"])
+    for header in ("fmi3_states.h", "phases.h"):
+        (tmp_path / header).write_text(runtime_sources("plant", "3")[header])
     (tmp_path / "table.c").write_text("""
         #include <stdio.h>
         #include "fmi3_states.h"

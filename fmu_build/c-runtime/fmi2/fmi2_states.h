@@ -6,25 +6,10 @@
 #ifndef FLEXFMU_FMI2_STATES_H
 #define FLEXFMU_FMI2_STATES_H
 
-typedef enum {
-  INSTANTIATED = 1 << 0,
-  INITIALISATION_MODE = 1 << 1,
-  STEP_COMPLETE = 1 << 2,
-  STEP_FAILED = 1 << 3,
-  TERMINATED = 1 << 4,
-  EVENT_MODE = 1 << 5,
-  CONTINUOUS_TIME_MODE = 1 << 6
-} flex_phase;
+#include "phases.h"
 
-/* which instances have a function: those for co-simulation, those for model exchange, or both */
-typedef enum { STEPPING = 1 << 0, EXCHANGE = 1 << 1, BOTH = STEPPING | EXCHANGE } flex_kind;
-
-#define STEPPED_PHASE (STEP_COMPLETE | STEP_FAILED | TERMINATED)
-#define SOLVED_PHASE (EVENT_MODE | CONTINUOUS_TIME_MODE)
-#define RUNNING_PHASE (STEP_COMPLETE | STEP_FAILED | SOLVED_PHASE)
-#define SETTABLE_PHASE (INSTANTIATED | INITIALISATION_MODE | STEP_COMPLETE | STEP_FAILED | EVENT_MODE)
-#define READABLE_PHASE (INITIALISATION_MODE | RUNNING_PHASE | TERMINATED)
-#define ANY_PHASE (INSTANTIATED | READABLE_PHASE)
+#define STEPPING_PHASE (STEP_COMPLETE | STEP_FAILED)
+#define STEPPED_PHASE (STEPPING_PHASE | TERMINATED)
 
 /* X(function, kinds, phases) */
 #define FLEX_FMI2_CALLS(X)                                       \
@@ -61,7 +46,7 @@ typedef enum { STEPPING = 1 << 0, EXCHANGE = 1 << 1, BOTH = STEPPING | EXCHANGE 
   X(fmi2GetNominalsOfContinuousStates, EXCHANGE, ANY_PHASE)      \
   X(fmi2SetRealInputDerivatives, STEPPING, SETTABLE_PHASE)       \
   X(fmi2GetRealOutputDerivatives, STEPPING, READABLE_PHASE)      \
-  X(fmi2DoStep, STEPPING, STEP_COMPLETE | STEP_FAILED)           \
+  X(fmi2DoStep, STEPPING, STEPPING_PHASE)                       \
   X(fmi2CancelStep, STEPPING, 0)                                 \
   X(fmi2GetStatus, STEPPING, STEPPED_PHASE)                      \
   X(fmi2GetRealStatus, STEPPING, STEPPED_PHASE)                  \

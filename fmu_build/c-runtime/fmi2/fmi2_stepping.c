@@ -1,45 +1,13 @@
 /* Communication steps and their status. */
-#include <math.h>
 #include <string.h>
 
-#include "clock.h"
-#include "fmi2_instance.h"
-
-// whether a communication step can be made at all
-static int is_possible(const flex_instance *instance, double point, double step) {
-  const flex_session *session = &instance->session;
-  double present = *instance->backend->time;
-  if (!isfinite(point) || !isfinite(step) || !(step > 0.0)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "the communication step size must be positive and finite, got %g s at %.9g s",
-             step, point);
-    return 0;
-  }
-  if (fabs(point - present) > flex_time_slack(present, step)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s",
-             present, point);
-    return 0;
-  }
-  if (!isfinite(point + step)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "a communication step of %g s from %.17g s has no finite end", step, point);
-    return 0;
-  }
-  if (!(point + step > point)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "a communication step of %g s is lost by rounding at %.17g s", step, point);
-    return 0;
-  }
-  if (session->has_stop_time && point + step > session->stop_time + flex_time_slack(session->stop_time, step)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "a step of %g s from %.17g s goes beyond the stop time %.17g s", step, point,
-             session->stop_time);
-    return 0;
-  }
-  return 1;
-}
+#include "instance.h"
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
   (void)noSetFMUStatePriorToCurrentPoint;
   flex_instance *instance = flex_checked(c, call_fmi2DoStep);
-  if (!instance || !is_possible(instance, currentCommunicationPoint, communicationStepSize)) return fmi2Error;
+  if (!instance || flex_step_is_impossible(instance, currentCommunicationPoint, communicationStepSize)) return fmi2Error;
 
   double end = currentCommunicationPoint + communicationStepSize;
   int is_refused = flex_backend_advance(instance->backend, currentCommunicationPoint, end);

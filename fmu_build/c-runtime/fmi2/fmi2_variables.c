@@ -1,5 +1,5 @@
 /* Values of variables and their derivatives. */
-#include "fmi2_instance.h"
+#include "instance.h"
 
 // value references and values of so many variables
 static int lacks_arrays(const flex_instance *instance, flex_call_id call, const void *vr, const void *value, size_t nvr) {
@@ -18,7 +18,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
   flex_instance *instance = flex_checked(c, call_fmi2GetReal);
   if (!instance || lacks_arrays(instance, call_fmi2GetReal, vr, value, nvr)) return fmi2Error;
 
-  if (flex_phase_of(instance) == INSTANTIATED && has_output(instance, vr, nvr))
+  if (instance->session.phase == INSTANTIATED && has_output(instance, vr, nvr))
     return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
   return flex_backend_get_reals(instance->backend, vr, nvr, value) ? flex_log_refusal(instance) : fmi2OK;
 }
@@ -27,7 +27,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
   flex_instance *instance = flex_checked(c, call_fmi2SetReal);
   if (!instance || lacks_arrays(instance, call_fmi2SetReal, vr, value, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
-    if (flex_phase_of(instance) == CONTINUOUS_TIME_MODE && vr[i] >= instance->backend->n_inputs)
+    if (instance->session.phase == CONTINUOUS_TIME_MODE && vr[i] >= instance->backend->n_inputs)
       return flex_log(instance, fmi2Error, LOG_ERROR,
                       "value reference %u is no input, it cannot be set in continuous-time mode", vr[i]);
   for (size_t i = 0; i < nvr; i++)

@@ -1,5 +1,5 @@
 /* What model exchange has beyond FMI 2.0: numbers of states and event indicators. */
-#include "fmi3_instance.h"
+#include "instance.h"
 
 static fmi3Status count(fmi3Instance instance, flex_call_id call, size_t *place, size_t number) {
   flex_instance *ours = flex_checked(instance, call);

@@ -5,23 +5,9 @@
 #ifndef FLEXFMU_FMI3_STATES_H
 #define FLEXFMU_FMI3_STATES_H
 
-typedef enum {
-  INSTANTIATED = 1 << 0,
-  INITIALISATION_MODE = 1 << 1,
-  STEP_MODE = 1 << 2,
-  EVENT_MODE = 1 << 3,
-  CONTINUOUS_TIME_MODE = 1 << 4,
-  TERMINATED = 1 << 5
-} flex_phase;
+#include "phases.h"
 
-/* which instances have a function: those for co-simulation, those for model exchange, or both */
-typedef enum { STEPPING = 1 << 0, EXCHANGE = 1 << 1, BOTH = STEPPING | EXCHANGE } flex_kind;
-
-#define SOLVED_PHASE (EVENT_MODE | CONTINUOUS_TIME_MODE)
-#define RUNNING_PHASE (STEP_MODE | SOLVED_PHASE)
-#define SETTABLE_PHASE (INSTANTIATED | INITIALISATION_MODE | STEP_MODE | EVENT_MODE)
-#define READABLE_PHASE (INITIALISATION_MODE | RUNNING_PHASE | TERMINATED)
-#define ANY_PHASE (INSTANTIATED | READABLE_PHASE)
+#define STEPPING_PHASE STEP_MODE
 
 /* X(function, kinds, phases); what is missing is refused always, see fmi3_unsupported.c */
 #define FLEX_FMI3_CALLS(X)                                       \

@@ -1,29 +1,7 @@
 /* Communication steps and events. */
-#include <math.h>
 #include <string.h>
 
-#include "clock.h"
-#include "fmi3_instance.h"
-
-// whether a communication step can be made at all
-static int is_possible(const flex_instance *instance, double point, double step) {
-  const flex_session *session = &instance->session;
-  double present = *instance->backend->time;
-  if (!isfinite(point) || !isfinite(step) || !(step > 0.0))
-    flex_log(instance, fmi3Error, LOG_ERROR, "the communication step size must be positive and finite, got %g s at %.9g s",
-             step, point);
-  else if (fabs(point - present) > flex_time_slack(present, step))
-    flex_log(instance, fmi3Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s", present,
-             point);
-  else if (!isfinite(point + step) || !(point + step > point))
-    flex_log(instance, fmi3Error, LOG_ERROR, "a communication step of %g s from %.17g s has no end beyond it", step, point);
-  else if (session->has_stop_time && point + step > session->stop_time + flex_time_slack(session->stop_time, step))
-    flex_log(instance, fmi3Error, LOG_ERROR, "a step of %g s from %.17g s goes beyond the stop time %.17g s", step, point,
-             session->stop_time);
-  else
-    return 1;
-  return 0;
-}
+#include "instance.h"
 
 /* Events within a step are handled within it. A step that fails is discarded: as the standard demands, everything is as it was
  * before. */
@@ -37,7 +15,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
       flex_lacks(ours, call, "a place for terminateSimulation", terminateSimulation, 1) ||
       flex_lacks(ours, call, "a place for earlyReturn", earlyReturn, 1) ||
       flex_lacks(ours, call, "a place for lastSuccessfulTime", lastSuccessfulTime, 1) ||
-      !is_possible(ours, currentCommunicationPoint, communicationStepSize))
+      flex_step_is_impossible(ours, currentCommunicationPoint, communicationStepSize))
     return fmi3Error;
 
   flex_backend *backend = ours->backend;

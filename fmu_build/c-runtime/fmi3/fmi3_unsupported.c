@@ -1,5 +1,5 @@
 /* Functions for what this FMU doesn't have: variables of other types, clocks, structural parameters. */
-#include "fmi3_instance.h"
+#include "instance.h"
 
 #if defined(__GNUC__)
 #pragma GCC diagnostic push

@@ -2,7 +2,7 @@
 #include <limits.h>
 #include <string.h>
 
-#include "fmi3_instance.h"
+#include "instance.h"
 
 static size_t size_of(fmi3ValueReference reference) {
   return FLEX_SORT_OF(reference) == FLEX_INPUT_DERIVATIVES ? (size_t)flex_backend_max_input_order() : 1;

@@ -76,6 +76,14 @@ void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const do
 }
 #endif
 
+real flex_inputs_derivative(const flex_inputs *inputs, int index, double time, int order) {
+  const real *c = polynomial(inputs, index);
+  double tau = time - inputs->base[index];
+  real value = flex_real(0.0);
+  for (int k = inputs->degree[index]; k >= order; k--) value = value * tau + c[k] * (flex_factorial(k) / flex_factorial(k - order));
+  return value;
+}
+
 void flex_inputs_rates(const flex_inputs *inputs, double time, real *u1, real *u2) {
   for (int i = 0; i < inputs->count; i++) {
     const real *c = polynomial(inputs, i);

@@ -47,6 +47,9 @@ void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset,
 /* values at four offsets, side by side: four numbers for each input */
 void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *offsets, real *u);
 
+/* the derivative of an input at `time`, of any order */
+real flex_inputs_derivative(const flex_inputs *inputs, int index, double time, int order);
+
 /* first and second time derivatives at `time` */
 void flex_inputs_rates(const flex_inputs *inputs, double time, real *u1, real *u2);
 

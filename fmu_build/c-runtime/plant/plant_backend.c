@@ -121,6 +121,15 @@ int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *in
   return 0;
 }
 
+int flex_backend_max_input_order(void) {
+  return flex_the_model.max_input_order;
+}
+
+double flex_backend_input_derivative(const flex_backend *backend, unsigned input, int order) {
+  const flex_plant *plant = plant_of(backend);
+  return flex_inputs_derivative(&plant->inputs, (int)input, plant->record->time, order);
+}
+
 int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                         double *value) {
   flex_plant *plant = plant_of(backend);

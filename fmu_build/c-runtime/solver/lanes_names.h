@@ -10,6 +10,7 @@
 #define flex_complex_multiply flex_complex_multiply_wide
 #define flex_error_norm flex_error_norm_wide
 #define flex_inputs_clear flex_inputs_clear_wide
+#define flex_inputs_derivative flex_inputs_derivative_wide
 #define flex_inputs_default flex_inputs_default_wide
 #define flex_inputs_evaluate flex_inputs_evaluate_wide
 #define flex_inputs_evaluate_lanes flex_inputs_evaluate_lanes_wide

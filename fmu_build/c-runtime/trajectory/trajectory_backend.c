@@ -176,6 +176,14 @@ static int get_output_derivative(flex_backend *backend, unsigned index, int orde
   return 0;
 }
 
+int flex_backend_max_input_order(void) {
+  return 0;
+}
+
+double flex_backend_input_derivative(const flex_backend *backend, unsigned input, int order) {
+  return (void)backend, (void)input, (void)order, 0.0;
+}
+
 int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                         double *value) {
   for (size_t i = 0; i < count; i++)

@@ -1,7 +1,4 @@
-/* The functions of model_exchange.h for what has no continuous states, in the one file that includes this; only the counts are called. */
-#ifndef FLEXFMU_FMI3_NO_EXCHANGE_H
-#define FLEXFMU_FMI3_NO_EXCHANGE_H
-
+/* The functions of model_exchange.h for what has no continuous states; only the counts are called. */
 #include "model_exchange.h"
 
 size_t flex_backend_states(void) { return 0; }
@@ -15,5 +12,3 @@ int flex_backend_handle_event(flex_backend *backend, int *states_changed) { retu
 int flex_backend_has_event(flex_backend *backend) { return (void)backend, 0; }
 int flex_backend_check_point(flex_backend *backend) { return (void)backend, 0; }
 double flex_backend_state_nominal(size_t index) { return (void)index, 1.0; }
-
-#endif

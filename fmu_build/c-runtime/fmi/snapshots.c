@@ -1,7 +1,7 @@
 /* Saved states: the numeric state as it lies in memory, behind a header that says whose it is. */
 #include <string.h>
 
-#include "fmi2_instance.h"
+#include "instance.h"
 
 typedef struct flex_snapshot {
   unsigned long long signature; /* of model and layout; 0 once it is freed */

@@ -63,6 +63,10 @@ int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *in
 int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                         double *value);
 
+/* highest order of input derivatives, 0 = there are none; the derivative of an input at the present time, of order 1 and above */
+int flex_backend_max_input_order(void);
+double flex_backend_input_derivative(const flex_backend *backend, unsigned input, int order);
+
 /* directional derivatives */
 int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction);
 

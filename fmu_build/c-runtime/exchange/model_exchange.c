@@ -1,42 +1,13 @@
 /* The functions of FMI for model exchange: the importer integrates. Our own events are those of friction. */
-#include "model_exchange.h"
-
 #include <math.h>
 
-#include "fmi2_instance.h"
-
-// whether an array has as many elements as there are
-static int has_size(const flex_instance *instance, flex_call_id call, const char *what, const void *array, size_t size,
-                    size_t needed) {
-  if (flex_lacks(instance, call, what, array, size)) return 0;
-  if (size == needed) return 1;
-  flex_log(instance, fmi2Error, LOG_ERROR, "this FMU has %lu %s, got an array of %lu", (unsigned long)needed, what,
-           (unsigned long)size);
-  return 0;
-}
+#include "instance.h"
 
 // the instance if the call is legal and its array of states or the like has the right size, else NULL
 static flex_instance *checked(fmi2Component c, flex_call_id call, const char *what, const void *array, size_t size,
                               size_t needed) {
   flex_instance *instance = flex_checked(c, call);
-  return instance && has_size(instance, call, what, array, size, needed) ? instance : NULL;
-}
-
-fmi2Status fmi2EnterEventMode(fmi2Component c) {
-  flex_instance *instance = flex_checked(c, call_fmi2EnterEventMode);
-  if (!instance) return fmi2Error;
-  flex_enter_phase(instance, EVENT_MODE);
-  return fmi2OK;
-}
-
-fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-  fmi2EventInfo info = {fmi2False, fmi2False, fmi2False, fmi2False, fmi2False, 0.0};
-  flex_instance *instance = flex_checked(c, call_fmi2NewDiscreteStates);
-  if (!instance || flex_lacks(instance, call_fmi2NewDiscreteStates, "a place for what happened", eventInfo, 1))
-    return fmi2Error;
-  if (flex_backend_handle_event(instance->backend, &info.valuesOfContinuousStatesChanged)) return flex_log_refusal(instance);
-  *eventInfo = info;
-  return fmi2OK;
+  return instance && !flex_misfits(instance, call, what, array, size, needed) ? instance : NULL;
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {

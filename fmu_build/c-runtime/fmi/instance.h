@@ -1,11 +1,11 @@
 /* An FMI instance: what it wraps, the importer's callbacks and what is logged. */
-#ifndef FLEXFMU_FMI2_INSTANCE_H
-#define FLEXFMU_FMI2_INSTANCE_H
+#ifndef FLEXFMU_INSTANCE_H
+#define FLEXFMU_INSTANCE_H
 
 #include "backend.h"
-#include "fmi2Functions.h"
-#include "fmi2_states.h"
+#include "fmi2_version.h"
 #include "memory.h"
+#include "model_exchange.h"
 #include "private.h"
 #include "refusal.h"
 
@@ -19,18 +19,22 @@ typedef struct {
   double stop_time;
   int has_stop_time;
   int phase;
-  int last_step; /* status of the last fmi2DoStep */
-  int kind;      /* what the instance was made for */
+  int kind;       /* what the instance was made for */
+  int last_step;  /* FMI 2.0: status of the last step */
+  int has_events; /* FMI 3.0, co-simulation: 1 = the importer uses event mode */
+  int unused;
 } flex_session;
 
 typedef struct {
   flex_backend *backend;
   flex_session session;
-  fmi2CallbackFunctions callbacks;
-  const char *name;
+  flex_callbacks callbacks;
+  const char *name;               /* FMI 2.0 */
   int logged[N_LOG_CATEGORIES];   /* 1 = the category is shown */
+  double *scratch;                /* FMI 3.0: as many numbers as there are outputs and event indicators */
+  void *before;                   /* FMI 3.0: numeric state at the beginning of a step, for one that is discarded */
   void *freed_states;             /* memory of freed FMU states, for the next ones */
-  char reason[FLEX_MESSAGE_SIZE]; /* why the last fmi2DoStep was discarded, if it was and no state was restored since */
+  char reason[FLEX_MESSAGE_SIZE]; /* FMI 2.0: why the last step was discarded, if it was and no state was restored since */
 } flex_instance;
 
 /* hands a sentence to the importer's logger, if its category is shown; returns the status */
@@ -39,18 +43,26 @@ fmi2Status flex_log(const flex_instance *instance, fmi2Status status, flex_log_c
 /* the same with the backend's own message, as an error */
 fmi2Status flex_log_refusal(const flex_instance *instance);
 
-/* the instance behind a component if the call is legal in its state, else NULL after logging why not */
+/* the instance behind a pointer if the call is legal in its state, else NULL after logging why not */
 flex_instance *flex_checked(fmi2Component component, flex_call_id call);
 
 /* 1 after logging it, if a call that is about `count` elements was given no place where they are */
 int flex_lacks(const flex_instance *instance, flex_call_id call, const char *what, const void *place, size_t count);
 
-flex_phase flex_phase_of(const flex_instance *instance);
+/* 1 after logging it, if an array is missing or has another number of elements than it must have */
+int flex_misfits(const flex_instance *instance, flex_call_id call, const char *what, const void *place, size_t count,
+                 size_t needed);
+
 void flex_enter_phase(flex_instance *instance, flex_phase phase);
 
-/* memory through the importer's callbacks, or the C library where it has none */
-void *flex_allocate(const fmi2CallbackFunctions *callbacks, size_t size);
-void flex_release(const fmi2CallbackFunctions *callbacks, void *memory);
+/* why an instance of a kind cannot be made with these; NULL if it can */
+const char *flex_obstacle(const char *name, flex_kind kind, const char *guid);
+
+/* before initialisation: tolerance, where one is given, start time and stop time */
+fmi2Status flex_set_up(flex_instance *instance, int has_tolerance, double tolerance, double start, int has_stop, double stop);
+
+/* 1 after logging it, if a communication step cannot be made at all */
+int flex_step_is_impossible(const flex_instance *instance, double point, double step);
 
 /* gives back the memory of freed FMU states */
 void flex_release_states(flex_instance *instance);

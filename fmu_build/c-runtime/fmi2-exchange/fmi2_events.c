@@ -1,0 +1,19 @@
+/* Event mode, which is another in FMI 3.0. */
+#include "instance.h"
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+  flex_instance *instance = flex_checked(c, call_fmi2EnterEventMode);
+  if (!instance) return fmi2Error;
+  flex_enter_phase(instance, EVENT_MODE);
+  return fmi2OK;
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
+  fmi2EventInfo info = {fmi2False, fmi2False, fmi2False, fmi2False, fmi2False, 0.0};
+  flex_instance *instance = flex_checked(c, call_fmi2NewDiscreteStates);
+  if (!instance || flex_lacks(instance, call_fmi2NewDiscreteStates, "a place for what happened", eventInfo, 1))
+    return fmi2Error;
+  if (flex_backend_handle_event(instance->backend, &info.valuesOfContinuousStatesChanged)) return flex_log_refusal(instance);
+  *eventInfo = info;
+  return fmi2OK;
+}

@@ -1,0 +1,41 @@
+/* What an instance of FMI 3.0 has of its own: the importer's logger, and value references by sorts. */
+#ifndef FLEXFMU_FMI3_VERSION_H
+#define FLEXFMU_FMI3_VERSION_H
+
+#include <stdlib.h>
+
+#include "fmi3Functions.h"
+#include "fmi3_states.h"
+
+typedef struct {
+  fmi3InstanceEnvironment environment;
+  fmi3LogMessageCallback logger;
+} flex_callbacks;
+
+/* The upper bits of a value reference tell what it is, the lower ones which: reals and integers by the backend's own numbers, of an
+ * input an array with its derivatives of orders 1, 2, .. */
+enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVES };
+
+#define FLEX_SORT_OF(reference) ((reference) >> 28)
+#define FLEX_INDEX_OF(reference) ((reference) & 0x0fffffffu)
+
+/* what would begin a value reference in a sentence for the logger; whether a sentence is logged whatever the categories */
+#define FLEX_ESCAPED '#'
+#define FLEX_IS_ALWAYS_LOGGED(status) ((status) >= fmi3Error)
+
+static inline void flex_hand_over(const flex_callbacks *callbacks, const char *name, fmi3Status status, const char *category,
+                                  const char *text) {
+  (void)name;
+  if (callbacks->logger) callbacks->logger(callbacks->environment, status, category, text);
+}
+
+static inline void *flex_allocate(const flex_callbacks *callbacks, size_t size) {
+  return (void)callbacks, calloc(1, size);
+}
+
+static inline void flex_release(const flex_callbacks *callbacks, void *memory) {
+  (void)callbacks;
+  free(memory);
+}
+
+#endif
