@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
-from ctypes import CFUNCTYPE, Structure, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
+from ctypes import CFUNCTYPE, Structure, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
@@ -30,6 +30,12 @@ OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 
 DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
 """Values of fmi2StatusKind: fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2Terminated."""
+
+PERIODIC, APERIODIC, TRIGGERED = ("constant", "fixed", "tunable"), ("changing", "countdown"), "triggered"
+"""Values of intervalVariability of clocks."""
+
+INTERVAL_CHANGED = 2
+"""Value fmi3IntervalChanged of fmi3IntervalQualifier."""
 
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 """Values fmi2ModelExchange and fmi2CoSimulation of fmi2Type."""
@@ -74,6 +80,8 @@ _FMI3: dict[str, Signature] = {
     "fmi3Terminate": (c_int, c_void_p),
     **{f"fmi3{verb}FMUState": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
     **{f"fmi3{verb}{kind}": (*_TRANSFER, c_size_t) for kind in (*_FMI3_NUMBERS, "String") for verb in ("Get", "Set")},
+    **{f"fmi3{name}": _TRANSFER for name in ("GetClock", "SetClock", "SetIntervalDecimal", "GetShiftDecimal")},
+    "fmi3GetIntervalDecimal": (*_TRANSFER, c_void_p),
 }
 
 _FMI3_STEPS: dict[str, Signature] = {
@@ -84,6 +92,11 @@ _FMI3_STEPS: dict[str, Signature] = {
     "fmi3EnterStepMode": (c_int, c_void_p),
     "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
     "fmi3GetOutputDerivatives": (*_TRANSFER, c_void_p, c_size_t),
+}
+
+_FMI3_PARTITIONS: dict[str, Signature] = {
+    "fmi3InstantiateScheduledExecution": (c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, *[c_void_p] * 5),
+    "fmi3ActivateModelPartition": (c_int, c_void_p, c_uint, c_double),
 }
 
 _VECTOR: Signature = (c_int, c_void_p, c_void_p, c_size_t)
@@ -122,8 +135,7 @@ class Version:
         prefix: start of the functions' names.
         state: what the functions call a state of the FMU.
         signatures: functions for all interface types → signatures.
-        steps, exchange: those for co-simulation and for model exchange alone.
-        flag: C type of a Boolean.
+        interfaces: interface type → those for it alone.
         update: function that updates discrete states.
         rates: function that reads the derivatives of the states.
         event_info: type of the results of ``update``.
@@ -135,9 +147,7 @@ class Version:
     prefix: str
     state: str
     signatures: Mapping[str, Signature]
-    steps: Mapping[str, Signature]
-    exchange: Mapping[str, Signature]
-    flag: Any
+    interfaces: Mapping[str, Mapping[str, Signature]]
     update: str
     rates: str
     event_info: type[Any]
@@ -146,31 +156,46 @@ class Version:
     counts_values: bool
 
 
-_FMI2_NUMBERS: dict[str, DTypeLike] = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
-
 FMI2 = Version(
-    *("fmi2", "FMUstate", _FMI2, _FMI2_STEPS),
-    _exchange("fmi2", "GetDerivatives", c_int, NewDiscreteStates=(c_int, c_void_p, c_void_p)),
-    *(c_int, "NewDiscreteStates", "GetDerivatives", _event_info(c_int)),
-    *(_FMI2_NUMBERS, "fmi2GetRealOutputDerivatives"),
+    prefix="fmi2",
+    state="FMUstate",
+    signatures=_FMI2,
+    interfaces={
+        "CoSimulation": _FMI2_STEPS,
+        "ModelExchange": _exchange("fmi2", "GetDerivatives", c_int, NewDiscreteStates=(c_int, c_void_p, c_void_p)),
+    },
+    update="NewDiscreteStates",
+    rates="GetDerivatives",
+    event_info=_event_info(c_int),
+    dtypes={"Real": np.float64, "Integer": np.int32, "Boolean": np.int32},
+    output_derivatives="fmi2GetRealOutputDerivatives",
     counts_values=False,
 )
 FMI3 = Version(
-    *("fmi3", "FMUState", _FMI3, _FMI3_STEPS),
-    _exchange(
-        *("fmi3", "GetContinuousStateDerivatives", c_bool),
-        InstantiateModelExchange=(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_void_p, c_void_p),
-        GetDirectionalDerivative=(*_TRANSFER, c_size_t, c_void_p, c_size_t, c_void_p, c_size_t),
-        GetNumberOfContinuousStates=(c_int, c_void_p, c_void_p),
-        GetNumberOfEventIndicators=(c_int, c_void_p, c_void_p),
-    ),
-    *(c_bool, "UpdateDiscreteStates", "GetContinuousStateDerivatives", _event_info(c_bool)),
-    *(_FMI3_NUMBERS, "fmi3GetOutputDerivatives"),
+    prefix="fmi3",
+    state="FMUState",
+    signatures=_FMI3,
+    interfaces={
+        "CoSimulation": _FMI3_STEPS,
+        "ModelExchange": _exchange(
+            *("fmi3", "GetContinuousStateDerivatives", c_bool),
+            InstantiateModelExchange=(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_void_p, c_void_p),
+            GetDirectionalDerivative=(*_TRANSFER, c_size_t, c_void_p, c_size_t, c_void_p, c_size_t),
+            GetNumberOfContinuousStates=(c_int, c_void_p, c_void_p),
+            GetNumberOfEventIndicators=(c_int, c_void_p, c_void_p),
+        ),
+        "ScheduledExecution": _FMI3_PARTITIONS,
+    },
+    update="UpdateDiscreteStates",
+    rates="GetContinuousStateDerivatives",
+    event_info=_event_info(c_bool),
+    dtypes=_FMI3_NUMBERS,
+    output_derivatives="fmi3GetOutputDerivatives",
     counts_values=True,
 )
 """fmi2Boolean is an int, fmi3Boolean C's bool; enumerations use the functions of Integer and Int64."""
 
-_RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate")
+_RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate", "Clock", "Decimal")
 """Endings of the names of functions that some libraries lack, although FMI requires all."""
 
 Calls = dict[str, Callable[..., Any]]

@@ -214,7 +214,8 @@ class ContinuousTime:
                 if record.time < instance.next_event <= record.time + near:
                     record.time = instance.next_event
                     self._call("SetTime", record.time)
-                instance.at_event(lambda: fmi.OK, record.time)
+                if instance.event(record.time, end, near):
+                    return
                 idle = 0 if record.time > start + LEAST_STEP * step else idle + 1
                 if idle > MOST_ROUNDS:
                     raise instance.hangs("has events", record.time)

@@ -27,6 +27,8 @@ import fmpy
 from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.engine.errors import FmuFileError
+from flexfmu.cosim.engine.fmu.calls import PERIODIC
+from flexfmu.cosim.engine.fmu.clocks import FmiClock, read_clocks
 from flexfmu.cosim.engine.fmu.variables import flattened, structural_sizes
 from flexfmu.fmu_build.archive import open_archive
 from flexfmu.fmu_build.choices import ANNOTATION
@@ -96,14 +98,26 @@ class UnpackedFmu:
         return str(self.description.fmiVersion).startswith("3.")
 
     @property
-    def is_exchange(self) -> bool:
-        """Whether the FMU is for model exchange only."""
-        return self.description.coSimulation is None
+    def interface(self) -> Any:
+        """The description of co-simulation, or else of model exchange or scheduled execution, as fmpy reads it."""
+        description = self.description
+        return description.coSimulation or description.modelExchange or description.scheduledExecution
 
     @property
-    def interface(self) -> Any:
-        """The description of co-simulation, or else of model exchange, as fmpy reads it."""
-        return self.description.modelExchange if self.is_exchange else self.description.coSimulation
+    def kind(self) -> str:
+        """The interface type: CoSimulation, ModelExchange or ScheduledExecution."""
+        return type(self.interface).__name__
+
+    @property
+    def is_exchange(self) -> bool:
+        """Whether the FMU is for model exchange only."""
+        return self.kind == "ModelExchange"
+
+    @property
+    def clocks(self) -> tuple[FmiClock, ...]:
+        """The input and output clocks of an FMU of FMI 3.0."""
+        found: tuple[FmiClock, ...] = ()
+        return attempt(self.path, lambda: read_clocks(parsed(self.folder).getroot())) if self.is_fmi3 else found
 
     @property
     def gives_directional_derivatives(self) -> bool:
@@ -122,14 +136,22 @@ class UnpackedFmu:
 
     @property
     def sampling(self) -> tuple[float, float] | None:
-        """Sample time and offset [s] of an exported block; None for any other FMU.
+        """Sample time and offset [s] of an exported block, or of an FMU for co-simulation with all inputs and outputs on one periodic
+        clock; None for any other FMU.
 
         Raises:
             FmuFileError: the annotation is invalid.
         """
-        return _annotation(
+        own = _annotation(
             self.path, self.folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"]))
         )
+        if own is not None or len(self.clocks) != 1 or self.kind != "CoSimulation":
+            return own
+        clock = self.clocks[0]
+        signals = (v for v in self.description.modelVariables if v.causality in ("input", "output"))
+        if clock.variability not in PERIODIC or any(v.handle.clocks != (clock.reference,) for v in signals):
+            return None
+        return (clock.interval, clock.shift) if clock.interval else None
 
     @property
     def breakpoints(self) -> tuple[float, ...] | None:
@@ -148,7 +170,7 @@ class UnpackedFmu:
     @property
     def needs_regular_steps(self) -> bool:
         """Whether all communication steps of the FMU must have the same length."""
-        return not self.is_exchange and not self.interface.canHandleVariableCommunicationStepSize
+        return self.kind == "CoSimulation" and not self.interface.canHandleVariableCommunicationStepSize
 
     @property
     def only_once_per_process(self) -> bool:
@@ -173,7 +195,7 @@ class UnpackedFmu:
         """
         if self.is_exchange:
             return EXCHANGE_ORDER
-        interpolates = bool(self.interface.canInterpolateInputs)
+        interpolates = bool(getattr(self.interface, "canInterpolateInputs", False))
         if not interpolates and not (self.is_fmi3 and self.is_ours):
             return 0
         stated = _annotation(self.path, self.folder, "InputDerivatives", lambda at: int(at["maxOrder"]))
@@ -257,7 +279,7 @@ def _unpack(digest: str, path: Path) -> _Content:
     """Return the content of the FMU with that SHA-256; unpack and parse it unless it is there.
 
     Raises:
-        FmuFileError: the FMU is broken or has clocks.
+        FmuFileError: the FMU is broken.
     """
     content = _unpacked.get(digest)
     if content is None or not content.folder.is_dir():
@@ -289,14 +311,6 @@ def _unpack(digest: str, path: Path) -> _Content:
                     variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
         # FMI 3.0: one scalar variable per array element
         if description.fmiVersion.startswith("3."):
-            # clocks, which this program doesn't support
-            clocks = [variable.name for variable in description.modelVariables if variable.type == "Clock"]
-            if clocks:
-                more = f" and {len(clocks) - 3} more" if len(clocks) > 3 else ""
-                raise FmuFileError(
-                    f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without "
-                    "them, for co-simulation"
-                )
             # input derivatives of our own FMUs, which aren't signals
             if str(description.generationTool).startswith("flexfmu "):
                 description.modelVariables = [
@@ -343,9 +357,13 @@ def _check(fmu: UnpackedFmu) -> None:
         raise FmuFileError(
             f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0 and 3.0: export it again"
         )
-    # an FMU for co-simulation or model exchange
     if fmu.interface is None:
-        raise FmuFileError(f"{path} is for scheduled execution only; export it for co-simulation")
+        raise FmuFileError(f"{path} has no interface type that this program runs; export it for co-simulation")
+    # clocks tick in event mode
+    if fmu.clocks and fmu.kind == "CoSimulation" and not fmu.interface.hasEventMode:
+        raise FmuFileError(
+            f"{path} has clocks but no event mode (hasEventMode), in which they tick; export it with event mode"
+        )
     # a binary for this platform
     if not fmu.library.is_file():
         platform = fmu.library.parent.name

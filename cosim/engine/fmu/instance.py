@@ -1,8 +1,8 @@
 """Instances of an FMU, one at a time: instantiated, the status of every call checked, stepped, and always freed.
 
 FMUs for model exchange are stepped by `ContinuousTime`. In co-simulation event mode of FMI 3.0 is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled
-before the step goes on; steps end at announced time events, and discrete inputs change at events. Intermediate update
-and clocks are not used.
+before the step goes on; steps end at announced time events and ticks of clocks, and discrete inputs change at events. Intermediate
+update is not used. Scheduled execution has neither steps nor events, only ticks.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from time import sleep
 from typing import Any, cast
 
 from fmpy.fmi1 import _FMU
-from fmpy.fmi3 import fmi3LogMessageCallback
+from fmpy.fmi3 import fmi3ClockUpdateCallback, fmi3LogMessageCallback
 
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
 from flexfmu.cosim.engine.fmu.calls import FMI2, FMI3, FmuLog, Version
+from flexfmu.cosim.engine.fmu.clocks import Clocks
 from flexfmu.cosim.engine.fmu.exchange import MOST_ROUNDS, NEAR, ContinuousTime
 from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, attempt
 from flexfmu.cosim.engine.slave import Call
@@ -78,8 +79,12 @@ def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
     library, version = _loaded(fmu, arguments), FMI3 if fmu.is_fmi3 else FMI2
-    signatures = {**version.signatures, **(version.exchange if fmu.is_exchange else version.steps)}
+    signatures = {**version.signatures, **version.interfaces[fmu.kind]}
     calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, signatures))
+    # scheduled execution has neither steps nor event mode
+    if fmu.kind == "ScheduledExecution":
+        names = ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode", "DoStep")
+        calls |= {f"fmi3{name}": lambda *_: fmi.OK for name in names}
     if fmu.is_ours:
         fmi.close_after_use(library)
     return calls
@@ -120,6 +125,8 @@ class Instance(ABC):
         epoch: changes whenever the FMU's inputs may differ from those set last (new instance, restored state).
         next_event: time of the next time event [s]; infinite if there is none.
         exchange: integrates an FMU for model exchange; None for co-simulation.
+        kind: interface type.
+        clocks: its clocks; None without any.
     """
 
     version: Version
@@ -136,16 +143,19 @@ class Instance(ABC):
         # saved states, whose memory is reused, and the time of the next event after each of them
         self._states: list[c_void_p] = []
         self._spare: list[c_void_p] = []
-        self._events_after: dict[int | None, tuple[float, object]] = {}
+        self._events_after: dict[int | None, tuple[Any, ...]] = {}
         self.next_event = inf
         # event mode: whether the FMU has it and has left it, the start of the run, and the results of its updates
         self._has_events, self._events, self._stepping, self._start = False, fmu.is_exchange, False, 0.0
+        self._starting = True
         self._tolerance: float | None = None
         kind = self.version.event_info
         self.event_info = kind()
         fields = [byref(self.event_info, getattr(kind, name).offset) for name, _ in kind._fields_]
         self._update_arguments = fields if self.version is FMI3 else [byref(self.event_info)]
         self.exchange = ContinuousTime(self, fmu) if fmu.is_exchange else None
+        # clocks, and whether the FMU stays in event mode for their ticks until the next step
+        self.kind, self.clocks, self._open = fmu.kind, cast("Clocks | None", None), False
 
     def instantiate(self, name: str) -> None:
         """Instantiate the FMU; the last instance must have been freed.
@@ -156,7 +166,9 @@ class Instance(ABC):
         self.name, self.no_rollback, self.next_event, self._stepping = name, 1, inf, False
         self.instances, self.epoch = self.instances + 1, self.epoch + 1
         self._initialized = self._fatal = False
-        self._states, self._spare = [], []
+        self._states, self._spare, self._open = [], [], False
+        if self.clocks is not None:
+            self.clocks.reset()
         if (sole := self._fmu.folder if self._fmu.only_once_per_process else None) in _alive:
             raise SlaveError(
                 name,
@@ -194,14 +206,16 @@ class Instance(ABC):
         """
         self._enter_initialization()
         meanwhile()
+        if self.clocks is not None:
+            self.clocks.begin(self._start)
         self.check("initialisation", lambda: self.call("ExitInitializationMode"))
-        self._initialized = True
+        self._initialized = self._starting = True
         # an FMU with event mode is in it now
-        if self._events:
-            self._update(self._start)
-        self._stepping = True
-        if self.exchange is not None:
-            self.exchange.begin(self._start, self._tolerance)
+        if self.clocks is not None:
+            self._open = True
+            self.check("activating clocks", self.clocks.tick_at_start)
+        else:
+            self._leave_events(self._start)
 
     @abstractmethod
     def _enter_initialization(self) -> None:
@@ -214,10 +228,14 @@ class Instance(ABC):
             SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
             SlaveEnded: the FMU requests the end of the simulation.
         """
+        if self._open:
+            self._leave_events(time)
         if self.exchange is not None:
             self.exchange.step(time, step)
         else:
             self._step(time, step)
+        if self.clocks is not None:
+            self.clocks.now = time + step
 
     @abstractmethod
     def _step(self, time: float, step: float) -> None:
@@ -229,9 +247,30 @@ class Instance(ABC):
         return None
 
     @property
+    def is_stepping(self) -> bool:
+        """Whether the FMU has been initialised and isn't in event mode."""
+        return self._stepping
+
+    @property
     def at_events(self) -> bool:
         """Whether discrete inputs must be changed at an event: the FMU has event mode and isn't in it."""
         return self._events and self._stepping
+
+    def open_event(self) -> None:
+        """Enter event mode, unless the FMU is in it, until the next step begins."""
+        if self.at_events:
+            self.check("an event", lambda: self.call("EnterEventMode"))
+        self._stepping, self._open = False, True
+
+    def event(self, time: float, end: float, near: float) -> bool:
+        """Handle an event at ``time`` in a step up to ``end`` [s]; return whether it stays open, for the ticks of clocks at the end."""
+        clocks = self.clocks
+        if clocks is not None and clocks.next <= time + near and end - time <= near:
+            self.open_event()
+            self.check("activating clocks", lambda: clocks.tick(time, near))
+        else:
+            self.at_event(lambda: fmi.OK if clocks is None else clocks.tick(time, near), time)
+        return self._open
 
     def at_event(self, change: StatusCall, time: float | None = None) -> int:
         """Change discrete inputs at an event, or directly without event mode; return the status of the change."""
@@ -241,31 +280,38 @@ class Instance(ABC):
         self._stepping = False
         status = change()
         if status <= fmi.WARNING:
-            self._update(time)
-            self._stepping = True
-            if self.exchange is not None:
-                self.exchange.go_on(inputs_alone=time is None)
+            self._leave_events(time)
         return status
 
-    def _update(self, time: float | None) -> None:
-        """Update discrete states until none changes any more, then leave event mode."""
-        info, states_changed = self.event_info, False
+    def _leave_events(self, time: float | None) -> None:
+        """Update discrete states until none changes any more, then leave event mode; without event mode just go on."""
+        info, clocks, states_changed = self.event_info, self.clocks, False
         # event iteration
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MOST_ROUNDS if self._events else 0):
+            if clocks is not None:
+                self.check("reading clocked variables", clocks.refresh)
             self.check("an event", lambda: self.call(self.version.update, *self._update_arguments))
             if info.ends:
                 raise self.ended(time)
             states_changed = states_changed or bool(info.states_changed or info.nominals_changed)
-            if not info.again:
+            ticks = clocks is not None and clocks.updated()
+            if not (info.again or ticks):
                 break
         else:
-            raise self.hangs("wants its discrete states updated", time)
-        # the next time event, and on with steps
-        info.states_changed = states_changed
-        self.next_event = info.time if info.timed else inf
-        self.check(
-            "an event", lambda: self.call("EnterStepMode" if self.exchange is None else "EnterContinuousTimeMode")
-        )
+            if self._events:
+                raise self.hangs("wants its discrete states updated", time)
+        # the next time event or tick, and on with steps
+        if self._events:
+            info.states_changed = states_changed
+            self.next_event = min(info.time if info.timed else inf, clocks.next if clocks is not None else inf)
+            mode = "EnterStepMode" if self.exchange is None else "EnterContinuousTimeMode"
+            self.check("an event", lambda: self.call(mode))
+        self._stepping, self._open = True, False
+        if self.exchange is not None and self._starting:
+            self.exchange.begin(self._start, self._tolerance)
+        elif self.exchange is not None:
+            self.exchange.go_on(inputs_alone=time is None)
+        self._starting = False
 
     def ended(self, time: float | None) -> SlaveEnded:
         """Return the error of an FMU that requests the end of the simulation."""
@@ -317,7 +363,8 @@ class Instance(ABC):
             # even after a failure, its memory must be freed at the end
             if state.value is not None and not any(each is state for each in self._states):
                 self._states.append(state)
-        self._events_after[state.value] = self.next_event, self.exchange and self.exchange.save()
+        parts = self.exchange and self.exchange.save(), self.clocks and self.clocks.save()
+        self._events_after[state.value] = self.next_event, self._stepping, self._open, self._starting, *parts
         self.no_rollback = 0
         return state
 
@@ -329,11 +376,13 @@ class Instance(ABC):
     def restore(self, state: object) -> None:
         """Restore a saved state."""
         saved = cast(c_void_p, state)
-        self.next_event, memory = self._events_after[saved.value]
+        self.next_event, self._stepping, self._open, self._starting, memory, ticks = self._events_after[saved.value]
         self.epoch += 1
         self.check("restoring a state", lambda: self.call(f"Set{self.version.state}", saved))
         if self.exchange is not None:
             self.exchange.restore(memory)
+        if self.clocks is not None:
+            self.clocks.restore(ticks)
 
     def free(self) -> None:
         """Terminate and free the instance with its states; after a fatal error no FMI function may be called."""
@@ -421,12 +470,12 @@ class Fmi3Instance(Instance):
 
     def __init__(self, fmu: UnpackedFmu) -> None:
         super().__init__(fmu)
-        self._has_events = self._events = fmu.is_exchange or bool(fmu.interface.hasEventMode)
+        self._has_events = self._events = fmu.kind != "CoSimulation" or bool(fmu.interface.hasEventMode)
         self._returns_early = bool(getattr(fmu.interface, "mightReturnEarlyFromDoStep", False))
         self._regular = fmu.needs_regular_steps
         folder = fmu.folder / "resources"
         self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
-        self._receive = fmi3LogMessageCallback(self._logged)
+        self._receive, self._notice = fmi3LogMessageCallback(self._logged), fmi3ClockUpdateCallback(lambda _: None)
         self._experiment: tuple[float, ...] = ()
         self._configurable = False
         # output arguments of fmi3DoStep
@@ -440,7 +489,7 @@ class Fmi3Instance(Instance):
         """Return a new instance; an FMU that states event mode but refuses it is instantiated without."""
         self._configurable, self._events = True, self._has_events
         found = self._instantiated(name)
-        if found is None and self._events and self.exchange is None:
+        if found is None and self._events and self.kind == "CoSimulation" and self.clocks is None:
             self._events = False
             self.log.open()
             found = self._instantiated(name)
@@ -451,11 +500,12 @@ class Fmi3Instance(Instance):
         # other FMUs may log a lot; ours say only so why a step was discarded
         arguments = name, self._guid, self._resources, False, self._fmu.is_ours
         found: int | None
-        if self.exchange is not None:
-            found = self.calls["fmi3InstantiateModelExchange"](*arguments, None, self._receive)
-        else:
-            more = self._events, self._events and self._returns_early, None, 0, None, self._receive, None
-            found = self.calls["fmi3InstantiateCoSimulation"](*arguments, *more)
+        more = {
+            "CoSimulation": (self._events, self._events and self._returns_early, None, 0, None, self._receive, None),
+            "ModelExchange": (None, self._receive),
+            "ScheduledExecution": (None, self._receive, self._notice, None, None),
+        }
+        found = self.calls[f"fmi3Instantiate{self.kind}"](*arguments, *more[self.kind])
         return found
 
     def _set_up(self, *experiment: float) -> None:
@@ -495,8 +545,9 @@ class Fmi3Instance(Instance):
             reached = self._reached.value if self._early.value else target
             if self._ends.value:
                 raise self.ended(self._reached.value)
-            if self._events and (self._event.value or reached >= self.next_event - near):
-                self.at_event(lambda: fmi.OK, reached)
+            happens = self._events and (self._event.value or reached >= self.next_event - near)
+            if happens and self.event(reached, end, near):
+                return
             # done, or on from the event
             if end - reached <= near:
                 return

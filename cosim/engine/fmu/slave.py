@@ -18,6 +18,7 @@ from flexfmu.cosim.engine.binding import nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.engine.errors import CosimError, InputError, SlaveError
 from flexfmu.cosim.engine.fmu.calls import WARNING, address, value_references
+from flexfmu.cosim.engine.fmu.clocks import Clocks
 from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, Fmi2Instance, Fmi3Instance, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.transfers import StartValues, Transfers
@@ -74,7 +75,9 @@ class FmuSlave:
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        self._stated_order = int(getattr(self._fmu.interface, "maxOutputDerivativeOrder", 0) or 0)
+        # an FMU with clocks gives no derivatives at their ticks
+        stated = getattr(self._fmu.interface, "maxOutputDerivativeOrder", 0) or 0
+        self._stated_order = 0 if self._fmu.clocks else int(stated)
         if output_order is not None and not output_order >= 0:
             raise InputError(f"{name}: output_order must be zero or positive, got {output_order}")
         self.max_output_order = self._stated_order if output_order is None else min(output_order, self._stated_order)
@@ -85,6 +88,8 @@ class FmuSlave:
         # the instance, transfers of its variables, and calls that set start values
         self._instance: Instance = (Fmi3Instance if self._fmu.is_fmi3 else Fmi2Instance)(self._fmu)
         self._transfers = Transfers(self._instance)
+        if clocks := self._fmu.clocks:
+            self._instance.clocks = Clocks(self._instance, clocks, self._transfers, self.variables, self._handles)
         counters = {n: each for n, each in known.others.items() if n.startswith(COUNTERS) and each.kind == "Integer"}
         self._counters, self._counts = [name.removeprefix(COUNTERS) for name in counters], np.zeros(len(counters))
         self._count = self._transfers.get([*counters.values()], self._counts)

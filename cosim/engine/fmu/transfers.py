@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Version, address, value_references
+from flexfmu.cosim.engine.fmu.clocks import Clocks
 from flexfmu.cosim.engine.fmu.exchange import ContinuousTime
 from flexfmu.cosim.engine.fmu.file import EXCHANGE_ORDER, KEPT, UnpackedFmu
 from flexfmu.cosim.engine.fmu.instance import Checked, Instance, StatusCall
@@ -54,12 +55,13 @@ class Transfers:
         self._arrays: dict[int, NDArray[Any]] = {}
         self._seen_instance = 0
 
-    def get(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
-        """Return a call that reads the variables into ``values`` (n,)."""
+    def get(self, handles: Sequence[Handle], values: RealArray, *, in_tick: bool = False) -> StatusCall:
+        """Return a call that reads the variables into ``values`` (n,); ``in_tick``: clocked ones from the FMU, in a tick of theirs."""
         if (direct := self._directly("fmi2GetReal", handles, values)) is not None:
             return direct
         # one FMI call for each type
-        groups = [self._group(each, columns) for each, columns in _groups(handles, by_event=False)]
+        clocks, clocked, places = self._clocked(handles, in_tick=in_tick)
+        groups = [self._group(each, columns) for each, columns in _groups(handles, clocked, by_event=False)]
         reads = [(self._function("Get", group), group) for group in groups]
         component = self._instance.component
 
@@ -70,16 +72,27 @@ class Transfers:
                 if (status := read(component, *group.arguments)) <= WARNING:
                     values[group.columns] = group.read()
                 worst = max(worst, status)
+            if clocks is not None:
+                worst = max(worst, clocks.refresh())
+                values[clocked] = clocks.values[places]
             return worst
 
         return call
 
-    def set(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
-        """Return a call that sets the variables from ``values`` (n,); at events discrete ones only if they change."""
+    def _clocked(self, handles: Sequence[Handle], *, in_tick: bool) -> tuple[Clocks | None, list[int], list[int]]:
+        """Return the instance's clocks, the columns of clocked variables and their places there; None without such variables."""
+        clocks = None if in_tick else self._instance.clocks
+        columns, places = clocks.find(handles) if clocks is not None else ([], [])
+        return clocks if columns else None, columns, places
+
+    def set(self, handles: Sequence[Handle], values: RealArray, *, in_tick: bool = False) -> StatusCall:
+        """Return a call that sets the variables from ``values`` (n,); at events discrete ones only if they change; ``in_tick``: clocked
+        ones in the FMU, in a tick of theirs."""
         instance, exchanges = self._instance, self._instance.exchange is not None
         if not exchanges and (direct := self._directly("fmi2SetReal", handles, values)) is not None:
             return direct
-        groups = [self._group(each, columns) for each, columns in _groups(handles, by_event=True)]
+        clocks, clocked, places = self._clocked(handles, in_tick=in_tick)
+        groups = [self._group(each, columns) for each, columns in _groups(handles, clocked, by_event=True)]
         # continuous variables are set in step mode, discrete ones at an event; in model exchange any jump is one
         continuous, discrete = (
             [each for each in groups if (each.discrete or exchanges) is kind] for kind in (False, True)
@@ -87,6 +100,8 @@ class Transfers:
 
         def call() -> int:
             worst = max((self._send(group, values) for group in continuous), default=OK)
+            if clocks is not None:
+                worst = max(worst, clocks.put(places, values[clocked]))
             if not discrete or worst > WARNING:
                 return worst
             # an event, if a discrete variable changes
@@ -325,10 +340,14 @@ class _Group:
         return True
 
 
-def _groups(handles: Sequence[Handle], *, by_event: bool) -> list[tuple[list[Handle], list[int]]]:
-    """Return (handles, columns) for each type; with ``by_event`` discrete variables have groups of their own."""
+def _groups(
+    handles: Sequence[Handle], without: Sequence[int], *, by_event: bool
+) -> list[tuple[list[Handle], list[int]]]:
+    """Return (handles, columns) for each type, ``without`` some columns; with ``by_event`` discrete variables have their own groups."""
     found: dict[tuple[str, bool], tuple[list[Handle], list[int]]] = {}
     for column, handle in enumerate(handles):
+        if column in without:
+            continue
         members, columns = found.setdefault((handle.type, handle.discrete and by_event), ([], []))
         members.append(handle)
         columns.append(column)

@@ -1,7 +1,8 @@
 """Variables of an FMU as slave variables, with their value references, and start values with their checks.
 
 Variables of FMI 3.0 are turned into those of FMI 2.0: an array becomes one scalar variable per element, named ``A[1,2]``, and
-structural parameters (they set the sizes of arrays) count as parameters; variables of type Binary are left out.
+structural parameters (they set the sizes of arrays) count as parameters; variables of type Binary are left out, and of the clocks all but
+the triggered ones, which are Integers that count their ticks.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from attrs import asdict, define, evolve
 from fmpy.model_description import ModelVariable, Unknown
 
 from flexfmu.cosim.engine.errors import InputError, suggestion
-from flexfmu.cosim.engine.fmu.calls import FMI3
+from flexfmu.cosim.engine.fmu.calls import FMI3, TRIGGERED
 from flexfmu.cosim.engine.slave import TEXTS, Causality, SlaveVariable
 
 Value = float | int | bool | str
@@ -51,6 +52,7 @@ class Handle:
         start: start values of the whole array; None if unknown.
         discrete: whether an FMU of FMI 3.0 takes it at events only.
         structural: whether it is a structural parameter.
+        clocks: value references of its clocks, in whose ticks alone it is set and read.
     """
 
     kind: str
@@ -62,6 +64,7 @@ class Handle:
     start: tuple[float, ...] | None = None
     discrete: bool = False
     structural: bool = False
+    clocks: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -289,17 +292,21 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
         shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
         shown = shown or variable.name.startswith(COUNTERS)
         used = shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
-        if used and variable.type not in ("Binary", "Clock"):
+        counts = variable.type == "Clock" and variable.intervalVariability == TRIGGERED
+        if used and (counts or variable.type not in ("Binary", "Clock")):
             scalars = list(_elements(variable, sizes))
             variables += scalars
             elements.setdefault(variable.valueReference, []).extend(scalars)
 
-    def known(variables: Sequence[Any] | None) -> list[Element] | None:
-        return None if variables is None else [e for v in variables for e in elements.get(v.valueReference, [])]
+    def known(unknown: Any) -> list[Element] | None:
+        if unknown.dependencies is None:
+            return None
+        variables = dict.fromkeys([*unknown.dependencies, *(unknown.variable.clocks or ())])
+        return [e for v in variables for e in elements.get(v.valueReference, [])]
 
-    # each element of an output depends on all elements of the output's dependencies
+    # each element of an output depends on all elements of the output's dependencies, and on its triggered clocks
     outputs = [
-        Unknown(variable=element, dependencies=known(unknown.dependencies))
+        Unknown(variable=element, dependencies=known(unknown))
         for unknown in description.outputs
         for element in elements.get(unknown.variable.valueReference, [])
     ]
@@ -382,7 +389,7 @@ def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
     name, size, kind = variable.name, prod(shape), _KINDS.get(variable.type, "Integer")
     names = [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(shape)] if shape else [name]
     # start values of all elements; a single one applies to all
-    texts = [] if variable.start is None else [variable.start]
+    texts = ["0"] if variable.type == "Clock" else [] if variable.start is None else [variable.start]
     if variable.dimensions and variable.type != "String" and texts:
         texts = variable.start.split()
     texts = texts * size if len(texts) == 1 else texts if len(texts) == size else []
@@ -396,8 +403,8 @@ def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
     functions, array = "Int64" if kind == "Enumeration" else variable.type, name if shape else ""
     discrete = kind != "Real" or variable.variability == "discrete"
     kind = "Integer" if kind == "Enumeration" else kind
+    clocks = tuple(each.valueReference for each in variable.clocks or ())
+    common: dict[str, Any] = {"discrete": discrete, "structural": structural, "clocks": clocks}
     for place, (own, text) in enumerate(zip_longest(names, texts)):
-        handle = Handle(
-            kind, variable.valueReference, functions, own, place, size, start, discrete=discrete, structural=structural
-        )
+        handle = Handle(kind, variable.valueReference, functions, own, place, size, start, **common)
         yield Element(**(plain | {"name": own, "start": text}), handle=handle, array=array)

@@ -16,6 +16,7 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.validation.finding import Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
 
@@ -162,3 +163,96 @@ def test_the_validator_checks_the_description(event_fmu: Path, make_events: Make
     assert not any(each.check == "model description" for each in validate_fmu(event_fmu, run=False))
     worse = validate_fmu(make_events(('<Output valueReference="9" dependencies=""/>', "")), run=False)
     assert any("Outputs" in each.message and each.severity is Severity.ERROR for each in worse)
+
+
+PERIODIC = (
+    '<Clock name="clock0" valueReference="40" causality="input" intervalVariability="constant" intervalDecimal="0.25" shiftDecimal="0.1"/>'
+    '<Int32 name="count0" valueReference="50" causality="output" clocks="40"/>'
+    '<Float64 name="w" valueReference="60" causality="input" variability="discrete" start="0" clocks="40"/>'
+    '<Float64 name="sum" valueReference="61" causality="output" variability="discrete" clocks="40"/>'
+)
+OTHERS = "".join(
+    f'<Clock name="clock{k}" valueReference="{40 + k}" causality="{causality}" intervalVariability="{kind}"/>'
+    f'<Int32 name="count{k}" valueReference="{50 + k}" causality="output" clocks="{40 + k}"/>'
+    for k, (kind, causality) in enumerate(
+        [
+            ("changing", "input"),
+            ("countdown", "input"),
+            ("triggered", "input"),
+            ("triggered", "output"),
+            ("fixed", "input"),
+        ],
+        1,
+    )
+)
+OUTPUTS = '<Output valueReference="61" dependencies="60 40"/><Output valueReference="50" dependencies="40"/>'
+
+
+class Stairs:
+    """A source whose integer output grows by one at each multiple of its sample time."""
+
+    name, sample_time, feedthrough = "stairs", 0.25, {"y": ()}
+    variables = (SlaveVariable("y", "output", "", 0.0, discrete=True, type="Integer"),)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.count = 0.0
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.count
+
+    def step(self, time: float, step: float) -> None: ...
+
+    def sample(self, time: float) -> None:
+        self.count += 1.0
+
+
+@pytest.mark.parametrize("step", [0.05, 0.2])
+def test_clocks_tick_at_their_instants(make_events: Make, step: float) -> None:
+    """Clocks of all kinds tick where they should, on communication points and between them; what the FMU, strict about the modes of
+    its clocked variables, adds up in its ticks has the inputs of these very ticks."""
+    more = f'{OUTPUTS}<Output valueReference="44" dependencies="40"/>'
+    changes = (
+        ("<ModelVariables>", f"<ModelVariables>{PERIODIC}{OTHERS}"),
+        ("<ModelStructure>", f"<ModelStructure>{more}"),
+    )
+    slave = FmuSlave(make_events(*changes), "guest")
+    assert [v.name for v in slave.variables if v.name.startswith("clock")] == ["clock3", "clock4"]
+    wires = [("stairs.y", "guest.clock3"), ("stairs.y", "guest.w")]
+    result = simulate(connect([Stairs(), slave], wires), stop=2.0, step=step)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time, columns = result.recording.time, {k: v.values for k, v in result.recording.columns.items()}
+    periodic = np.floor((time - 0.1 + 1e-9) / 0.25) + 1.0
+    expected = {
+        "count0": periodic,
+        "count1": np.searchsorted([0.1, 0.3, 0.6, 1.0, 1.5], time + 1e-9).astype(float),
+        "count2": (time > 0.67 - 1e-9).astype(float),
+        "count4": np.floor(periodic / 2.0),
+        "clock4": np.floor(periodic / 2.0),
+        "count5": np.floor((time - 0.05 + 1e-9) / 0.3) + 1.0,
+    }
+    last = np.append(np.diff(time) > 0.0, True)  # the right limits
+    for name, values in expected.items():
+        np.testing.assert_array_equal(columns[f"guest.{name}"][last], values[last], err_msg=name)
+    np.testing.assert_array_equal(columns["guest.count3"][last], columns["stairs.y"][last])
+    # at t_k = 0.1 s + k 0.25 s the input is the number of stairs at that instant
+    given = np.floor((0.1 + 0.25 * np.arange(8)) / 0.25 + 1e-9) + 1.0
+    np.testing.assert_array_equal(
+        columns["guest.sum"][last], np.append(0.0, np.cumsum(given))[periodic.astype(int)][last]
+    )
+    assert result.recording["guest.ticks"].values[-1] == 8.0
+
+
+def test_an_fmu_on_one_clock_is_sampled(event_fmu: Path, make_events: Make) -> None:
+    """An FMU whose inputs and outputs all have one periodic clock is sampled at its ticks, with the inputs of the same instant."""
+    with zipfile.ZipFile(event_fmu) as archive:
+        text = archive.read("modelDescription.xml").decode()
+    own = text[text.index("<ModelVariables>") : text.index("</fmi")]
+    changes = own, f"<ModelVariables>{PERIODIC}</ModelVariables><ModelStructure>{OUTPUTS}</ModelStructure>"
+    slave = fmu_slave(make_events(changes), "guest")
+    assert isinstance(slave, SampledFmu)
+    assert (slave.sample_time, slave.offset, slave.feedthrough["sum"]) == (0.25, 0.1, ("w",))
+    result = simulate(connect([Stairs(), slave], [("stairs.y", "guest.w")]), stop=2.0, step=0.4)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    assert result.recording["guest.sum"].values[-1] == np.arange(1.0, 9.0).sum()

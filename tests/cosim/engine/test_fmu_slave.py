@@ -145,7 +145,12 @@ def test_integers_are_rounded() -> None:
         return 0
 
     instance: Any = SimpleNamespace(
-        calls={"fmi2SetInteger": set_integer}, component=c_void_p(1), version=FMI2, name="fmu", exchange=None
+        calls={"fmi2SetInteger": set_integer},
+        component=c_void_p(1),
+        version=FMI2,
+        name="fmu",
+        exchange=None,
+        clocks=None,
     )
     transfers = Transfers(instance)
     handles = [Handle("Integer", 7, "Integer"), Handle("Integer", 9, "Integer")]

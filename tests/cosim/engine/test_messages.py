@@ -37,8 +37,11 @@ ORDER = (
 )
 
 CLOCK = (
-    '<Int32 name="ticks"',
-    '<Clock name="beat" valueReference="50" causality="input" intervalVariability="triggered"/><Int32 name="ticks"',
+    (
+        '<Int32 name="ticks"',
+        '<Clock name="beat" valueReference="50" causality="input" intervalVariability="triggered"/><Int32 name="ticks"',
+    ),
+    ('hasEventMode="true"', ""),
 )
 
 
@@ -166,8 +169,8 @@ CASES: dict[type[Exception], dict[str, Call]] = {
         r"is an FMU of FMI 1\.0; .*export it": lambda it: FmuSlave(written(it.folder, FMI_1, "modelDescription.xml")),
         "is a broken FMU: .*fmi2": lambda it: FmuSlave(it.decay(MODEL_EXCHANGE)),
         "is a broken FMU: .*fmi3": lambda it: FmuSlave(it.events(MODEL_EXCHANGE)),
-        "for scheduled execution only; export": lambda it: FmuSlave(it.events(SCHEDULED)),
-        r"has clocks \(beat\), which .* export it without": lambda it: FmuSlave(it.events(CLOCK)),
+        "broken FMU: .*ScheduledExecution": lambda it: FmuSlave(it.events(SCHEDULED)),
+        r"has clocks but no event mode \(hasEventMode\)": lambda it: FmuSlave(it.events(*CLOCK)),
         "FMI 4.0|Unsupported FMI version": lambda it: FmuSlave(it.events(('fmiVersion="3.0"', 'fmiVersion="4.0"'))),
         r"InputDerivatives are .'maxOrder': 'many'": lambda it: FmuSlave(it.decay(*ORDER)),
         "has no binary for .* .it has: amiga64": lambda it: FmuSlave(it.decay(platform="amiga64")),

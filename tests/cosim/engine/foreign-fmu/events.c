@@ -3,7 +3,11 @@
  * x' = slope, and x falls back to 0 where it reaches 1: a state event, at which fmi3DoStep returns early in event mode.
  * A time event every 0.25 s counts `ticks`; without event mode the FMU handles both itself. y = A u + offset with arrays of
  * the size that the structural parameter n has, and an output for each type follows the input of this type. Discrete inputs
- * are refused in step mode when events are used. `trouble` ends the run, fails, hangs or claims events for ever from 0.5 s on. */
+ * are refused in step mode when events are used. `trouble` ends the run, fails, hangs or claims events for ever from 0.5 s on.
+ *
+ * Clocks, if the description has them: one of 0.25 s from 0.1 s on, of `w` and of `sum`, which is that of all w so far; one whose
+ * intervals are 0.1 s, 0.2 s, 0.3 s ...; one that ticks 0.07 s after the first one's third tick; an input, and an output that ticks
+ * with each second tick of the first; and one of 0.3 s from 0.05 s on, as the FMU says. They are used in their ticks alone. */
 #include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
@@ -17,6 +21,7 @@ typedef enum { INSTANTIATED, CONFIGURATION, INITIALIZATION, EVENT, STEP } phase;
 
 enum { NONE = 1, ENDS, FAILS, RETURNS, UPDATES };
 enum { LARGEST = 4, TYPES = 11 };
+enum { PERIODIC, CHANGING, COUNTDOWN, INPUT, OUTPUT, FIXED, CLOCKS };
 
 typedef struct {
   phase phase;
@@ -25,7 +30,9 @@ typedef struct {
   double number[TYPES]; /* of each type: the input that comes out again */
   uint64_t n;
   int64_t trouble;
-  int32_t ticks, falls;
+  int32_t ticks, falls, count[CLOCKS];
+  bool active[CLOCKS], armed;
+  double w, sum, total;
   char text[64], resources[512];
   logger *log;
 } model;
@@ -52,14 +59,23 @@ static void *place(model *m, reference r, size_t *count) {
     case 4: *count = m->n; return m->y;
     case 5: *count = m->n * m->n; return m->A;
     case 6: return &m->offset;
+    case 60: return &m->w;
+    case 61: return &m->total;
     default: return NULL;
   }
+}
+
+/* whether a clock of the variable is active, if it has any */
+static bool ticks(const model *m, reference r) {
+  if (m->phase == INITIALIZATION) return true;
+  return r >= 50 && r < 50 + CLOCKS ? m->active[r - 50] : r == 60 || r == 61 ? m->active[PERIODIC] : true;
 }
 
 static status settable(model *m, reference r, bool discrete) {
   if (r >= 200 || r == 1 || r == 4) return refuse(m, "an output can't be set");
   if (m->phase == CONFIGURATION && r != 7) return refuse(m, "only structural parameters are set in configuration mode");
   if (m->phase != CONFIGURATION && r == 7) return refuse(m, "structural parameters are set in configuration mode");
+  if (!ticks(m, r)) return refuse(m, "a clocked variable is set in a tick of its clock");
   if (m->phase == STEP && m->events && discrete) return refuse(m, "a discrete input is set at an event");
   return OK;
 }
@@ -69,6 +85,7 @@ static void follow(model *m) { /* y = A u + offset */
     m->y[i] = m->offset;
     for (uint64_t j = 0; j < m->n; j++) m->y[i] += m->A[i * m->n + j] * m->u[j];
   }
+  m->total = m->sum + m->w;
 }
 
 #define NUMBERS(Name, type, discrete)                                                                                          \
@@ -78,7 +95,8 @@ static void follow(model *m) { /* y = A u + offset */
     follow(m);                                                                                                                 \
     for (size_t i = 0; i < count; i++) {                                                                                       \
       const double *from = place(m, r[i], &values);                                                                            \
-      const double whole = r[i] == 7 ? (double)m->n : r[i] == 8 ? (double)m->trouble : r[i] == 9 ? m->ticks : m->falls;        \
+      if (!ticks(m, r[i])) return refuse(m, "a clocked variable is read in a tick of its clock");                             \
+      const double whole = r[i] >= 50 && r[i] < 50 + CLOCKS ? m->count[r[i] - 50] : r[i] == 7 ? (double)m->n : r[i] == 8 ? (double)m->trouble : r[i] == 9 ? m->ticks : m->falls;        \
       if (k + values > size) return refuse(m, "too few values");                                                               \
       for (size_t j = 0; j < values; j++) value[k++] = (type)(from != NULL ? from[j] : whole);                                 \
     }                                                                                                                          \
@@ -162,12 +180,45 @@ status fmi3UpdateDiscreteStates(void *c, bool *again, bool *ends, bool *nominals
   model *m = c;
   if (m->phase != EVENT) return refuse(m, "discrete states are updated at an event");
   const int before = m->falls + m->ticks;
+  if (m->active[PERIODIC]) m->sum += m->w, m->armed = m->count[PERIODIC] == 3;
+  memset(m->active, 0, sizeof m->active);
   fall(m);
   *again = m->falls + m->ticks > before || (m->trouble == UPDATES && m->time > 0.5 - 1e-9);
   *ends = *nominals = *states = false;
   *timed = true;
   *time = m->next;
   return OK;
+}
+
+status fmi3SetClock(void *c, const reference r[], size_t count, const bool value[]) {
+  model *m = c;
+  if (m->phase != EVENT) return refuse(m, "clocks tick in event mode");
+  for (size_t i = 0; i < count; i++)
+    if (value[i]) m->active[r[i] - 40] = true, m->count[r[i] - 40]++;
+  return OK;
+}
+
+status fmi3GetClock(void *c, const reference r[], size_t count, bool value[]) {
+  model *m = c;
+  if (m->phase != EVENT || count != 1 || r[0] != 40 + OUTPUT) return refuse(m, "there is no such clock now");
+  value[0] = m->active[PERIODIC] && m->count[PERIODIC] % 2 == 0;
+  if (value[0] && !m->active[OUTPUT]) m->active[OUTPUT] = true, m->count[OUTPUT]++;
+  return OK;
+}
+
+status fmi3GetIntervalDecimal(void *c, const reference r[], size_t count, double interval[], int qualifier[]) {
+  model *m = c;
+  const int clock = (int)r[0] - 40;
+  if ((m->phase != EVENT && m->phase != INITIALIZATION) || count != 1) return refuse(m, "the interval isn't known now");
+  interval[0] = clock == CHANGING ? 0.1 * (m->count[CHANGING] + 1) : clock == FIXED ? 0.3 : 0.07;
+  qualifier[0] = clock == COUNTDOWN && !m->armed ? 0 : 2;
+  m->armed = m->armed && clock != COUNTDOWN;
+  return OK;
+}
+
+status fmi3GetShiftDecimal(void *c, const reference r[], size_t count, double shift[]) {
+  shift[0] = 0.05;
+  return ((model *)c)->phase == INITIALIZATION && count == 1 && r[0] == 40 + FIXED ? OK : ERROR;
 }
 
 status fmi3DoStep(void *c, double point, double step, bool forward, bool *event, bool *ends, bool *early, double *reached) {
