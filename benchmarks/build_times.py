@@ -1,9 +1,10 @@
 """What a build with an empty cache takes, for robots of more and more coordinates: processor and clock time of `flexfmu build`.
 
-Two families: proximal links bend and distal ones stretch, or every link does both. The compiler takes most of it. Another
-clone, whose environment is in its folder `.venv`, is measured in the same run, in turn.
+Families: proximal links bend and distal ones stretch, every link does both, and a chain of reactions from equations, whose states
+hang together sparsely. The compiler takes most of it. Another clone, whose environment is in its folder `.venv`, is measured in the
+same run, in turn.
 
-    python benchmarks/build_times.py [--repeat 1] [--coordinates 12 16 48 72] [--beside FOLDER]
+    python benchmarks/build_times.py [--repeat 1] [--coordinates 12 16 48 72] [--states 40 200] [--beside FOLDER]
 """
 
 from __future__ import annotations
@@ -24,31 +25,48 @@ FAMILIES = {
 }
 """Name of a family → effects with equally many modes on each of two legs."""
 
+MODEL = """import flexfmu
+
+def rhs(x, p):
+    values = [1.0, *x, 0.0]
+    return [p.d * (a - 2 * b + c) - b**2 * (1 + c) for a, b, c in zip(values, values[1:], values[2:])]
+
+model = flexfmu.ode("chain", x={f"x[{k}]": 1.0 for k in range(1, N + 1)}, p={"d": 1.0}, rhs=rhs)
+"""
+"""A chain of N reactions."""
+
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description="Builds with an empty cache.")
     parser.add_argument("--repeat", type=int, default=1, help="builds of which the fastest counts")
-    parser.add_argument("--coordinates", type=int, nargs="+", default=[12, 16, 48, 72])
+    parser.add_argument("--coordinates", type=int, nargs="*", default=[12, 16, 48, 72])
+    parser.add_argument("--states", type=int, nargs="*", default=[40, 200])
     parser.add_argument("--beside", type=Path, help="folder of another clone")
     options = parser.parse_args()
     pythons = [sys.executable, *([str(options.beside / ".venv/bin/python")] if options.beside else [])]
-    print("coordinates  processor      clock  family")
+    # what is built: number of unknowns, family, arguments of the command
+    builds = []
     for family, effects in FAMILIES.items():
         for coordinates in options.coordinates:
             modes, rest = divmod(coordinates, 2 * len(effects))
-            if rest:
-                continue
-            changes = [f"--set=effects.{each}={modes}" for each in effects]
-            found = [(float("inf"), float("inf"))] * len(pythons)
-            for _ in range(options.repeat):
-                found = [min(each, build_time(python, changes)) for each, python in zip(found, pythons, strict=True)]
-            for python, (processor, clock) in zip(pythons, found, strict=True):
-                where = "" if python == sys.executable else f", {options.beside}"
-                print(f"{coordinates:11} {processor:8.2f} s {clock:8.2f} s  {family}{where}", flush=True)
+            if not rest:
+                builds.append(
+                    (coordinates, family, ["barnard2012-6kg", *(f"--set=effects.{e}={modes}" for e in effects)])
+                )
+    builds += [(states, "chain of reactions", ["model.py:model"]) for states in options.states]
+    print("   unknowns  processor      clock  family")
+    for unknowns, family, arguments in builds:
+        found = [(float("inf"), float("inf"))] * len(pythons)
+        for _ in range(options.repeat):
+            times = [build_time(python, arguments, unknowns) for python in pythons]
+            found = [min(pair) for pair in zip(found, times, strict=True)]
+        for python, (processor, clock) in zip(pythons, found, strict=True):
+            where = "" if python == sys.executable else f", {options.beside}"
+            print(f"{unknowns:11} {processor:8.2f} s {clock:8.2f} s  {family}{where}", flush=True)
 
 
-def build_time(python: str, changes: list[str]) -> tuple[float, float]:
+def build_time(python: str, arguments: list[str], unknowns: int) -> tuple[float, float]:
     """Processor time [s] of a build and of the compilers that it starts, and its time by the clock [s]."""
     with tempfile.TemporaryDirectory(prefix="flexfmu-build-") as name:
         variables = os.environ | {
@@ -56,7 +74,8 @@ def build_time(python: str, changes: list[str]) -> tuple[float, float]:
             "PYTHONPYCACHEPREFIX": tempfile.gettempdir() + "/flexfmu-bytecode",
         }
         variables.pop("PYTHONDONTWRITEBYTECODE", None)
-        command = [python, "-m", "flexfmu", "build", "barnard2012-6kg", f"--output={name}/robot.fmu", *changes]
+        command = [python, "-m", "flexfmu", "build", *arguments, f"--output={name}/built.fmu"]
+        Path(name, "model.py").write_text(MODEL.replace("N +", f"{unknowns} +"), encoding="utf-8")
         before, started = os.times(), perf_counter()
         subprocess.run(command, cwd=name, env=variables, check=True, capture_output=True)
         after = os.times()

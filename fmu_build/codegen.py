@@ -248,9 +248,10 @@ def _check_mass_matrix(model: SymbolicModel, functions: Mapping[str, casadi.Func
     """
     names, random = model.unknowns, np.random.default_rng(0)
     y, u, d = (casadi.SX.sym(name, functions["mass_matrix"].sparsity_in(i)) for i, name in enumerate("yud"))
-    symbolic = casadi.cse(functions["mass_matrix"](y, u, d))
-    pairs = [(i, j) for i in range(len(names)) for j in range(i)]
-    open_pairs = [(i, j) for i, j in pairs if not casadi.simplify(symbolic[i, j] - symbolic[j, i]).is_zero()]
+    symbolic = casadi.sparsify(casadi.cse(functions["mass_matrix"](y, u, d)))
+    difference = casadi.sparsify(casadi.tril(symbolic - symbolic.T, False))
+    pairs = sorted(zip(*difference.sparsity().get_triplet(), strict=True))
+    open_pairs = [(i, j) for i, j in pairs if not casadi.simplify(difference[i, j]).is_zero()]
     for spread in np.repeat(SPREADS, DRAWN):
         # a point: parameters within their limits, coordinates, inputs, rates and accelerations
         p = np.array([_drawn(each, spread, random) for each in model.parameters])

@@ -301,9 +301,15 @@ class _Writer:
 
     def code(self, name: str) -> str:
         """The C code."""
-        results = self._graph.results
+        results, zero = self._graph.results, ("CONST", 0.0)
         done: set[Unit] = set()
+        zeros = [k for k, node in enumerate(results) if self._graph.nodes[node] == zero]
+        if len(zeros) > LONG:
+            self._lines.append(f"for (int i = 0; i < {len(results)}; i++) res[0][i]=flex_real(0.0);")
+        written = set(zeros if len(zeros) > LONG else ())
         for k, node in enumerate(results):
+            if k in written:
+                continue
             for unit in self._needed(self._unit(node), done):
                 self._write(unit)
             self._lines.append(f"res[0][{k}]={self._number(node)};")

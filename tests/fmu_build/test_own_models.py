@@ -21,6 +21,7 @@ from scipy.optimize import brentq
 import flexfmu
 from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.codegen import generate_functions
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.own_entries import rate_unit
 from flexfmu.fmu_build.validation.validate import validate_fmu
@@ -121,18 +122,20 @@ def leak_rates(t: float, s: Any) -> Any:
     return [-float(brentq(lambda w: w**3 + w - 2 * s[0], -10.0, 10.0, xtol=1e-15))]
 
 
-COUPLED = np.zeros((12, 12))
+SIZE = 42
+"""States of `network`, whose mass matrix has so many zeros that they are written by a loop."""
+COUPLED = np.zeros((SIZE, SIZE))
 """A matrix of the states of `network`, of which each is coupled with a few others drawn, in one direction."""
 _RANDOM = np.random.default_rng(3)
-COUPLED[np.arange(12), np.arange(12)] = -(10.0 ** _RANDOM.uniform(-1, 2, 12))
-for _row in range(12):
-    COUPLED[_row, _RANDOM.choice(12, 2)] += _RANDOM.uniform(-2.0, 2.0, 2)
+COUPLED[np.arange(SIZE), np.arange(SIZE)] = -(10.0 ** _RANDOM.uniform(-1, 2, SIZE))
+for _row in range(SIZE):
+    COUPLED[_row, _RANDOM.choice(SIZE, 2)] += _RANDOM.uniform(-2.0, 2.0, 2)
 
 
 def network() -> SymbolicModel:
     """Fast and slow states with drawn couplings: the matrices are sparse and not symmetric."""
     rates = lambda x, t: [casadi.sin(t) + casadi.dot(casadi.SX(row), casadi.vertcat(*x)) for row in COUPLED]  # noqa: E731
-    return flexfmu.ode("network", x={f"x{k}": 1.0 for k in range(12)}, rhs=rates)
+    return flexfmu.ode("network", x={f"x{k}": 1.0 for k in range(SIZE)}, rhs=rates)
 
 
 def chain() -> SymbolicModel:
@@ -170,7 +173,7 @@ CASES: Mapping[str, tuple[Callable[[], SymbolicModel], Rates, list[float], float
     "forced": (forced, lambda t, s: [s[1], np.sin(3 * t) - 0.1 * s[1] - 4 * s[0]], [0, 1], 10.0, ["y", "der(y)"]),
     "pendulum": (pendulum, pendulum_rates, [1, 0, 0, 0], 3.0, ["x", "y", "vx", "vy"]),
     "leak": (leak, leak_rates, [1], 5.0, ["x"]),
-    "network": (network, lambda t, s: COUPLED @ s + np.sin(t), [1] * 12, 3.0, [f"x{k}" for k in range(12)]),
+    "network": (network, lambda t, s: COUPLED @ s + np.sin(t), [1] * SIZE, 3.0, [f"x{k}" for k in range(SIZE)]),
     "chain": (chain, chain_rates, [1, *[0] * 19], 10.0, [n.format(k) for n in ("q{}", "der(q{})") for k in range(10)]),
 }
 """Model, its rates by hand, start, end [s], outputs that show the states."""
@@ -341,6 +344,12 @@ def test_starts_are_parameters_of_the_fmu() -> None:
     half = flexfmu.slave(van_der_pol(), "half", parameters={"start.x0": 0.5, "mu": 0.0, "start.x1": 0.0})
     run = flexfmu.simulate([half], stop_time=6.0, step=0.1, tolerance=1e-8).recording
     assert np.allclose(run["half.x0"].values, 0.5 * np.cos(run.time), atol=1e-7)
+
+
+def test_code_grows_with_entries_not_with_their_square() -> None:
+    """Zeros of a mass matrix take no lines, which compilers would work on for minutes."""
+    functions, _ = generate_functions(network())
+    assert functions["model_mass_matrix.c"].count("\n") < 2 * SIZE
 
 
 @pytest.mark.parametrize("case", ["vdp", "lotka", "network", "chain"])
