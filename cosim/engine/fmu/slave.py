@@ -19,7 +19,7 @@ from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.engine.errors import CosimError, InputError, SlaveError
 from flexfmu.cosim.engine.fmu.calls import WARNING, address, value_references
 from flexfmu.cosim.engine.fmu.clocks import Clocks
-from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, open_fmu, resized
+from flexfmu.cosim.engine.fmu.file import EXCHANGE_ORDER, KEPT, UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, Fmi2Instance, Fmi3Instance, Instance, StatusCall
 from flexfmu.cosim.engine.fmu.transfers import StartValues, Transfers
 from flexfmu.cosim.engine.fmu.variables import COUNTERS, FmuVariables, Handle, Value, read_variables
@@ -80,6 +80,16 @@ class FmuSlave:
         self._stated_order = 0 if self._fmu.clocks else int(stated)
         if output_order is not None and not output_order >= 0:
             raise InputError(f"{name}: output_order must be zero or positive, got {output_order}")
+        # in model exchange the derivatives of states are variables themselves, and where they are states, theirs
+        self._rates: list[list[Handle]] = []
+        for handle in known.handles if self._fmu.is_exchange else ():
+            rate, chain = known.rates.get((handle.reference, handle.place)), list[Handle]()
+            while rate is not None and handle.kind == "Real" and len(chain) < EXCHANGE_ORDER:
+                chain.append(rate)
+                rate = known.rates.get((rate.reference, rate.place))
+            self._rates.append(chain)
+        self._stated_order = max(map(len, self._rates), default=self._stated_order)
+        self.rates_follow_inputs = self._fmu.is_exchange
         self.max_output_order = self._stated_order if output_order is None else min(output_order, self._stated_order)
         highest = self._fmu.highest_input_derivative
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
@@ -105,7 +115,11 @@ class FmuSlave:
         self.lacking: Mapping[str, int] = {}
         self.absent: Mapping[str, int] = {}
         self._missing: list[NDArray[np.bool_]] = []
-        if self.max_output_order and not self._fmu.is_ours:
+        if self._rates:
+            numbers = zip(self.variables, map(len, self._rates), strict=True)
+            outputs = ((v.name, n) for v, n in numbers if v.causality == "output" and not v.discrete)
+            self.lacking = self.absent = {name: n + 1 for name, n in outputs if n < self.max_output_order}
+        elif self.max_output_order and not self._fmu.is_ours:
             self._try_derivatives()
 
     def _try_derivatives(self) -> None:
@@ -271,6 +285,11 @@ class FmuSlave:
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """Return a call that reads derivatives of outputs into the buffer (orders, n); absent ones are zero."""
         handles, what = self._select(indices), "reading output derivatives"
+        if self._rates:
+            rows = [[row for row in range(len(derivatives)) if row < len(self._rates[i])] for i in indices]
+            places = [(row, column) for column, each in enumerate(rows) for row in each]
+            rates = [self._rates[indices[column]][row] for row, column in places]
+            return Checked(self._instance, what, self._transfers.get_at(rates, derivatives, places))
         if self._fmu.is_ours:
             return Checked(self._instance, what, self._transfers.get_derivatives(handles, derivatives))
         # FMUs of other tools: don't read what the trial instance lacked
@@ -315,8 +334,8 @@ class FmuSlave:
         return tidy
 
     def absence(self, outputs: Sequence[str]) -> list[str]:
-        """Return a sentence on the absent derivatives of these outputs in the last run, none without outputs."""
-        if not outputs:
+        """Return a sentence on the absent derivatives of these outputs in the last run, none without outputs and in model exchange."""
+        if not outputs or self._rates:
             return []
         listed = ", ".join(f"der({name},{self.absent[name]})" for name in outputs[:LISTED])
         more = f" and {len(outputs) - LISTED} more" if len(outputs) > LISTED else ""

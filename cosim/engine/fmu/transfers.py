@@ -79,6 +79,19 @@ class Transfers:
 
         return call
 
+    def get_at(self, handles: Sequence[Handle], values: RealArray, places: Sequence[tuple[int, ...]]) -> StatusCall:
+        """Return a call that reads the variables into these places of ``values``; all others become zero."""
+        buffer, where = np.zeros(len(handles)), tuple(np.array(places, np.intp).reshape(len(handles), -1).T)
+        read = self.get(handles, buffer)
+
+        def call() -> int:
+            status = read()
+            values[:] = 0.0
+            values[where] = buffer
+            return status
+
+        return call
+
     def _clocked(self, handles: Sequence[Handle], *, in_tick: bool) -> tuple[Clocks | None, list[int], list[int]]:
         """Return the instance's clocks, the columns of clocked variables and their places there; None without such variables."""
         clocks = None if in_tick else self._instance.clocks

@@ -8,7 +8,7 @@ the triggered ones, which are Integers that count their ticks.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from math import isclose, prod
 from numbers import Real
@@ -72,17 +72,20 @@ class FmuVariables:
     """Variables of a model description.
 
     Attributes:
-        connectable: inputs, outputs and numeric parameters, in the order of the model description.
+        connectable: inputs, outputs and numeric parameters, in the order of the model description; for model exchange then the
+            states that aren't outputs, as outputs.
         handles: handle of each of them.
         others: name → handle of all other variables.
         feedthrough: output → inputs that it depends on at the same instant; outputs without stated dependencies are
             left out.
+        rates: value reference and index of the element of a state in model exchange → handle of its derivative.
     """
 
     connectable: tuple[SlaveVariable, ...]
     handles: tuple[Handle, ...]
     others: Mapping[str, Handle]
     feedthrough: Mapping[str, tuple[str, ...]]
+    rates: Mapping[tuple[int, int], Handle]
 
 
 def read_variables(description: Any) -> FmuVariables:
@@ -102,7 +105,30 @@ def read_variables(description: Any) -> FmuVariables:
         for unknown in description.outputs
         if unknown.dependencies is not None
     }
-    return FmuVariables(tuple(map(_variable, connectable)), tuple(map(_handle, connectable)), others, depends)
+    # states and their derivatives, and the states that no output shows
+    handles = [_handle(v) for v in description.modelVariables]
+    rates = {
+        (state, each.place): each
+        for state, rate in continuous_states(description)
+        for each in handles
+        if each.reference == rate and each.kind == "Real"
+    }
+    own = [_handle(v) for v in connectable]
+    seen, hidden = {(each.reference, each.place) for each in own if each.kind == "Real"}, []
+    for variable, handle in zip(description.modelVariables, handles, strict=True):
+        if handle.kind == "Real" and (place := (handle.reference, handle.place)) in rates.keys() - seen:
+            seen.add(place)
+            hidden.append(variable)
+    shown = [_variable(v) for v in connectable] + [replace(_variable(v), causality="output") for v in hidden]
+    depends |= {v.name: () for v in hidden}
+    return FmuVariables(tuple(shown), (*own, *map(_handle, hidden)), others, depends, rates)
+
+
+def continuous_states(description: Any) -> list[tuple[int, int]]:
+    """Return the value references of each state and its derivative of an FMU for model exchange only; none for any other."""
+    stated = description.derivatives if description.coSimulation is None else ()
+    rates = [each.variable for each in stated or () if each.variable.derivative is not None]
+    return [(each.derivative.valueReference, each.valueReference) for each in rates]
 
 
 def _variable(variable: Any) -> SlaveVariable:
@@ -287,10 +313,11 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
     _add_ranges(description, folder)
     elements: dict[int, list[Element]] = {}
     variables: list[Element] = []
-    # inputs, outputs, parameters, counters, and variables that may be set before initialisation
+    # inputs, outputs, parameters, counters, states, and variables that may be set before initialisation
+    states = {reference for pair in continuous_states(description) for reference in pair}
     for variable in description.modelVariables:
         shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
-        shown = shown or variable.name.startswith(COUNTERS)
+        shown = shown or variable.name.startswith(COUNTERS) or variable.valueReference in states
         used = shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
         counts = variable.type == "Clock" and variable.intervalVariability == TRIGGERED
         if used and (counts or variable.type not in ("Binary", "Clock")):

@@ -100,7 +100,7 @@ def plant(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 def test_a_ball_bounces_at_the_closed_form_s_instants(plant: Path) -> None:
     """Heights, rates and energy of a ball are those of its parabolas, whatever the communication step; our FMUs shift their event
-    indicators by 1e-9 to keep them from zero."""
+    indicators by 1e-9 to keep them from zero. A height's derivative is its rate."""
     fall = sqrt(2.0 / GRAVITY)
     bounces = fall + np.concatenate([[0.0], np.cumsum(2.0 * fall * RESTITUTION ** np.arange(1, 8))])
     for step in (0.01, 0.4):
@@ -113,6 +113,7 @@ def test_a_ball_bounces_at_the_closed_form_s_instants(plant: Path) -> None:
         np.testing.assert_allclose(height, parabolas, atol=3e-8, rtol=0.0)
         energy = GRAVITY * RESTITUTION ** (2 * past)
         np.testing.assert_allclose(GRAVITY * height + rate**2 / 2, energy, atol=1e-6, rtol=0.0)
+        np.testing.assert_array_equal(recording["guest.height"].first, rate)
 
 
 def test_a_hidden_stiff_plant_and_the_tolerance(plant: Path) -> None:
@@ -125,6 +126,18 @@ def test_a_hidden_stiff_plant_and_the_tolerance(plant: Path) -> None:
     assert errors[0] < 1e-3
     # the fast rate's own share
     assert max(errors[1:]) < 3e-6
+
+
+def test_states_that_are_no_outputs_are_recorded(make_exchange: Callable[..., Path]) -> None:
+    """A local state of another tool's FMU is recorded with its derivative, x' = -2 x."""
+    hidden = (
+        ('"x" valueReference="0" causality="output"', '"x" valueReference="0"'),
+        ('<Unknown index="1" dependencies=""/>', ""),
+    )
+    state = run(make_exchange(*hidden), 0.2, 0.1, 1e-8, rate=2.0).recording["guest.x"]
+    np.testing.assert_allclose(state.values, np.exp(-2.0 * np.array([0.0, 0.1, 0.2])), rtol=1e-8)
+    assert state.first is not None
+    np.testing.assert_allclose(state.first, -2.0 * state.values, rtol=1e-15)
 
 
 def test_time_events_step_events_and_discarded_steps(make_exchange: Callable[..., Path]) -> None:

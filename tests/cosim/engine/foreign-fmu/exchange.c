@@ -89,12 +89,14 @@ fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { (vo
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real x[], size_t n) {
   exchange *e = c;
   (void)n;
-  x[0] = e->real[DER_X] = e->real[RATE] * (e->real[U] - e->real[X]);
+  x[0] = e->real[RATE] * (e->real[U] - e->real[X]);
   return e->time <= e->completed + e->real[PATIENCE] ? fmi2OK : fmi2Discard;
 }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
-  for (size_t k = 0; k < n; k++) value[k] = ((exchange *)c)->real[vr[k]];
+  exchange *e = c;
+  e->real[DER_X] = e->real[RATE] * (e->real[U] - e->real[X]);
+  for (size_t k = 0; k < n; k++) value[k] = e->real[vr[k]];
   return fmi2OK;
 }
 
