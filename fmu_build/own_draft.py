@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
@@ -165,6 +165,8 @@ class Draft:
             found = [found.get(each, missing) for each in names]
         elif isinstance(found, casadi.SX | casadi.DM):
             found = casadi.vertsplit(casadi.SX(found))
+        elif isinstance(found, Iterator):
+            found = list(found)
         elif isinstance(found, str) or not isinstance(found, Sequence | np.ndarray):
             found = [found]
         if len(found) != len(names):
@@ -175,7 +177,9 @@ class Draft:
 
     def called(self, where: str, source: Callable[..., Any], scopes: str) -> Any:
         """What a user's function gives."""
-        wanted = list(inspect.signature(source).parameters)
+        # parameters with a default, of a loop for example, keep it
+        parameters = inspect.signature(source).parameters.items()
+        wanted = [each for each, one in parameters if each in scopes or one.default is one.empty]
         if unknown := [each for each in wanted if each not in set(scopes)]:
             raise ModelError(f"the function of {where} takes '{unknown[0]}'; it may take {', '.join(scopes)}")
         try:

@@ -44,6 +44,8 @@ class variable:  # noqa: N801 - written by users as a call
     description: str = ""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.unit, str):
+            raise ModelError(f"a unit is a text such as N.m or rad/s2, 1 for none, got {self.unit!r}")
         unit_exponents(self.unit)
 
     @property
@@ -148,7 +150,7 @@ def check_name(name: Any) -> None:
     Raises:
         ModelError: it isn't.
     """
-    if not isinstance(name, str) or not re.fullmatch(rf"{_PART}(\.{_PART})*", name, re.ASCII):
+    if not isinstance(name, str) or name == "time" or not re.fullmatch(rf"{_PART}(\.{_PART})*", name, re.ASCII):
         raise ModelError(f"{name!r} can't be the name of a variable; write it like angle, arm.angle or temperature[1]")
 
 
@@ -156,7 +158,7 @@ def declared(scope: str, name: str, value: Any) -> variable:
     """A user's entry with its numbers checked.
 
     Raises:
-        ModelError: a number isn't finite, the nominal value isn't positive, the range is empty, or the unit or name is unknown.
+        ModelError: a number isn't finite, the nominal value isn't positive, the start is out of range, or the name is none.
     """
     given = value if isinstance(value, variable) else variable(value)
     check_name(name)
@@ -175,7 +177,12 @@ def declared(scope: str, name: str, value: Any) -> variable:
         None if (entry := getattr(given, what)) is None else number(what, entry)
         for what in ("nominal", "minimum", "maximum")
     )
-    return replace(given, value=number("start", given.value), nominal=nominal, minimum=low, maximum=high)
+    start = number("start", given.value)
+    if (low is not None and start < low) or (high is not None and start > high):
+        raise ModelError(
+            f"start of {scope} '{name}' must be within its range {low} to {high}, got {start} {given.unit}"
+        )
+    return replace(given, value=start, nominal=nominal, minimum=low, maximum=high)
 
 
 def rate_unit(unit: str) -> str:

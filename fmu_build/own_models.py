@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
+from numbers import Real
 from typing import Any, Unpack
 
 import casadi
@@ -150,6 +151,8 @@ def dae(
         unknowns, defect = column([*draft.scopes["z"]]), column(constrained)
         return draft, unknowns, defect, casadi.jacobian(defect, unknowns)
 
+    if not z:
+        raise ModelError(f"model '{name}' has no variables z for its constraints; without any it is an ode")
     draft, unknowns, defect, slope = drafted(x)
     guess, gate, follow = _solved_start(draft, defect, slope), casadi.SX(0), []
     if not casadi.depends_on(slope, unknowns):
@@ -227,8 +230,8 @@ def linear_about(model: SymbolicModel, point: Mapping[str, float], outputs: Sequ
             raise ModelError(
                 f"model '{model.name}' has no state or input '{name}'; it has {', '.join([*places, *inputs])}"
             )
-        if not isfinite(value):
-            raise ModelError(f"{name} of the point must be finite, got {value}")
+        if not isinstance(value, Real) or not isfinite(value):
+            raise ModelError(f"{name} of the point must be a finite number, got {value!r}")
         if name in places:
             start[places[name]] = value
         else:

@@ -49,6 +49,8 @@ def build(
 
     if (own := re.fullmatch(r"(.+\.py):(\w+)", scene)) is not None:
         return _build_own(Path(own[1]), own[2], output, platform, naming, enumerations, fmi, settings, json)
+    if scene.endswith(".py"):
+        raise InputError(f"{scene} is a Python file; add the name of its model, as in {scene}:model")
     # choose effects where the scene leaves them open, then build
     robot = console.load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")

@@ -52,7 +52,7 @@ def as_scene(source: Scene | Path | str) -> Scene:
     if isinstance(source, str | Path):
         return load_scene(source)
     raise TypeError(
-        f"expected a Scene, the path of a scene file or the name of a shipped scene, got {type(source).__name__}: {source!r}"
+        f"expected a Scene, the path of a scene file or the name of a shipped scene, got {type(source).__name__}: {source!r:.60}"
     )
 
 

@@ -389,7 +389,8 @@ def test_command_builds_the_model_of_a_file(tmp_path: Path) -> None:
     """`flexfmu build MODEL.py:NAME`; what isn't a model is named."""
     file = tmp_path / "own.py"
     file.write_text(
-        'import flexfmu\ndecay = flexfmu.ode("decay", x={"x": 1.0}, rhs=lambda x: -x.x)\nnumber = 1\n', encoding="utf-8"
+        'import flexfmu\ndecay = flexfmu.ode("decay", x={"x": 1.0}, rhs=lambda x, k=1: -k * x.x)\nnumber = 1\n',
+        encoding="utf-8",
     )
     target = tmp_path / "decay.fmu"
     assert run_command("build", f"{file}:decay", "-o", target).exit_code == 0
@@ -401,6 +402,13 @@ def test_command_builds_the_model_of_a_file(tmp_path: Path) -> None:
         assert failed.exit_code == 2
         assert text in failed.output
     assert run_command("build", f"{file}:decay", "--set", "payload.mass=1").exit_code == 2
+    assert "add the name of its model" in run_command("build", str(file)).output
+    file = tmp_path / "wrong.py"
+    file.write_text(
+        'import flexfmu\nm = flexfmu.ode("m", x={"x": 1.0}, p={"x": 1.0}, rhs=lambda x: -x.x)\n', encoding="utf-8"
+    )
+    # the line of the user's file, not one of ours
+    assert "wrong.py, line 2)" in run_command("build", f"{file}:m").output.replace("\n", "")
 
 
 GOOD: dict[str, Any] = {"x": {"x": 1.0}, "rhs": lambda x: -x.x}
@@ -438,6 +446,14 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("friction of model 'm' is", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"b": 1.0})),
     ("index is 2 or 3", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.0}, rhs=lambda z: z.z, constraints=lambda x: x.x - 1)),
     ("can't be solved at the start", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.1}, rhs=lambda z: z.z, constraints=lambda z: z.z**2 + 1)),
+    ("must be within its range 0.0 to None", lambda: flexfmu.ode("m", **GOOD, p={"k": flexfmu.variable(-1.0, minimum=0.0)})),
+    ("a unit is a text", lambda: flexfmu.variable(1.0, None)),  # type: ignore[arg-type]
+    ("'time' can't be the name", lambda: flexfmu.ode("m", **GOOD, u={"time": 1.0})),
+    ("has no argument 'parameters'", lambda: flexfmu.ode("m", **GOOD, parameters={})),  # type: ignore[call-arg]
+    ("events of model 'm' is a dict", lambda: flexfmu.ode("m", **GOOD, events=[])),  # type: ignore[arg-type]
+    ("has no variables z", lambda: flexfmu.dae("m", **GOOD, z={}, constraints=[])),
+    ("the name 'x' more than once", lambda: flexfmu.ode("m", **GOOD, outputs={"x": 1.0})),
+    ("x of the point must be a finite number", lambda: flexfmu.linearize(flexfmu.ode("m", **GOOD), {"x": "a"})),
     ("is for models from equations", lambda: flexfmu.build("barnard2012-6kg", step=1.0)),
 ]  # fmt: skip
 

@@ -479,8 +479,10 @@ def described(error: BaseException | None) -> str:
     if isinstance(error, InputError):
         return str(error)
     frames = traceback.extract_tb(error.__traceback__) if error else []
-    others = "/casadi/", "/numpy/", "/importlib/", "<frozen ", f"{Path(__file__).parents[2]}{os.sep}"
+    rooms = (f"{Path(__file__).parents[3]}{os.sep}{room}{os.sep}" for room in ("cosim", "fmu_build", "model", "src"))
+    others = "/casadi/", "/numpy/", "/importlib/", "<frozen ", *rooms
     own = [each for each in frames if not any(name in each.filename for name in others)]
     where = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
     lines = [re.sub(r"^\S*\.cpp:\d+: ", "", line) for line in str(error).splitlines() if line.strip()]
-    return f"{type(error).__name__}: {lines[0] if lines else ''}{where}"
+    kind = "" if type(error).__module__.startswith("flexfmu.") else f"{type(error).__name__}: "
+    return f"{kind}{lines[0] if lines else ''}{where}"
