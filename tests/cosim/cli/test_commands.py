@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from command_line import flexfmu
 
+from flexfmu.cosim.cli import console
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import METRICS
@@ -220,3 +221,15 @@ def test_version_and_usage() -> None:
     assert flexfmu("--version").stdout == f"flexfmu {version('flexfmu')}\n"
     assert flexfmu("run").exit_code == flexfmu("fly").exit_code == 2
     assert {flexfmu("modes", SCENE, "--poses", count).exit_code for count in ("2", "-1", "x")} == {2}
+
+
+def test_long_work_in_a_pipe_says_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line on standard error when one is due, none before."""
+    for interval, lines in ((60.0, []), (0.0, ["flexfmu: running, 50 %", "flexfmu: timing"])):
+        monkeypatch.setattr(console, "PIPED_INTERVAL", interval)
+        with console.progress() as show:
+            show("running", 0.5)
+            show("timing", None)
+        assert capsys.readouterr().err.splitlines() == lines

@@ -180,14 +180,14 @@ def test_a_full_disk_ends_a_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_killed_plans_end_with_the_same_files(tmp_path: Path) -> None:
-    """`kill -9` after each unit, then the same command: the files of the command that nothing has killed."""
+    """`kill -9` after units, then the same command: the files of the command that nothing has killed."""
     command = [
         *(sys.executable, "-m", "flexfmu", "plan", "barnard2012-6kg", "--method", "flexible", "--no-robust"),
         *("-j", "1", "--set", "plan.payload_band=0.1", "--out"),
     ]
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     subprocess.run([*command, whole], check=False, capture_output=True)
-    for number in range(2, 6):
+    for number in (2, 4):
         with subprocess.Popen([*command, cut], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             deadline = time.monotonic() + 600.0
             while process.poll() is None and time.monotonic() < deadline:
