@@ -63,6 +63,10 @@ EXACT = 1e-11
 EXACT_EFFECTS = 1e-9
 """The same where effects alone are chosen, with the communication step and the integrator of the scene: small enough that only they differ."""
 
+BEYOND = 2.0
+"""What all further modes may change a figure by, in terms of what the last mode of every family did: contributions that fall with the
+fourth power of a mode's number add up to about as much again, and scatter."""
+
 MOST_COORDINATES = 44
 """Largest number of coordinates of a richest set: more take a minute to build."""
 
@@ -295,18 +299,18 @@ class Chooser:
             earlier, rest, before = rest, better.change(found), most
             most, found = finer, better
         self.richest, self.reference = most, found
-        self.known = rest
+        self.known = BEYOND * rest
         if self._floor is None:
             # and how well it is integrated
             twice = self._observe(
                 with_numerics(most, 0.5 * self._exact_step, "automatic", 0.1 * EXACT),
                 "running the richest set, more precisely",
             )
-            self.known = rest + twice.change(found)
+            self.known += twice.change(found)
 
     @property
     def reserve(self) -> RealArray:
-        """What is stated of the richest model's error [SI]: the next mode may change more than the last, by which it is known."""
+        """What is stated of the richest model's error [SI]: the next mode may change more than the last, however little that did."""
         found: RealArray = np.maximum(self.known, CONVERGED * self.allowed)
         return found
 
