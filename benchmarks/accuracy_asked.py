@@ -170,7 +170,8 @@ def judge(number: int, seed: int, has_grid: bool) -> Judged:
         pairs = [*zip(figures_of(each, names), reference, strict=True)][payloads]
         return max(abs(own[key] - other[key]) / (asked[key] * abs(other[key])) for own, other in pairs for key in names)
 
-    true, bound, seconds = share(chosen.scene), chosen.share, time.process_time() - begin
+    bound = float(((chosen.both + chooser.reserve) / chooser.allowed).max())
+    true, seconds = share(chosen.scene), time.process_time() - begin
     cheaper, ratio = "", 1.0
     if has_grid:
         best = cheapest_of_grid(chooser, scene, share, chosen.scene, chosen.time)
