@@ -58,6 +58,7 @@ class WorkPrecisionStudy:
         trials: every measured point.
         floors: metric or family and set of effects → error of the set itself, which no integrator goes below.
         remarks: what wasn't measured and why, a sentence each.
+        known: metric → what the richest model itself is known to; smaller errors are of the numerics alone.
     """
 
     scene: Scene
@@ -68,6 +69,7 @@ class WorkPrecisionStudy:
     trials: tuple[WorkPrecisionTrial, ...]
     floors: Mapping[tuple[str, str], float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    known: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_of_metrics(self) -> bool:
@@ -220,12 +222,16 @@ class Ladder:
     @property
     def reference(self) -> str:
         """What errors are relative to."""
-        pairs = zip(self._chooser.asked, self._chooser.known / self.values, strict=True)
-        known = ", ".join(f"{name} by {error:.1e}" for name, error in pairs)
+        known = ", ".join(f"{name} by {error:.1e}" for name, error in self.known.items())
         return (
-            f"{set_text(self._chooser.richest)}, at 1e-11; one mode less of every family and half the steps change {known}: smaller errors "
-            "are of the numerics alone"
+            f"{set_text(self._chooser.richest)}, at 1e-11; further modes and shorter steps may change {known}: smaller errors are of the "
+            "numerics alone"
         )
+
+    @property
+    def known(self) -> dict[str, float]:
+        """Metric → relative error of the richest model itself."""
+        return dict(zip(self._chooser.asked, (self._chooser.known / self.values).tolist(), strict=True))
 
     def numerics(self) -> list[tuple[float | None, str]]:
         """Communication steps [s] and integrators that are worth a trial."""
@@ -279,17 +285,20 @@ def run_metric_study(
     ladder = Ladder(scene, metrics, show, journal)
     trials, floors = ladder.trials(ladder.numerics())
     duration = scene.trajectory.moving_time + scene.trajectory.dwell
-    return WorkPrecisionStudy(scene, duration, 1.0, None, ladder.reference, tuple(trials), floors)
+    return WorkPrecisionStudy(scene, duration, 1.0, None, ladder.reference, tuple(trials), floors, known=ladder.known)
 
 
 def accuracy_rows(study: WorkPrecisionStudy) -> list[tuple[str, ...]]:
-    """For each metric and accuracy: the cheapest setting and its time."""
+    """For each metric and accuracy: the cheapest setting and its time; whether the error is of the numerics alone."""
     rows = list[tuple[str, ...]]()
     for name in study.families:
         for error in ACCURACIES:
             best = cheapest(study.family(name), error)
+            alone = "; numerics alone" if error < study.known.get(name, 0.0) else ""
             cells = (
-                ("–", "", "not reached") if best is None else (f"{1e3 * (best.time or 0.0):.3g}", best.line, best.label)
+                ("–", "", "not reached")
+                if best is None
+                else (f"{1e3 * (best.time or 0.0):.3g}", best.line, f"{best.label}{alone}")
             )
             rows.append((name, f"{error:.0e}", *cells))
     return rows

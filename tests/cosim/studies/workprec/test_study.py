@@ -335,7 +335,10 @@ def test_a_study_of_metrics_has_floors_and_a_front() -> None:
         assert all(each.error >= floor for each in trials if each.line == line and each.error is not None)
     rigid, four = (study.floors["peak_torque_1", line] for line in ("rigid", "4 coordinates"))
     assert rigid > 10.0 * four > 0.0
-    times = [float(row[2]) for row in studys.accuracy_rows(study) if row[2] != "–"]
+    rows = [row for row in studys.accuracy_rows(study) if row[2] != "–"]
+    assert [row[-1].endswith("numerics alone") for row in rows] == [float(row[1]) < study.known[row[0]] for row in rows]
+    assert 1e-10 < study.known["peak_torque_1"] < 1e-2
+    times = [float(row[2]) for row in rows]
     assert len(times) >= 6
     assert times == sorted(times)
     # a picture and a page of it
