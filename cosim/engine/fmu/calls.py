@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from ctypes import CFUNCTYPE, Structure, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass
+from enum import Enum, auto
 from itertools import count
 from typing import Any
 from weakref import finalize
@@ -22,6 +23,7 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
 )
+from fmpy.fmi3 import fmi3ClockUpdateCallback, fmi3LogMessageCallback
 from fmpy.logging import addLoggerProxy
 from numpy.typing import DTypeLike, NDArray
 
@@ -36,6 +38,17 @@ PERIODIC, APERIODIC, TRIGGERED = ("constant", "fixed", "tunable"), ("changing", 
 
 INTERVAL_CHANGED = 2
 """Value fmi3IntervalChanged of fmi3IntervalQualifier."""
+
+
+class FmuMode(Enum):
+    """What may be done with an instance: change structural parameters, initialise, change inputs at an event, do so until the next step, or step."""
+
+    CONFIGURATION = auto()
+    INITIALIZATION = auto()
+    EVENT = auto()
+    OPEN_EVENT = auto()
+    STEP = auto()
+
 
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 """Values fmi2ModelExchange and fmi2CoSimulation of fmi2Type."""
@@ -251,6 +264,7 @@ class FmuLog:
     Attributes:
         messages: messages with status warning or worse, oldest first.
         callbacks: callback structure for fmi2Instantiate; must exist as long as the instance.
+        receive: function of FMI 3.0 that takes messages; must exist as long as the instance.
     """
 
     def __init__(self) -> None:
@@ -261,6 +275,8 @@ class FmuLog:
         self.callbacks.allocateMemory = _allocate
         self.callbacks.freeMemory = _free
         self.callbacks.componentEnvironment = self._key
+        # without an environment, which not all FMUs pass on
+        self.receive = fmi3LogMessageCallback(lambda environment, status, category, text: self.add(status, _text(text)))
 
     def open(self) -> None:
         """Clear the messages and receive those of the next instance.
@@ -296,13 +312,20 @@ _keys = count(1)
 
 def _receive(environment: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
     """Add a message to its instance's log; print it if the instance is unknown."""
-    text = (message or b"").decode("utf-8", "replace")
     log = _logs.get(environment or 0)
     if log is not None:
-        log.add(status, text)
+        log.add(status, _text(message))
     elif status >= WARNING:
-        print(f"{(name or b'').decode('utf-8', 'replace')}: {text}", file=sys.stderr)
+        print(f"{_text(name)}: {_text(message)}", file=sys.stderr)
 
+
+def _text(text: bytes | None) -> str:
+    """Return a text of an FMU, whatever its bytes are."""
+    return (text or b"").decode("utf-8", "replace")
+
+
+CLOCK_UPDATE = fmi3ClockUpdateCallback(lambda key: None)
+"""The function of scheduled execution that tells of clocks, which are asked after each model partition anyhow."""
 
 _logger = fmi2CallbackLoggerTYPE(_receive)
 _allocate = fmi2CallbackAllocateMemoryTYPE(calloc)

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from flexfmu.cosim.engine.fmu.calls import APERIODIC, INTERVAL_CHANGED, OK, PERIODIC, TRIGGERED
+from flexfmu.cosim.engine.fmu.calls import APERIODIC, INTERVAL_CHANGED, OK, PERIODIC, TRIGGERED, FmuMode
 from flexfmu.cosim.engine.fmu.exchange import MOST_ROUNDS
 from flexfmu.cosim.engine.fmu.variables import Handle
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
@@ -73,7 +73,7 @@ def read_clocks(root: ElementTree.Element) -> tuple[FmiClock, ...]:
 
 
 class Clocks:
-    """The clocks of an instance.
+    """The clocks of an instance, none by default.
 
     Args:
         instance: the `Instance`, in whose event mode they tick.
@@ -91,10 +91,10 @@ class Clocks:
     def __init__(
         self,
         instance: Any,
-        clocks: Sequence[FmiClock],
-        transfers: Any,
-        variables: Sequence[SlaveVariable],
-        handles: Sequence[Handle],
+        clocks: Sequence[FmiClock] = (),
+        transfers: Any = None,
+        variables: Sequence[SlaveVariable] = (),
+        handles: Sequence[Handle] = (),
     ) -> None:
         self._instance, self._clocks = instance, {each.reference: each for each in clocks}
         self._outputs = [each.reference for each in clocks if each.is_output]
@@ -222,7 +222,7 @@ class Clocks:
 
     def refresh(self) -> int:
         """Set the inputs of active clocks and read their outputs, in event mode; return the worst status."""
-        if self._instance.is_stepping:
+        if self._instance.mode is FmuMode.STEP:
             return OK
         statuses = [call() for of, is_output, call in self._transfers if not is_output and of & self.active]
         # model partitions, those included whose countdown ends at once

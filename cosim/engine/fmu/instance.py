@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from ctypes import byref, c_bool, c_double, c_int, c_void_p
+from collections.abc import Callable
+from contextlib import chdir
+from ctypes import CDLL, byref, c_bool, c_double, c_int, c_void_p
 from functools import lru_cache, partial
 from itertools import count
 from math import inf, ulp
@@ -18,13 +19,10 @@ from pathlib import Path
 from time import sleep
 from typing import Any, cast
 
-from fmpy.fmi1 import _FMU
-from fmpy.fmi3 import fmi3ClockUpdateCallback, fmi3LogMessageCallback
-
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
-from flexfmu.cosim.engine.fmu.calls import FMI2, FMI3, FmuLog, Version
+from flexfmu.cosim.engine.fmu.calls import FMI2, FMI3, FmuLog, FmuMode, Version
 from flexfmu.cosim.engine.fmu.clocks import Clocks
 from flexfmu.cosim.engine.fmu.exchange import MOST_ROUNDS, NEAR, ContinuousTime
 from flexfmu.cosim.engine.fmu.file import KEPT, UnpackedFmu, attempt
@@ -57,28 +55,32 @@ _serial = count(1)
 
 @lru_cache(maxsize=KEPT)
 def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
-    """Load the FMU's library with fmpy and return its functions; one of our own is closed with the last of them.
+    """Load the FMU's library and return its functions; one of our own is closed with the last of them.
 
     A library of another tool is loaded in a child process first, in case it crashes, and stays loaded, since it may have threads.
 
     Raises:
         FmuFileError: the library can't be loaded, crashes, or lacks a function of its FMI version.
     """
-    description = fmu.description
-    arguments = {
-        "guid": description.guid,
-        "modelIdentifier": fmu.interface.modelIdentifier,
-        "unzipDirectory": str(fmu.folder),
-    }
-    if fmu.is_fmi3:
-        # fmpy's class for FMI 3.0 requires the functions of all interface types; its base class does not
-        arguments["libraryPath"] = str(fmu.library)
+
+    def load() -> CDLL:
+        # some libraries look for others in their own folder
+        try:
+            with chdir(fmu.library.parent):
+                return CDLL(str(fmu.library))
+        except OSError as error:
+            reason = " ".join(str(error).replace(f"{fmu.folder}/", "").split())
+            raise FmuFileError(
+                f"{fmu.path} can't be loaded on this machine: {reason}{fmu.tool_hint}; install what is missing, or export it "
+                "for this system"
+            ) from error
+
     if AVAILABLE and not fmu.is_ours:
         try:
-            in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
+            in_child(lambda: bool(load()), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
-    library, version = _loaded(fmu, arguments), FMI3 if fmu.is_fmi3 else FMI2
+    library, version = load(), FMI3 if fmu.is_fmi3 else FMI2
     signatures = {**version.signatures, **version.interfaces[fmu.kind]}
     calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, signatures))
     # scheduled execution has neither steps nor event mode
@@ -88,25 +90,6 @@ def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
     if fmu.is_ours:
         fmi.close_after_use(library)
     return calls
-
-
-def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
-    """Return the library loaded by fmpy.
-
-    Raises:
-        FmuFileError: the library can't be loaded, with the system's reason.
-    """
-    try:
-        return _FMU(**arguments).dll
-    except Exception as error:
-        # fmpy's message has the library's temporary path before the reason
-        reason = " ".join(str(error).replace(f"{fmu.folder}/", "").split()).partition(" shared library ")[2] or str(
-            error
-        )
-        raise FmuFileError(
-            f"{fmu.path} can't be loaded on this machine: {reason}{fmu.tool_hint}; install what is missing, or export it for "
-            "this system"
-        ) from error
 
 
 class Instance(ABC):
@@ -126,7 +109,8 @@ class Instance(ABC):
         next_event: time of the next time event [s]; infinite if there is none.
         exchange: integrates an FMU for model exchange; None for co-simulation.
         kind: interface type.
-        clocks: its clocks; None without any.
+        clocks: its clocks.
+        mode: mode of the current instance.
     """
 
     version: Version
@@ -139,23 +123,23 @@ class Instance(ABC):
         self._fmu = fmu
         self.input_order = fmu.highest_input_derivative
         self._guid = fmu.description.guid.encode()
-        self._initialized = self._fatal = False
-        # saved states, whose memory is reused, and the time of the next event after each of them
+        self._fatal = False
+        # saved states, whose memory is reused, and what belongs to each of them
         self._states: list[c_void_p] = []
         self._spare: list[c_void_p] = []
-        self._events_after: dict[int | None, tuple[Any, ...]] = {}
-        self.next_event = inf
-        # event mode: whether the FMU has it and has left it, the start of the run, and the results of its updates
-        self._has_events, self._events, self._stepping, self._start = False, fmu.is_exchange, False, 0.0
-        self._starting = True
-        self._tolerance: float | None = None
+        self._saved: dict[int | None, tuple[Any, ...]] = {}
+        self.next_event, self.mode, self.kind = inf, FmuMode.CONFIGURATION, fmu.kind
+        # the run, whether it has begun, and the part of it that FMI 3.0 takes on entering initialisation mode
+        self._start, self._tolerance, self._has_begun = 0.0, cast("float | None", None), False
+        self._experiment: tuple[float, ...] = ()
+        # whether events are used, and the results of updates of discrete states
+        self._events = fmu.is_exchange
         kind = self.version.event_info
         self.event_info = kind()
         fields = [byref(self.event_info, getattr(kind, name).offset) for name, _ in kind._fields_]
         self._update_arguments = fields if self.version is FMI3 else [byref(self.event_info)]
         self.exchange = ContinuousTime(self, fmu) if fmu.is_exchange else None
-        # clocks, and whether the FMU stays in event mode for their ticks until the next step
-        self.kind, self.clocks, self._open = fmu.kind, cast("Clocks | None", None), False
+        self.clocks = Clocks(self)
 
     def instantiate(self, name: str) -> None:
         """Instantiate the FMU; the last instance must have been freed.
@@ -163,12 +147,11 @@ class Instance(ABC):
         Raises:
             SlaveError: the FMU refuses, or has an instance and allows only one per process.
         """
-        self.name, self.no_rollback, self.next_event, self._stepping = name, 1, inf, False
+        self.name, self.no_rollback, self.next_event, self.mode = name, 1, inf, FmuMode.CONFIGURATION
         self.instances, self.epoch = self.instances + 1, self.epoch + 1
-        self._initialized = self._fatal = False
-        self._states, self._spare, self._open = [], [], False
-        if self.clocks is not None:
-            self.clocks.reset()
+        self._fatal = self._has_begun = False
+        self._states, self._spare = [], []
+        self.clocks.reset()
         if (sole := self._fmu.folder if self._fmu.only_once_per_process else None) in _alive:
             raise SlaveError(
                 name,
@@ -190,13 +173,11 @@ class Instance(ABC):
         """Return a new instance; None if the FMU refuses."""
 
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Set up the experiment."""
+        """Set up the experiment; FMI 3.0 takes it on entering initialisation mode."""
         self._start, self._tolerance = start_time, tolerance
-        self._set_up(tolerance is not None, tolerance or 0.0, start_time, True, stop_time)
-
-    @abstractmethod
-    def _set_up(self, *experiment: float) -> None:
-        """Set up the experiment: whether there is a tolerance, tolerance, start, whether there is a stop, stop."""
+        self._experiment = tolerance is not None, tolerance or 0.0, start_time, True, stop_time
+        if self.version is FMI2:
+            self.check("fmi2SetupExperiment", lambda: self.call("SetupExperiment", *self._experiment))
 
     def initialize(self, meanwhile: Call) -> None:
         """Initialise, with ``meanwhile`` called in initialisation mode, and handle the events at the start.
@@ -204,22 +185,17 @@ class Instance(ABC):
         Raises:
             SlaveError: the FMU fails.
         """
-        self._enter_initialization()
+        self.mode = FmuMode.INITIALIZATION
+        experiment = self._experiment if self.version is FMI3 else ()
+        self.check("initialisation", lambda: self.call("EnterInitializationMode", *experiment))
         meanwhile()
-        if self.clocks is not None:
-            self.clocks.begin(self._start)
+        self.clocks.begin(self._start)
         self.check("initialisation", lambda: self.call("ExitInitializationMode"))
-        self._initialized = self._starting = True
-        # an FMU with event mode is in it now
-        if self.clocks is not None:
-            self._open = True
-            self.check("activating clocks", self.clocks.tick_at_start)
-        else:
+        # an FMU with event mode is in it now, and stays there for the clocks that tick
+        self.mode = FmuMode.OPEN_EVENT
+        self.check("activating clocks", self.clocks.tick_at_start)
+        if not self.clocks.active:
             self._leave_events(self._start)
-
-    @abstractmethod
-    def _enter_initialization(self) -> None:
-        """Enter initialisation mode."""
 
     def step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s].
@@ -228,14 +204,13 @@ class Instance(ABC):
             SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
             SlaveEnded: the FMU requests the end of the simulation.
         """
-        if self._open:
+        if self.mode is FmuMode.OPEN_EVENT:
             self._leave_events(time)
         if self.exchange is not None:
             self.exchange.step(time, step)
         else:
             self._step(time, step)
-        if self.clocks is not None:
-            self.clocks.now = time + step
+        self.clocks.now = time + step
 
     @abstractmethod
     def _step(self, time: float, step: float) -> None:
@@ -247,37 +222,32 @@ class Instance(ABC):
         return None
 
     @property
-    def is_stepping(self) -> bool:
-        """Whether the FMU has been initialised and isn't in event mode."""
-        return self._stepping
-
-    @property
     def at_events(self) -> bool:
         """Whether discrete inputs must be changed at an event: the FMU has event mode and isn't in it."""
-        return self._events and self._stepping
+        return self._events and self.mode is FmuMode.STEP
 
     def open_event(self) -> None:
         """Enter event mode, unless the FMU is in it, until the next step begins."""
         if self.at_events:
             self.check("an event", lambda: self.call("EnterEventMode"))
-        self._stepping, self._open = False, True
+        self.mode = FmuMode.OPEN_EVENT
 
     def event(self, time: float, end: float, near: float) -> bool:
         """Handle an event at ``time`` in a step up to ``end`` [s]; return whether it stays open, for the ticks of clocks at the end."""
-        clocks = self.clocks
-        if clocks is not None and clocks.next <= time + near and end - time <= near:
+        stays = self.clocks.next <= time + near and end - time <= near
+        if stays:
             self.open_event()
-            self.check("activating clocks", lambda: clocks.tick(time, near))
+            self.check("activating clocks", lambda: self.clocks.tick(time, near))
         else:
-            self.at_event(lambda: fmi.OK if clocks is None else clocks.tick(time, near), time)
-        return self._open
+            self.at_event(lambda: self.clocks.tick(time, near), time)
+        return stays
 
     def at_event(self, change: StatusCall, time: float | None = None) -> int:
         """Change discrete inputs at an event, or directly without event mode; return the status of the change."""
         if not self.at_events:
             return change()
         self.check("an event", lambda: self.call("EnterEventMode"))
-        self._stepping = False
+        self.mode = FmuMode.EVENT
         status = change()
         if status <= fmi.WARNING:
             self._leave_events(time)
@@ -285,33 +255,33 @@ class Instance(ABC):
 
     def _leave_events(self, time: float | None) -> None:
         """Update discrete states until none changes any more, then leave event mode; without event mode just go on."""
+        if self._events:
+            self._update(time)
+        self.mode, begins, self._has_begun = FmuMode.STEP, not self._has_begun, True
+        if self.exchange is not None and begins:
+            self.exchange.begin(self._start, self._tolerance)
+        elif self.exchange is not None:
+            self.exchange.go_on(inputs_alone=time is None)
+
+    def _update(self, time: float | None) -> None:
+        """Iterate over the events of this instant, ticks of clocks included, and leave event mode."""
         info, clocks, states_changed = self.event_info, self.clocks, False
-        # event iteration
-        for _ in range(MOST_ROUNDS if self._events else 0):
-            if clocks is not None:
-                self.check("reading clocked variables", clocks.refresh)
+        for _ in range(MOST_ROUNDS):
+            self.check("reading clocked variables", clocks.refresh)
             self.check("an event", lambda: self.call(self.version.update, *self._update_arguments))
             if info.ends:
                 raise self.ended(time)
             states_changed = states_changed or bool(info.states_changed or info.nominals_changed)
-            ticks = clocks is not None and clocks.updated()
+            ticks = clocks.updated()
             if not (info.again or ticks):
                 break
         else:
-            if self._events:
-                raise self.hangs("wants its discrete states updated", time)
+            raise self.hangs("wants its discrete states updated", time)
         # the next time event or tick, and on with steps
-        if self._events:
-            info.states_changed = states_changed
-            self.next_event = min(info.time if info.timed else inf, clocks.next if clocks is not None else inf)
-            mode = "EnterStepMode" if self.exchange is None else "EnterContinuousTimeMode"
-            self.check("an event", lambda: self.call(mode))
-        self._stepping, self._open = True, False
-        if self.exchange is not None and self._starting:
-            self.exchange.begin(self._start, self._tolerance)
-        elif self.exchange is not None:
-            self.exchange.go_on(inputs_alone=time is None)
-        self._starting = False
+        info.states_changed = states_changed
+        self.next_event = min(info.time if info.timed else inf, clocks.next)
+        mode = "EnterStepMode" if self.exchange is None else "EnterContinuousTimeMode"
+        self.check("an event", lambda: self.call(mode))
 
     def ended(self, time: float | None) -> SlaveEnded:
         """Return the error of an FMU that requests the end of the simulation."""
@@ -323,7 +293,12 @@ class Instance(ABC):
 
     def configure(self, change: StatusCall) -> int:
         """Change structural parameters in configuration mode; return the status. From initialisation on, do nothing."""
-        return change()
+        if self.mode is not FmuMode.CONFIGURATION:
+            return fmi.OK
+        if (status := self.call("EnterConfigurationMode")) > fmi.WARNING:
+            return status
+        status = change()
+        return max(status, self.call("ExitConfigurationMode")) if status <= fmi.WARNING else status
 
     def call(self, function: str, *arguments: Any) -> int:
         """Call a function, its name without prefix, of this instance; return the status."""
@@ -363,8 +338,8 @@ class Instance(ABC):
             # even after a failure, its memory must be freed at the end
             if state.value is not None and not any(each is state for each in self._states):
                 self._states.append(state)
-        parts = self.exchange and self.exchange.save(), self.clocks and self.clocks.save()
-        self._events_after[state.value] = self.next_event, self._stepping, self._open, self._starting, *parts
+        parts = self.exchange and self.exchange.save(), self.clocks.save()
+        self._saved[state.value] = self.next_event, self.mode, self._has_begun, *parts
         self.no_rollback = 0
         return state
 
@@ -376,20 +351,19 @@ class Instance(ABC):
     def restore(self, state: object) -> None:
         """Restore a saved state."""
         saved = cast(c_void_p, state)
-        self.next_event, self._stepping, self._open, self._starting, memory, ticks = self._events_after[saved.value]
+        self.next_event, self.mode, self._has_begun, memory, ticks = self._saved[saved.value]
         self.epoch += 1
         self.check("restoring a state", lambda: self.call(f"Set{self.version.state}", saved))
         if self.exchange is not None:
             self.exchange.restore(memory)
-        if self.clocks is not None:
-            self.clocks.restore(ticks)
+        self.clocks.restore(ticks)
 
     def free(self) -> None:
         """Terminate and free the instance with its states; after a fatal error no FMI function may be called."""
         if not self._fatal:
             for state in self._states:
                 self.call(f"Free{self.version.state}", byref(state))
-            if self._initialized:
+            if self.initialized:
                 self.call("Terminate")
             self.calls[f"{self.version.prefix}FreeInstance"](self.component)
         self.component.value = None
@@ -399,7 +373,7 @@ class Instance(ABC):
     @property
     def initialized(self) -> bool:
         """Whether the FMU has been initialised, without a fatal error since."""
-        return self._initialized and not self._fatal
+        return self.mode not in (FmuMode.CONFIGURATION, FmuMode.INITIALIZATION) and not self._fatal
 
 
 class Fmi2Instance(Instance):
@@ -419,12 +393,6 @@ class Fmi2Instance(Instance):
         callbacks, kind = byref(self.log.callbacks), fmi.MODEL_EXCHANGE if self.exchange else fmi.CO_SIMULATION
         found: int | None = self.calls["fmi2Instantiate"](name, kind, self._guid, self._resources, callbacks, 0, 0)
         return found
-
-    def _set_up(self, *experiment: float) -> None:
-        self.check("fmi2SetupExperiment", lambda: self.call("SetupExperiment", *experiment))
-
-    def _enter_initialization(self) -> None:
-        self.check("initialisation", lambda: self.call("EnterInitializationMode"))
 
     def _step(self, time: float, step: float) -> None:
         status = self._do_step(time, step, self.no_rollback)
@@ -470,60 +438,33 @@ class Fmi3Instance(Instance):
 
     def __init__(self, fmu: UnpackedFmu) -> None:
         super().__init__(fmu)
-        self._has_events = self._events = fmu.kind != "CoSimulation" or bool(fmu.interface.hasEventMode)
+        self._has_events = fmu.kind != "CoSimulation" or bool(fmu.interface.hasEventMode)
         self._returns_early = bool(getattr(fmu.interface, "mightReturnEarlyFromDoStep", False))
         self._regular = fmu.needs_regular_steps
         folder = fmu.folder / "resources"
         self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
-        self._receive, self._notice = fmi3LogMessageCallback(self._logged), fmi3ClockUpdateCallback(lambda _: None)
-        self._experiment: tuple[float, ...] = ()
-        self._configurable = False
         # output arguments of fmi3DoStep
         self._event, self._ends, self._early, self._reached = c_bool(), c_bool(), c_bool(), c_double()
 
-    def _logged(self, environment: int | None, status: int, category: bytes | None, message: bytes | None) -> None:
-        """Add a message of the FMU to the log."""
-        self.log.add(status, (message or b"").decode("utf-8", "replace"))
-
     def _created(self, name: bytes) -> int | None:
-        """Return a new instance; an FMU that states event mode but refuses it is instantiated without."""
-        self._configurable, self._events = True, self._has_events
-        found = self._instantiated(name)
-        if found is None and self._events and self.kind == "CoSimulation" and self.clocks is None:
-            self._events = False
+        # an FMU that states event mode but refuses it is instantiated without
+        may_refuse = self._has_events and self.kind == "CoSimulation" and not self._fmu.clocks
+        found: int | None = None
+        for uses_events in (True, False) if may_refuse else (self._has_events,):
+            self._events = uses_events
             self.log.open()
-            found = self._instantiated(name)
+            # other FMUs may log a lot; ours say only so why a step was discarded
+            arguments = name, self._guid, self._resources, False, self._fmu.is_ours
+            log = None, self.log.receive
+            more = {
+                "CoSimulation": (self._events, self._events and self._returns_early, None, 0, *log, None),
+                "ModelExchange": log,
+                "ScheduledExecution": (*log, fmi.CLOCK_UPDATE, None, None),
+            }
+            found = self.calls[f"fmi3Instantiate{self.kind}"](*arguments, *more[self.kind])
+            if found is not None:
+                break
         return found
-
-    def _instantiated(self, name: bytes) -> int | None:
-        """Return a new instance with or without event mode; None if the FMU refuses."""
-        # other FMUs may log a lot; ours say only so why a step was discarded
-        arguments = name, self._guid, self._resources, False, self._fmu.is_ours
-        found: int | None
-        more = {
-            "CoSimulation": (self._events, self._events and self._returns_early, None, 0, None, self._receive, None),
-            "ModelExchange": (None, self._receive),
-            "ScheduledExecution": (None, self._receive, self._notice, None, None),
-        }
-        found = self.calls[f"fmi3Instantiate{self.kind}"](*arguments, *more[self.kind])
-        return found
-
-    def _set_up(self, *experiment: float) -> None:
-        # for fmi3EnterInitializationMode
-        self._experiment = experiment
-
-    def configure(self, change: StatusCall) -> int:
-        if not self._configurable:
-            return fmi.OK
-        if (status := self.call("EnterConfigurationMode")) > fmi.WARNING:
-            return status
-        status = change()
-        return max(status, self.call("ExitConfigurationMode")) if status <= fmi.WARNING else status
-
-    def _enter_initialization(self) -> None:
-        # structural parameters are fixed from here on
-        self._configurable = False
-        self.check("initialisation", lambda: self.call("EnterInitializationMode", *self._experiment))
 
     def _step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s], from event to event.

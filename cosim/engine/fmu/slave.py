@@ -98,8 +98,7 @@ class FmuSlave:
         # the instance, transfers of its variables, and calls that set start values
         self._instance: Instance = (Fmi3Instance if self._fmu.is_fmi3 else Fmi2Instance)(self._fmu)
         self._transfers = Transfers(self._instance)
-        if clocks := self._fmu.clocks:
-            self._instance.clocks = Clocks(self._instance, clocks, self._transfers, self.variables, self._handles)
+        self._instance.clocks = Clocks(self._instance, self._fmu.clocks, self._transfers, self.variables, self._handles)
         counters = {n: each for n, each in known.others.items() if n.startswith(COUNTERS) and each.kind == "Integer"}
         self._counters, self._counts = [name.removeprefix(COUNTERS) for name in counters], np.zeros(len(counters))
         self._count = self._transfers.get([*counters.values()], self._counts)

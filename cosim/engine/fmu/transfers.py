@@ -94,9 +94,8 @@ class Transfers:
 
     def _clocked(self, handles: Sequence[Handle], *, in_tick: bool) -> tuple[Clocks | None, list[int], list[int]]:
         """Return the instance's clocks, the columns of clocked variables and their places there; None without such variables."""
-        clocks = None if in_tick else self._instance.clocks
-        columns, places = clocks.find(handles) if clocks is not None else ([], [])
-        return clocks if columns else None, columns, places
+        columns, places = ([], []) if in_tick else self._instance.clocks.find(handles)
+        return self._instance.clocks if columns else None, columns, places
 
     def set(self, handles: Sequence[Handle], values: RealArray, *, in_tick: bool = False) -> StatusCall:
         """Return a call that sets the variables from ``values`` (n,); at events discrete ones only if they change; ``in_tick``: clocked

@@ -16,6 +16,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.calls import FMI2, MAXIMUM_COMPLAINTS, MAXIMUM_MESSAGES, WARNING, FmuLog
+from flexfmu.cosim.engine.fmu.clocks import Clocks
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.transfers import Transfers
 from flexfmu.cosim.engine.fmu.variables import Handle
@@ -150,7 +151,7 @@ def test_integers_are_rounded() -> None:
         version=FMI2,
         name="fmu",
         exchange=None,
-        clocks=None,
+        clocks=Clocks(None),
     )
     transfers = Transfers(instance)
     handles = [Handle("Integer", 7, "Integer"), Handle("Integer", 9, "Integer")]
