@@ -504,7 +504,7 @@ def margins(
 
 
 def sweep(
-    scene: SceneSource,
+    scene: SceneSource | SymbolicModel,
     cases: Mapping[str, Any] | Sequence[Mapping[str, Any]] | str | Path,
     *,
     metrics: Collection[str] | None = None,
@@ -517,17 +517,23 @@ def sweep(
     restart: bool = False,
     dask: str | None = None,
     progress: Progress | None = None,
+    stop_time: float | None = None,
+    step: float | None = None,
+    tolerance: float = 1e-6,
     **parts: Unpack[Parts],
 ) -> SweepResult:
     """Simulate many variants of a scene and measure each.
 
         result = flexfmu.sweep("barnard2012-6kg", {"payload.mass": "0:8:9", "trajectory.duration": [0.3, 0.43]})
         result.to_pandas(), result.plot(), result.failed
+        result = flexfmu.sweep(vdp, {"mu": "0.5:5:100"}, record=["x0"], stop_time=20.0, step=0.1)
+        result.recording(7)["x0"].values
 
-    Calls `flexfmu.cosim.studies.sweep.sweep.sweep_scene`.
+    Calls `flexfmu.cosim.studies.sweep.sweep.sweep_scene`, and for a model `flexfmu.cosim.studies.sweep.model_sweep.sweep_model`.
 
     Args:
-        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        scene: a scene, the path of a scene file, or the name of a shipped scene; or a model from equations, whose outputs are recorded
+            and whose parameters are varied, ``start.NAME`` among them.
         cases: key of the scene → list of values, or a text as ``--vary`` takes it, ``0:8:50``; all combinations are simulated.
             With ``sample`` a pair (from, to) is an interval. Or a list of changes, one dict for each case; or the path of a CSV
             file with keys in its first line.
@@ -542,6 +548,7 @@ def sweep(
         restart: whether results of another sweep in the folder are discarded.
         dask: address of a Dask scheduler whose workers simulate, ``tcp://host:8786``.
         progress: function that is called with the finished fraction, 0 to 1.
+        stop_time, step, tolerance: end [s], communication step [s] and relative tolerance for a model; a scene has its own.
         parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
@@ -550,7 +557,8 @@ def sweep(
 
     Raises:
         SceneError: the scene doesn't exist, a key is unknown, or a value is invalid in every case.
-        InputError: the cases, a metric, the sample or the number of processes is invalid, or the folder has another sweep.
+        InputError: the cases, a metric, the sample or the number of processes is invalid, the folder has another sweep, or a model gets
+            what only scenes have.
         ResultsError: the folder can't be written or read.
         TypeError: ``scene`` is of another type.
     """
@@ -558,6 +566,30 @@ def sweep(
     from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import ready_to_sweep, sweep_scene
 
+    def show(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done / total)
+
+    if isinstance(scene, SymbolicModel):
+        from flexfmu.cosim.studies.sweep.model_sweep import sweep_model
+
+        scenes: dict[str, Any] = {
+            "metrics": metrics,
+            "record_step": record_step,
+            "processes": processes,
+            "out": out,
+            "dask": dask,
+            **parts,
+        }
+        if given := [name for name, value in scenes.items() if value is not None]:
+            raise InputError(f"{given[0]} is for scenes; a model's outputs are recorded at each step")
+        if stop_time is None or step is None:
+            raise InputError("a model needs its end and communication step [s]: stop_time=20.0, step=0.1")
+        kept = None if record is None else listed(record, "record")
+        varied = as_cases(cases, sample, seed)
+        return sweep_model(scene, varied, stop_time=stop_time, step=step, record=kept, tolerance=tolerance, show=show)
+    if stop_time is not None or step is not None:
+        raise InputError("stop_time and step are for models from equations; a scene has its own, under [cosimulation]")
     folder = None if out is None else Path(out)
     robot = with_parts(as_scene(scene), parts)
     varied = as_cases(cases, sample, seed, robot)
@@ -570,7 +602,7 @@ def sweep(
         folder=folder,
         restart=restart,
         dask=dask,
-        show=lambda done, total: None if progress is None else progress(done / total),
+        show=show,
     )
     if folder is not None:
         write_files(result, folder, plot=False)

@@ -19,7 +19,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import flexfmu
-from flexfmu.cosim.engine.fmu.lockstep import Lockstep, SampledInputs
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.codegen import generate_functions
 from flexfmu.fmu_build.errors import ModelError
@@ -356,17 +355,25 @@ def test_code_grows_with_entries_not_with_their_square() -> None:
 def test_lanes_are_runs_one_by_one(case: str) -> None:
     """Variants of a start value side by side in the processor's lanes move as the equations say."""
     make, rates, start, end, names = CASES[case]
-    path, scales = build_fmu(make()).path, np.linspace(0.5, 1.5, 9)
-    time = np.linspace(0.0, end, POINTS + 1)
-    course = SampledInputs(time, np.zeros(time.size, bool), (), np.zeros(0), np.zeros((POINTS, 1, 0)), (), POINTS)
-    lanes = Lockstep(path, {}, course, [f"start.{names[0]}"], names, order=0, tolerance=1e-9)
-    found, failed = lanes.record(scales[:, None] * start[0])
-    assert not failed.any()
-    for scale, values in zip(scales, found[:, :, 0], strict=True):
+    scales, time = np.linspace(0.5, 1.5, 9), np.linspace(0.0, end, POINTS + 1)
+    starts = {f"start.{names[0]}": scales * start[0]}
+    result = flexfmu.sweep(make(), starts, record=names, stop_time=end, step=end / POINTS, tolerance=1e-9)
+    assert not result.failed
+    for k, scale in enumerate(scales):
         exact = solve_ivp(
             rates, (0, end), [scale * start[0], *start[1:]], method="DOP853", rtol=1e-12, atol=1e-14, t_eval=time
         ).y
-        assert abs(values - exact).max() < 1e-6 * abs(exact).max()
+        found = np.array([result.recording(k)[name].values for name in names])
+        assert abs(found - exact).max() < 1e-6 * abs(exact).max()
+
+
+def test_variants_with_events_go_one_by_one() -> None:
+    """Those that fail have a message and don't disturb the others; what isn't given has its start value."""
+    result = flexfmu.sweep(ball(), [{"e": 0.8}, {"e": 0.1}, {}], record=["height"], stop_time=2.0, step=0.1)
+    for k in (0, 2):
+        assert result.recording(k)["height"].values[-1] == pytest.approx(ball_height(2.0), abs=1e-6)
+    assert [row["case"] for row in result.failed] == [1]
+    assert "follows itself in ever shorter time" in result.failed[0]["message"]
 
 
 def test_linearised_about_a_point() -> None:
@@ -454,6 +461,12 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("has no variables z", lambda: flexfmu.dae("m", **GOOD, z={}, constraints=[])),
     ("the name 'x' more than once", lambda: flexfmu.ode("m", **GOOD, outputs={"x": 1.0})),
     ("x of the point must be a finite number", lambda: flexfmu.linearize(flexfmu.ode("m", **GOOD), {"x": "a"})),
+    ("has no parameter 'k'", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"k": [1.0]}, stop_time=1.0, step=0.1)),
+    ("has no output 'k'", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, record=["k"], stop_time=1.0, step=0.1)),
+    ("values of start.x must be numbers", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": ["a"]}, stop_time=1.0, step=0.1)),
+    ("needs its end and communication step", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, step=0.1)),
+    ("metrics is for scenes", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, metrics=["a"], stop_time=1.0, step=0.1)),
+    ("are for models from equations", lambda: flexfmu.sweep("barnard2012-6kg", {"payload.mass": [1.0]}, step=1.0)),
     ("is for models from equations", lambda: flexfmu.build("barnard2012-6kg", step=1.0)),
 ]  # fmt: skip
 
