@@ -35,9 +35,10 @@ static void hear(fmi3InstanceEnvironment environment, fmi3Status status, fmi3Str
   heard += status != fmi3OK && *message;
 }
 
-static fmi3Instance made(flex_kind kind, fmi3Boolean events) {
+// with events: 0 = no event mode, 1 = with it, 2 = steps end at events
+static fmi3Instance made(flex_kind kind, unsigned events) {
   fmi3Instance found = kind == EXCHANGE ? fmi3InstantiateModelExchange("one", GUID, NULL, 0, 1, NULL, hear)
-                                        : fmi3InstantiateCoSimulation("one", GUID, NULL, 0, 1, events, 0, NULL, 0, NULL, hear, NULL);
+                                        : fmi3InstantiateCoSimulation("one", GUID, NULL, 0, 1, events > 0, events > 1, NULL, 0, NULL, hear, NULL);
   return found ? found : (printf("no instance\n"), exit(1), NULL);
 }
 
@@ -126,7 +127,7 @@ int main(int argc, char **argv) {
   for (int number = 0; number < sequences; number++) {
     seed = (unsigned long long)number + 1;
     flex_kind kind = N_STATES && draw(2) ? EXCHANGE : STEPPING;
-    fmi3Instance one = made(kind, N_STATES && draw(2));
+    fmi3Instance one = made(kind, N_STATES ? draw(3) : 0);
     fmi3FMUState state = NULL;
     for (int i = 0; i < 150; i++) {
       unsigned id = draw(sizeof calls / sizeof *calls);

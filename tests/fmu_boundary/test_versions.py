@@ -48,15 +48,15 @@ BUILD: dict[str, Callable[[FmiVersion], Path]] = {
 EXCHANGED = ("robot", "torque-driven robot", "equations")
 
 
-def by_fmpy(path: Path, kind: str) -> Any:
-    """All outputs, the first inputs being ramps from their start values."""
+def by_fmpy(path: Path, kind: str, load: float = 0.0, **more: bool) -> Any:
+    """All outputs, the first inputs being ramps, or ``load`` if it isn't 0."""
     description = fmpy.read_model_description(str(path))
     outputs = [each.name for each in description.modelVariables if each.causality == "output"]
     ramps = [each.name for each in description.modelVariables if each.name in ("joint1.torque", "reference")]
     time = np.linspace(0.0, STOP, 21)
-    rows = [(instant, *(80.0 * instant for _ in ramps)) for instant in time]
+    rows = [(instant, *(load or 80.0 * instant for _ in ramps)) for instant in time]
     table = np.array(rows, dtype=[("time", float), *((name, float) for name in ramps)])
-    settings = {"step_size": STEP, "output_interval": STEP, "output": sorted(outputs)}
+    settings = {"step_size": STEP, "output_interval": STEP, "output": sorted(outputs), **more}
     return fmpy.simulate_fmu(str(path), fmi_type=kind, stop_time=STOP, input=table if ramps else None, **settings)
 
 
@@ -76,6 +76,21 @@ def test_both_versions_give_the_same_bits(name: str) -> None:
     for one, other in zip(columns[0].values(), columns[1].values(), strict=True):
         np.testing.assert_array_equal(one.values, other.values)
         np.testing.assert_array_equal(one.first, other.first)
+
+
+@pytest.mark.parametrize("name", ["torque-driven robot", "equations"])
+def test_steps_end_at_events(name: str) -> None:
+    """Where the importer allows it, with both sides of each event; between them all is as in steps that handle them, to the last bit."""
+    path = BUILD[name]("3")
+    inside = by_fmpy(path, "CoSimulation", load=3.0)
+    assert inside.tobytes() == by_fmpy(path, "CoSimulation", load=3.0, use_event_mode=True).tobytes()
+    early = by_fmpy(path, "CoSimulation", load=3.0, use_event_mode=True, early_return_allowed=True)
+    assert early[np.isin(early["time"], inside["time"])].tobytes() == inside.tobytes()
+    after = np.flatnonzero(np.diff(early["time"]) == 0.0) + 1
+    assert after.size
+    if name == "equations":
+        assert early["time"][after].tolist() == pytest.approx([(2e-3 / 9.81) ** 0.5], rel=1e-8)
+        assert early["der(height)"][after].tolist() == pytest.approx(-0.8 * early["der(height)"][after - 1], rel=1e-12)
 
 
 @pytest.mark.parametrize("name", BUILD)

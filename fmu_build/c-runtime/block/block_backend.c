@@ -67,7 +67,8 @@ int flex_backend_begin(flex_backend *backend) {
   return flex_block_begin(block_of(backend));
 }
 
-int flex_backend_advance(flex_backend *backend, double t0, double t1) {
+int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event) {
+  (void)event;
   return flex_block_advance(block_of(backend), t0, t1);
 }
 

@@ -49,8 +49,9 @@ double flex_backend_set_tolerance(flex_backend *backend, double tolerance);
 /* ends initialisation */
 int flex_backend_begin(flex_backend *backend);
 
-/* from t0 to t1; where it is refused, the backend is left at the time that it has reached */
-int flex_backend_advance(flex_backend *backend, double t0, double t1);
+/* from t0 to t1; where it is refused, the backend is left at the time that it has reached. It handles its events, or ends at the
+ * first of them if there is a place to say so */
+int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event);
 
 /* variables by value reference, with checks; where one is refused, nothing has changed. What importers ask for by dozens in
  * every step comes in arrays: those before the refused one are done */

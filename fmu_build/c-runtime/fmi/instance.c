@@ -182,7 +182,8 @@ fmi2Status fmi2Reset(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2Reset);
   if (!instance) return fmi2Error;
   flex_backend_reset(instance->backend);
-  const flex_session fresh = {.kind = instance->session.kind, .has_events = instance->session.has_events};
+  const flex_session *old = &instance->session;
+  const flex_session fresh = {.kind = old->kind, .has_events = old->has_events, .returns_early = old->returns_early};
   instance->session = fresh;
   instance->reason[0] = '\0';
   flex_enter_phase(instance, INSTANTIATED);

@@ -22,7 +22,7 @@ typedef struct {
   int kind;       /* what the instance was made for */
   int last_step;  /* FMI 2.0: status of the last step */
   int has_events; /* FMI 3.0, co-simulation: 1 = the importer uses event mode */
-  int unused;
+  int returns_early; /* and ends steps at events */
 } flex_session;
 
 typedef struct {

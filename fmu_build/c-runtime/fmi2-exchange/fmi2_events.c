@@ -13,7 +13,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
   flex_instance *instance = flex_checked(c, call_fmi2NewDiscreteStates);
   if (!instance || flex_lacks(instance, call_fmi2NewDiscreteStates, "a place for what happened", eventInfo, 1))
     return fmi2Error;
-  if (flex_backend_handle_event(instance->backend, &info.valuesOfContinuousStatesChanged)) return flex_log_refusal(instance);
+  if (flex_backend_handle_event(instance->backend, 1, &info.valuesOfContinuousStatesChanged)) return flex_log_refusal(instance);
   *eventInfo = info;
   return fmi2OK;
 }

@@ -10,7 +10,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
   if (!instance || flex_step_is_impossible(instance, currentCommunicationPoint, communicationStepSize)) return fmi2Error;
 
   double end = currentCommunicationPoint + communicationStepSize;
-  int is_refused = flex_backend_advance(instance->backend, currentCommunicationPoint, end);
+  int is_refused = flex_backend_advance(instance->backend, currentCommunicationPoint, end, NULL);
   flex_enter_phase(instance, is_refused ? STEP_FAILED : STEP_COMPLETE);
   instance->session.last_step = is_refused ? fmi2Discard : fmi2OK;
   instance->reason[0] = '\0';

@@ -23,7 +23,7 @@ static flex_instance *create(void) {
 }
 
 static fmi3Instance instantiate(fmi3String name, flex_kind kind, fmi3String token, int logging, int has_events,
-                                flex_callbacks callbacks) {
+                                int returns_early, flex_callbacks callbacks) {
   const char *why_not = flex_obstacle(name, kind, token);
   if (!why_not && has_events && !flex_backend_has_model_exchange()) why_not = "this FMU has no event mode (hasEventMode = false)";
   flex_instance *instance = why_not ? NULL : create();
@@ -34,6 +34,7 @@ static fmi3Instance instantiate(fmi3String name, flex_kind kind, fmi3String toke
   }
   instance->session.kind = kind;
   instance->session.has_events = has_events;
+  instance->session.returns_early = has_events && returns_early;
   instance->callbacks = callbacks;
   for (int i = 0; i < N_LOG_CATEGORIES; i++) instance->logged[i] = logging;
   flex_enter_phase(instance, INSTANTIATED);
@@ -45,7 +46,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage) {
   (void)resourcePath, (void)visible;
   const flex_callbacks callbacks = {instanceEnvironment, logMessage};
-  return instantiate(instanceName, EXCHANGE, instantiationToken, loggingOn, 0, callbacks);
+  return instantiate(instanceName, EXCHANGE, instantiationToken, loggingOn, 0, 0, callbacks);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
@@ -55,10 +56,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          size_t nRequiredIntermediateVariables,
                                          fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
-  (void)resourcePath, (void)visible, (void)earlyReturnAllowed;
+  (void)resourcePath, (void)visible;
   (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
   const flex_callbacks callbacks = {instanceEnvironment, logMessage};
-  return instantiate(instanceName, STEPPING, instantiationToken, loggingOn, eventModeUsed, callbacks);
+  return instantiate(instanceName, STEPPING, instantiationToken, loggingOn, eventModeUsed, earlyReturnAllowed, callbacks);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3String instantiationToken,

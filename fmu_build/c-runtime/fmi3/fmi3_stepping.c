@@ -3,7 +3,7 @@
 
 #include "instance.h"
 
-/* Events within a step are handled within it. A step that fails is discarded: as the standard demands, everything is as it was
+/* Events within a step are handled within it, unless the importer lets steps return early. A step that fails is discarded: as the standard demands, everything is as it was
  * before. */
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
@@ -22,12 +22,15 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
   memcpy(ours->before, backend->state, backend->state_size);
   double end = currentCommunicationPoint + communicationStepSize;
   fmi3Status status = fmi3OK;
-  if (flex_backend_advance(backend, currentCommunicationPoint, end)) {
+  int event = 0;
+  if (flex_backend_advance(backend, currentCommunicationPoint, end, ours->session.returns_early ? &event : NULL)) {
     status = flex_log(ours, fmi3Discard, LOG_DISCARD, "%s", backend->message);
     memcpy(backend->state, ours->before, backend->state_size);
     flex_backend_restored(backend);
   }
-  *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+  *terminateSimulation = fmi3False;
+  *eventHandlingNeeded = event != 0 && status == fmi3OK;
+  *earlyReturn = *eventHandlingNeeded && *backend->time < end;
   *lastSuccessfulTime = *backend->time;
   return status;
 }
@@ -45,9 +48,8 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
     lacks = flex_lacks(ours, call_fmi3UpdateDiscreteStates, "a place for what happened", flags[i], 1);
   if (lacks) return fmi3Error;
 
-  // in co-simulation the steps handle the events themselves
-  int states_changed = 0;
-  if (ours->session.kind == EXCHANGE && flex_backend_handle_event(ours->backend, &states_changed)) return flex_log_refusal(ours);
+  int states_changed = 0, is_exchange = ours->session.kind == EXCHANGE;
+  if (flex_backend_handle_event(ours->backend, is_exchange, &states_changed)) return flex_log_refusal(ours);
   for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) *flags[i] = fmi3False;
   *valuesOfContinuousStatesChanged = states_changed != 0;
   return fmi3OK;

@@ -74,8 +74,12 @@ int flex_backend_begin(flex_backend *backend) {
   return explained(backend, "initialisation", flex_plant_begin(plant_of(backend)));
 }
 
-int flex_backend_advance(flex_backend *backend, double t0, double t1) {
-  return explained(backend, "integration", flex_plant_advance(plant_of(backend), t0, t1));
+int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event) {
+  flex_plant *plant = plant_of(backend);
+  plant->integrator.stops_at_events = event != NULL;
+  int is_refused = explained(backend, "integration", flex_plant_advance(plant, t0, t1));
+  if (event) *event = plant->record->integrator.at_event;
+  return is_refused;
 }
 
 // what importers read by dozens in every step: outputs that are there are a table, the rest is computed or refused one by one
@@ -179,9 +183,11 @@ int flex_backend_get_indicators(flex_backend *backend, double *indicators) {
   return explained(backend, "computing event indicators", flex_plant_indicators(plant_of(backend), indicators));
 }
 
-int flex_backend_handle_event(flex_backend *backend, int *states_changed) {
+int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed) {
+  flex_plant *plant = plant_of(backend);
   *states_changed = 0;
-  return explained(backend, "event", flex_plant_settle(plant_of(backend), states_changed));
+  if (!is_exchange && !plant->record->integrator.at_event) return 0;
+  return explained(backend, "event", flex_plant_settle(plant, is_exchange, states_changed));
 }
 
 int flex_backend_has_event(flex_backend *backend) {

@@ -270,8 +270,10 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
     narrow(&event, next, at_end, &side);
   }
 
-  // modes behind the event; where they cannot be found, everything is as before the step
+  // modes behind the event, unless the importer asks for them; where they cannot be found, everything is as before the step
   if (at_end >= 0.0) return FLEX_DONE;
+  integrator->record->at_event = integrator->stops_at_events;
+  if (integrator->stops_at_events) return FLEX_DONE;
   outcome = flex_friction_settle(integrator, integrator->end_u, &stopped);
   if (outcome == FLEX_DONE) return outcome;
   memcpy(equations->modes, equations->earlier_modes, (size_t)flex_switches(equations->model) * sizeof *equations->modes);

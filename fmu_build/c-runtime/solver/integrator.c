@@ -181,7 +181,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
     // the last one ends at t1 exactly; an event or another step size makes a new plan
     result->time = taken < h ? start + i * h + taken : i + 1.0 == count ? t1 : start + (i + 1.0) * h;
     if (fixed > 0.0) record->step = fixed;
-    if (taken < h || (fixed == 0.0 && (record->step < h || record->step > REPLANNED_GROWTH * h))) break;
+    if (taken < h || record->at_event || (fixed == 0.0 && (record->step < h || record->step > REPLANNED_GROWTH * h))) break;
   }
   return FLEX_DONE;
 }
@@ -208,7 +208,7 @@ static flex_failure advance(flex_integrator *integrator, double t0, double t1, l
     record->step = first_step(integrator, span);
 
   // sequences of equal steps up to t1
-  while (result.time < t1) {
+  while (result.time < t1 && !record->at_event) {
     result.outcome = make_steps(integrator, t1, last, &attempts, &result);
     if (result.outcome == FLEX_DONE) continue;
     if (result.outcome == FLEX_TOO_MANY_STEPS || result.outcome == FLEX_TOO_MUCH_WORK) return result;

@@ -17,6 +17,7 @@ typedef struct {
   int is_ahead;    /* 1 = the last step has gone beyond the present time */
   double far;      /* its end [s] */
   double begin[2], length[2]; /* of the last two steps [s], for interpolation */
+  int at_event; /* 1 = the last step has ended at an event that isn't handled yet */
   int patience, drops; /* communication steps that end a step before the next one looks ahead; drops in a row */
 } flex_integrator_record;
 
@@ -32,6 +33,7 @@ struct flex_integrator {
   const real *floor;      /* least scale */
   const double *fixed_step; /* [s]; 0 = the error decides */
   double work_left;         /* evaluations that may still be made; not given back with a saved state */
+  int stops_at_events;      /* 1 = integration ends at the first event, which the importer handles */
   int wants_longer_steps;   /* 1 = a step is shorter than what is left of the communication step */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
@@ -64,7 +66,7 @@ void flex_integrator_start(flex_integrator *integrator);
 /* makes the factor of the mass matrix valid at the present y for the inputs u */
 flex_outcome flex_integrator_factor(flex_integrator *integrator, const real *u);
 
-/* integrates from t0 to t1; a must be the acceleration at t0. Returns the outcome with the time
+/* integrates from t0 to t1, or to the first event; a must be the acceleration at t0. Returns the outcome with the time
  * that was reached; y, v, a belong to that time. */
 flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1);
 

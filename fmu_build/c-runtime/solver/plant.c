@@ -306,11 +306,12 @@ static flex_outcome accelerate(flex_plant *plant, int modes_are_held, int *stopp
   return outcome;
 }
 
-flex_failure flex_plant_settle(flex_plant *plant, int *stopped) {
+flex_failure flex_plant_settle(flex_plant *plant, int holds, int *stopped) {
   flex_failure failure = flex_plant_need_start(plant);
   if (failure.outcome != FLEX_DONE || flex_switches(plant->model) == 0) return failure;
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
-  plant->record->modes_are_held = 1;
+  plant->record->modes_are_held = holds;
+  plant->record->integrator.at_event = 0;
   return outcome_now(plant, accelerate(plant, 0, stopped), 0.0);
 }
 
@@ -375,7 +376,9 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
   record->time = t0;
   flex_plant_set_clock(plant);
 
-  flex_failure failure = flex_plant_need_acceleration(plant);
+  // an event that the importer hasn't handled
+  int stopped = 0;
+  flex_failure failure = record->integrator.at_event ? flex_plant_settle(plant, 0, &stopped) : flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
 
   // where the integrator fails, what it has reached is kept

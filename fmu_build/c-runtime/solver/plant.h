@@ -94,9 +94,9 @@ void flex_plant_set_clock(flex_plant *plant);
 /* the importer has moved coordinates and rates */
 void flex_plant_moved(flex_plant *plant);
 
-/* an event of an importer that integrates itself: chooses the modes of friction anew, and holds them from now on; *stopped = 1
- * if a coordinate that friction catches was stopped. The indicators of such events, one for each friction */
-flex_failure flex_plant_settle(flex_plant *plant, int *stopped);
+/* an event that the importer handles: chooses the modes of friction anew, and holds them from now on if it integrates itself;
+ * *stopped = 1 if a coordinate that friction catches was stopped. The indicators of such events, one for each friction */
+flex_failure flex_plant_settle(flex_plant *plant, int holds, int *stopped);
 flex_failure flex_plant_indicators(flex_plant *plant, double *indicators);
 
 /* whether one has happened at the present point */
@@ -105,7 +105,7 @@ int flex_plant_has_event(flex_plant *plant);
 /* ends initialisation at the given time */
 flex_failure flex_plant_begin(flex_plant *plant);
 
-/* integrates from t0 to t1; the plant is left at the time that was reached */
+/* integrates from t0 to t1, or to the first event if the integrator stops there; the plant is left at the time that was reached */
 flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1);
 
 /* the present inputs with zero rates, valid until the next call */

@@ -104,7 +104,8 @@ int flex_backend_begin(flex_backend *backend) {
   return 0;
 }
 
-int flex_backend_advance(flex_backend *backend, double t0, double t1) {
+int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event) {
+  (void)event;
   go_to(whole(backend), t1, flex_time_slack(t1, t1 - t0));
   return 0;
 }
