@@ -88,6 +88,7 @@ ALONE = {
     "cosim.design.shapers.figure": "drawing",
     "cosim.engine.master.compiled_loop": "the loop in C",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
+    "cosim.exchange.wrap": "an integrator around FMUs for model exchange",
     "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",
     "cosim.reports.plots": "drawing",

@@ -1,5 +1,5 @@
-"""`flexfmu build`, `fmus`, `export`, `validate` and `cache`: the FMU of the robot of a scene, every slave of a scene as an FMU, a scene as one SSP
-file, checks of any FMU, and where built FMUs are kept."""
+"""`flexfmu build`, `fmus`, `export`, `validate`, `wrap` and `cache`: the FMU of the robot of a scene, every slave of a scene as an FMU, a scene as
+one SSP file, checks of any FMU, FMUs for model exchange with an integrator, and where built FMUs are kept."""
 
 from __future__ import annotations
 
@@ -283,6 +283,21 @@ def validate(
         raise FmuFileError(str(broken)) from broken
     fatal = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
     return console.FAILURE if any(finding.severity in fatal for finding in findings) else 0
+
+
+def wrap(fmu: Annotated[Path, typer.Argument(readable=False)], output: Path | None = None, json: bool = False) -> int:
+    """Make an FMU for co-simulation from one of FMI 2.0 for model exchange, with its library and an integrator in it, for this machine.
+
+    Args:
+        fmu (FILE.fmu): The FMU for model exchange.
+        output (--output, -o FILE.fmu): Default: the name of the FMU with _cs, here.
+    """
+    from flexfmu.cosim.exchange.wrap import wrap_fmu
+
+    target = output or Path(f"{fmu.stem}_cs.fmu")
+    wrap_fmu(fmu, target)
+    console.print_result(json, {"fmu": str(target)}, f"{target}: co-simulates {fmu.name}")
+    return 0
 
 
 def cache(clear: bool = False, json: bool = False) -> int:

@@ -17,7 +17,7 @@ import typer
 
 from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.design import effects, margins, modes, plan, shaper, tune
-from flexfmu.cosim.cli.export import build, cache, export, fmus, validate
+from flexfmu.cosim.cli.export import build, cache, export, fmus, validate, wrap
 from flexfmu.cosim.cli.options import help_and_signature
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.scenes import new, scenes, schema
@@ -112,6 +112,7 @@ for _command in (
     shaper,
     workprec,
     validate,
+    wrap,
     schema,
     cache,
 ):

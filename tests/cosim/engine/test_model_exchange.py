@@ -9,15 +9,19 @@ from math import exp, inf, sqrt
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import flexfmu
-from flexfmu.cosim.engine.errors import SlaveError
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.errors import InputError, SlaveError
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.simulator import Outcome, Simulation, simulate
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.exchange.wrap import wrap_fmu
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.scene.file import load_scene
 
@@ -168,6 +172,31 @@ def test_inputs_follow_their_derivatives_and_jump_at_events(make_exchange: Calla
     jumps = [sum(exp(0.25 * k - t) for k in range(1, 5) if 0.25 * k <= t + 1e-9) for t in time]
     np.testing.assert_allclose(result.recording["guest.x"].values, expected + jumps, rtol=1e-8)
     assert result.recording["guest.shown"].values[-1] == 1.0
+
+
+def test_a_wrapped_fmu_is_co_simulated(make_exchange: Callable[..., Path], tmp_path: Path) -> None:
+    """An FMU for model exchange with the integrator in it has, in another tool, the states of our master: time events, step events
+    and a discrete input that arrives at an event included."""
+    path, target = make_exchange(), tmp_path / "wrapped.fmu"
+    outcome = CliRunner().invoke(app, ["wrap", str(path), "-o", str(target)])
+    assert outcome.exit_code == 0, outcome.stderr
+    given = {"rate": 2.0, "patience": 0.013}
+    mine = run(path, 1.0, 0.1, 1e-8, **given).recording
+    found = fmpy.simulate_fmu(
+        str(target),
+        stop_time=1.0,
+        output_interval=0.1,
+        relative_tolerance=1e-8,
+        start_values=given,
+        input=np.array([(0.0, 0), (0.4, 0), (0.4, 4)], dtype=[("time", float), ("d", int)]),
+        output=["x", "ticks", "steps", "shown"],
+    )
+    for name in ("x", "ticks", "steps"):
+        values = mine[f"guest.{name}"].values[np.searchsorted(mine.time, found["time"] - 1e-9)]
+        np.testing.assert_allclose(found[name], values, rtol=1e-9)
+    np.testing.assert_array_equal(found["shown"], 4.0 * (found["time"] > 0.4 + 1e-9))
+    with pytest.raises(InputError, match=r"for co-simulation; only one of FMI 2\.0 for model exchange alone"):
+        wrap_fmu(target, tmp_path / "again.fmu")
 
 
 def test_rollback_is_exact(plant: Path) -> None:
