@@ -35,10 +35,27 @@ static void hear(fmi3InstanceEnvironment environment, fmi3Status status, fmi3Str
   heard += status != fmi3OK && *message;
 }
 
-// with events: 0 = no event mode, 1 = with it, 2 = steps end at events
+static fmi3Instance updated;
+
+// an importer that sets and reads within steps, and ends some of them
+static void update(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3Boolean asks, fmi3Boolean reads, fmi3Boolean finished,
+                   fmi3Boolean may_end, fmi3Boolean *ends, fmi3Float64 *when) {
+  (void)environment, (void)time, (void)finished, (void)when;
+  fmi3ValueReference first = asks ? 0 : N_SETTABLE;
+  fmi3Float64 value = number();
+  if (asks && draw(16)) fmi3SetFloat64(updated, &first, 1, &value, 1);
+  if (reads) fmi3GetFloat64(updated, &first, 1, &value, 1);
+  *ends = may_end && !draw(4);
+}
+
+// with events: 0 = no event mode, 1 = with it, 2 = steps end at events, 3 = and have intermediate updates
 static fmi3Instance made(flex_kind kind, unsigned events) {
+  static const fmi3ValueReference used[] = {0, N_SETTABLE};
+  size_t count = events > 2 ? 2 : 0;
   fmi3Instance found = kind == EXCHANGE ? fmi3InstantiateModelExchange("one", GUID, NULL, 0, 1, NULL, hear)
-                                        : fmi3InstantiateCoSimulation("one", GUID, NULL, 0, 1, events > 0, events > 1, NULL, 0, NULL, hear, NULL);
+                                        : fmi3InstantiateCoSimulation("one", GUID, NULL, 0, 1, events > 0, events > 1, used, count,
+                                                                      NULL, hear, count ? update : NULL);
+  updated = found;
   return found ? found : (printf("no instance\n"), exit(1), NULL);
 }
 
@@ -127,7 +144,7 @@ int main(int argc, char **argv) {
   for (int number = 0; number < sequences; number++) {
     seed = (unsigned long long)number + 1;
     flex_kind kind = N_STATES && draw(2) ? EXCHANGE : STEPPING;
-    fmi3Instance one = made(kind, N_STATES ? draw(3) : 0);
+    fmi3Instance one = made(kind, N_STATES ? draw(4) : 0);
     fmi3FMUState state = NULL;
     for (int i = 0; i < 150; i++) {
       unsigned id = draw(sizeof calls / sizeof *calls);

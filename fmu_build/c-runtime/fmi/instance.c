@@ -30,6 +30,8 @@ static const char *phase_name(int phase) {
     case TERMINATED: return "terminated";
     case EVENT_MODE: return "event mode";
     case CONTINUOUS_TIME_MODE: return "continuous-time mode";
+    case INPUT_UPDATE: return "intermediate update of inputs";
+    case OUTPUT_UPDATE: return "intermediate update";
   }
   return "unknown";
 }

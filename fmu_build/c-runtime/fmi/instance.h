@@ -22,7 +22,7 @@ typedef struct {
   int kind;       /* what the instance was made for */
   int last_step;  /* FMI 2.0: status of the last step */
   int has_events; /* FMI 3.0, co-simulation: 1 = the importer uses event mode */
-  int returns_early; /* and ends steps at events */
+  int returns_early; /* steps may end early */
 } flex_session;
 
 typedef struct {
@@ -31,7 +31,8 @@ typedef struct {
   flex_callbacks callbacks;
   const char *name;               /* FMI 2.0 */
   int logged[N_LOG_CATEGORIES];   /* 1 = the category is shown */
-  double *scratch;                /* FMI 3.0: as many numbers as there are outputs and event indicators */
+  double *scratch;                /* FMI 3.0: as many numbers as there are outputs, event indicators, and inputs within a step */
+  double *asked;                  /* FMI 3.0: within it, the inputs of an intermediate update */
   void *before;                   /* FMI 3.0: numeric state at the beginning of a step, for one that is discarded */
   void *freed_states;             /* memory of freed FMU states, for the next ones */
   char reason[FLEX_MESSAGE_SIZE]; /* FMI 2.0: why the last step was discarded, if it was and no state was restored since */

@@ -11,7 +11,10 @@ typedef enum {
   EVENT_MODE = 1 << 3,
   CONTINUOUS_TIME_MODE = 1 << 4,
   TERMINATED = 1 << 5,
-  STEP_FAILED = 1 << 6
+  STEP_FAILED = 1 << 6,
+  /* FMI 3.0: within a step, while the importer sets inputs, or reads */
+  INPUT_UPDATE = 1 << 7,
+  OUTPUT_UPDATE = 1 << 8
 } flex_phase;
 
 /* which instances have a function: those for co-simulation, those for model exchange, or both */

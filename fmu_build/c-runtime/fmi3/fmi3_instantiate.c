@@ -16,7 +16,8 @@ static flex_instance *create(void) {
   flex_instance *instance = (flex_instance *)(void *)block;
   instance->backend = flex_backend_create(block + measure.used);
   instance->before = malloc(instance->backend->state_size);
-  instance->scratch = calloc(instance->backend->n_outputs + flex_backend_indicators() + 1, sizeof(double));
+  size_t asked = FLEX_ASKED * (size_t)instance->backend->n_inputs;
+  instance->scratch = calloc(instance->backend->n_outputs + flex_backend_indicators() + asked + 1, sizeof(double));
   if (instance->before && instance->scratch) return instance;
   fmi3FreeInstance(instance);
   return NULL;
@@ -34,7 +35,7 @@ static fmi3Instance instantiate(fmi3String name, flex_kind kind, fmi3String toke
   }
   instance->session.kind = kind;
   instance->session.has_events = has_events;
-  instance->session.returns_early = has_events && returns_early;
+  instance->session.returns_early = returns_early;
   instance->callbacks = callbacks;
   for (int i = 0; i < N_LOG_CATEGORIES; i++) instance->logged[i] = logging;
   flex_enter_phase(instance, INSTANTIATED);
@@ -45,7 +46,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3Boolean visible, fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage) {
   (void)resourcePath, (void)visible;
-  const flex_callbacks callbacks = {instanceEnvironment, logMessage};
+  const flex_callbacks callbacks = {instanceEnvironment, logMessage, NULL, 0, 0};
   return instantiate(instanceName, EXCHANGE, instantiationToken, loggingOn, 0, 0, callbacks);
 }
 
@@ -57,9 +58,15 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
   (void)resourcePath, (void)visible;
-  (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
-  const flex_callbacks callbacks = {instanceEnvironment, logMessage};
-  return instantiate(instanceName, STEPPING, instantiationToken, loggingOn, eventModeUsed, earlyReturnAllowed, callbacks);
+  flex_callbacks callbacks = {instanceEnvironment, logMessage, NULL, 0, 0};
+  flex_instance *ours = instantiate(instanceName, STEPPING, instantiationToken, loggingOn, eventModeUsed, earlyReturnAllowed, callbacks);
+  if (!ours || !requiredIntermediateVariables || !flex_backend_has_model_exchange()) return ours;
+  ours->callbacks.update = nRequiredIntermediateVariables ? intermediateUpdate : NULL;
+  for (size_t i = 0; i < nRequiredIntermediateVariables; i++) {
+    int is_input = requiredIntermediateVariables[i] < ours->backend->n_inputs;
+    *(is_input ? &ours->callbacks.sets_inputs : &ours->callbacks.reads) = 1;
+  }
+  return ours;
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3String instantiationToken,

@@ -1,10 +1,56 @@
 /* Communication steps and events. */
+#include <math.h>
 #include <string.h>
 
 #include "instance.h"
 
-/* Events within a step are handled within it, unless the importer lets steps return early. A step that fails is discarded: as the standard demands, everything is as it was
- * before. */
+/* parts of a step, each with an intermediate update at its end, for importers that read in between */
+#define PARTS 4
+
+// one intermediate update; 1 if the importer wants the step to end there
+static int update(flex_instance *ours, double time, flex_phase phase, int may_end) {
+  const int asks = phase == INPUT_UPDATE, before = ours->session.phase;
+  fmi3Boolean ends = fmi3False;
+  double when = time;
+  flex_enter_phase(ours, phase);
+  ours->callbacks.update(ours->callbacks.environment, time, asks, !asks, !asks, may_end, &ends, &when);
+  flex_enter_phase(ours, (flex_phase)before);
+  return ends && may_end;
+}
+
+/* Asks for the inputs within a step and makes each the polynomial through these values and the present one, by forward differences:
+ * w d/dt = log(1 + D), w being the distance of the instants. Inputs that aren't set at all of them stay as they are. The instants lie
+ * inside of the step, whose end may be a jump's. */
+static int ask_inputs(flex_instance *ours, double t, double step) {
+  static const double weights[FLEX_ASKED][FLEX_ASKED] = {
+      {1.0, -1.0 / 2.0, 1.0 / 3.0, -1.0 / 4.0}, {0.0, 1.0, -1.0, 11.0 / 12.0}, {0.0, 0.0, 1.0, -3.0 / 2.0}, {0.0, 0.0, 0.0, 1.0}};
+  flex_backend *backend = ours->backend;
+  const unsigned n = backend->n_inputs;
+  const double width = step / (FLEX_ASKED + 1);
+  for (unsigned i = 0; i < FLEX_ASKED * n; i++) ours->scratch[i] = NAN;
+  for (unsigned k = 0; k < FLEX_ASKED; k++) {
+    ours->asked = ours->scratch + k * n;
+    update(ours, t + (k + 1) * width, INPUT_UPDATE, 0);
+  }
+  for (unsigned i = 0; i < n; i++) {
+    double row[FLEX_ASKED + 1], scale = 1.0;
+    if (flex_backend_get_reals(backend, &i, 1, row)) return 1;
+    for (unsigned k = 0; k < FLEX_ASKED; k++) row[k + 1] = ours->scratch[k * n + i];
+    for (int k = 1; k <= FLEX_ASKED; k++)
+      for (int m = FLEX_ASKED; m >= k; m--) row[m] -= row[m - 1];
+    for (int order = 1; order <= FLEX_ASKED && !isnan(row[FLEX_ASKED]); order++) {
+      double value = 0.0;
+      scale /= width;
+      for (int k = order; k <= FLEX_ASKED; k++) value += weights[order - 1][k - 1] * row[k] * scale;
+      if (value == 0.0 && flex_backend_input_derivative(backend, i, order) == 0.0) continue;
+      if (flex_backend_set_input_derivatives(backend, &i, 1, &order, &value)) return 1;
+    }
+  }
+  return 0;
+}
+
+/* Events within a step are handled within it, unless the importer lets steps return early. A step that fails is discarded: as the
+ * standard demands, everything is as it was before. */
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
                       fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
@@ -19,18 +65,28 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     return fmi3Error;
 
   flex_backend *backend = ours->backend;
+  const flex_session *session = &ours->session;
+  const flex_callbacks *importer = &ours->callbacks;
+  const int parts = importer->update && importer->reads ? PARTS : 1;
+  double from = currentCommunicationPoint, end = from + communicationStepSize;
+  int event = 0, is_refused = 0, ends = 0;
   memcpy(ours->before, backend->state, backend->state_size);
-  double end = currentCommunicationPoint + communicationStepSize;
+  for (int part = 1; part <= parts && !event && !is_refused && !ends; part++) {
+    double to = part == parts ? end : currentCommunicationPoint + part * (communicationStepSize / parts);
+    is_refused = importer->update && importer->sets_inputs && ask_inputs(ours, from, to - from);
+    if (!is_refused) is_refused = flex_backend_advance(backend, from, to, session->has_events && session->returns_early ? &event : NULL);
+    from = *backend->time;
+    if (importer->update && !is_refused) ends = update(ours, from, OUTPUT_UPDATE, session->returns_early && from < end);
+  }
   fmi3Status status = fmi3OK;
-  int event = 0;
-  if (flex_backend_advance(backend, currentCommunicationPoint, end, ours->session.returns_early ? &event : NULL)) {
+  if (is_refused) {
     status = flex_log(ours, fmi3Discard, LOG_DISCARD, "%s", backend->message);
     memcpy(backend->state, ours->before, backend->state_size);
     flex_backend_restored(backend);
   }
   *terminateSimulation = fmi3False;
-  *eventHandlingNeeded = event != 0 && status == fmi3OK;
-  *earlyReturn = *eventHandlingNeeded && *backend->time < end;
+  *eventHandlingNeeded = event && !is_refused;
+  *earlyReturn = (event || ends) && !is_refused && *backend->time < end;
   *lastSuccessfulTime = *backend->time;
   return status;
 }

@@ -89,13 +89,14 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
   const fmi3ValueReference *vr = valueReferences;
   flex_instance *ours = flex_checked(instance, call_fmi3SetFloat64);
   if (!ours || lacks_values(ours, call_fmi3SetFloat64, vr, nValueReferences, values, nValues)) return fmi3Error;
-  const int inputs_only = ours->session.phase == CONTINUOUS_TIME_MODE;
+  const int asks = ours->session.phase == INPUT_UPDATE, inputs_only = asks || ours->session.phase == CONTINUOUS_TIME_MODE;
   for (size_t i = 0; i < nValueReferences; i++)
-    if (inputs_only && FLEX_SORT_OF(vr[i]) != FLEX_INPUT_DERIVATIVES && vr[i] >= ours->backend->n_inputs)
-      return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is no input, it cannot be set in continuous-time mode",
-                      vr[i]);
+    if (inputs_only && (asks || FLEX_SORT_OF(vr[i]) != FLEX_INPUT_DERIVATIVES) && vr[i] >= ours->backend->n_inputs)
+      return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is no input, it cannot be set in this mode", vr[i]);
   for (size_t i = 0; i < nValueReferences; values += size_of(vr[i]), i++) {
-    if (FLEX_SORT_OF(vr[i]) != FLEX_REAL) {
+    if (asks) {
+      ours->asked[vr[i]] = *values;
+    } else if (FLEX_SORT_OF(vr[i]) != FLEX_REAL) {
       if (set_derivatives(ours, vr[i], values) != fmi3OK) return fmi3Error;
     } else if (flex_backend_set_real(ours->backend, vr[i], *values)) {
       return flex_log_refusal(ours);

@@ -10,6 +10,8 @@
 typedef struct {
   fmi3InstanceEnvironment environment;
   fmi3LogMessageCallback logger;
+  fmi3IntermediateUpdateCallback update; /* NULL: not wanted */
+  int sets_inputs, reads;                /* what the importer does in it */
 } flex_callbacks;
 
 /* The upper bits of a value reference tell what it is, the lower ones which: reals and integers by the backend's own numbers, of an
@@ -18,6 +20,9 @@ enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVE
 
 #define FLEX_SORT_OF(reference) ((reference) >> 28)
 #define FLEX_INDEX_OF(reference) ((reference) & 0x0fffffffu)
+
+/* instants within a step at which the importer is asked for inputs */
+enum { FLEX_ASKED = 4 };
 
 /* what would begin a value reference in a sentence for the logger; whether a sentence is logged whatever the categories */
 #define FLEX_ESCAPED '#'
