@@ -145,12 +145,16 @@ def description_xml(
     variables, more = interface.variables, {}
     structure: Mapping[str, Mapping[int, Any]] = interface.structure()
     if fmi == "3":
-        unique = unique_interface(interface, description.n_event_indicators, description.max_input_order)
+        unique = unique_interface(
+            interface, description.n_event_indicators, description.max_input_order, has_clock="Sampling" in annotations
+        )
         variables, parts = unique.variables, interface.structure(unique.references)
         names = {"Outputs": "Output", "Derivatives": "ContinuousStateDerivative", "InitialUnknowns": "InitialUnknown"}
         structure = {names[part]: unknowns for part, unknowns in parts.items()} | {
             "EventIndicator": dict.fromkeys(unique.indicators)
         }
+        if "Sampling" in annotations:
+            structure = {**structure, "InitialUnknown": {}}  # what a clock samples isn't there before
         # events of friction change rates
         states = {unique.references[each.derivative] for each in variables if each.derivative}
         more = {"references": unique.references, "reinitialised": states if description.n_event_indicators else ()}

@@ -51,7 +51,7 @@ class FmiVariable:
 
     name: str
     value_reference: int
-    kind: Literal["Real", "Integer"]
+    kind: Literal["Real", "Integer", "Clock"]
     description: str
     causality: str
     variability: str
@@ -112,8 +112,8 @@ class Interface:
         }
 
 
-FIRST_INTEGER, TIME, FIRST_INDICATOR, FIRST_DERIVATIVES = (sort << 28 for sort in range(1, 5))
-"""First value references of FMI 3.0, where they are unique: of Integers, the time, event indicators and the derivatives of inputs;
+FIRST_INTEGER, TIME, FIRST_INDICATOR, FIRST_DERIVATIVES, CLOCK = (sort << 28 for sort in range(1, 6))
+"""First value references of FMI 3.0, where they are unique: of Integers, the time, event indicators, the derivatives of inputs, and the clock;
 Reals begin at 0. See ``c-runtime/fmi3/fmi3_version.h``."""
 
 
@@ -125,8 +125,8 @@ class UniqueInterface:
     reject the description, which expects aliases of outputs among the initial unknowns.
 
     Attributes:
-        variables: in the order of FMI 2.0, then those that only FMI 3.0 has: the time, event indicators, and for each input an array
-            with its time derivatives of orders 1, 2, ..
+        variables: in the order of FMI 2.0, then those that only FMI 3.0 has: the time, event indicators, for each input an array
+            with its time derivatives of orders 1, 2, .., and the clock of a block.
         references: name → value reference, also of the aliases.
         indicators: value references of the event indicators.
     """
@@ -136,13 +136,16 @@ class UniqueInterface:
     indicators: tuple[int, ...]
 
 
-def unique_interface(interface: Interface, n_indicators: int, max_input_order: int) -> UniqueInterface:
+def unique_interface(
+    interface: Interface, n_indicators: int, max_input_order: int, *, has_clock: bool
+) -> UniqueInterface:
     """The variables of ``interface`` with those that only FMI 3.0 has.
 
     Args:
         interface: the variables of FMI 2.0.
         n_indicators: number of event indicators.
         max_input_order: highest order of input derivatives.
+        has_clock: whether inputs and outputs are those of a clock's ticks.
 
     Raises:
         ModelError: a variable has the name of one of the further ones.
@@ -166,7 +169,9 @@ def unique_interface(interface: Interface, n_indicators: int, max_input_order: i
         for each in interface.variables
         if each.causality == "input" and max_input_order
     ]
-    further = replace(interface, variables=(*interface.variables, time, *indicators, *derivatives))
+    clock = FmiVariable("clock", CLOCK, "Clock", "Ticks at the sample instants", "input", "discrete")
+    more = (time, *indicators, *derivatives, *[clock] * has_clock)
+    further = replace(interface, variables=(*interface.variables, *more))
     numbered = [
         replace(each, value_reference=each.value_reference + FIRST_INTEGER) if each.kind == "Integer" else each
         for each in further.variables

@@ -245,7 +245,7 @@ LEGAL = {
     "01000000 both": "ExitInitializationMode",
     "00101000 both": "EnterEventMode",
     "00111000 both": "Terminate",
-    "00010000 both": "UpdateDiscreteStates",
+    "00010000 both": "UpdateDiscreteStates SetClock",
     "00010000 exchange": "EnterContinuousTimeMode",
     "00001000 exchange": "CompletedIntegratorStep SetContinuousStates",
     "00011000 exchange": "SetTime",

@@ -146,6 +146,13 @@ static double next_instant(const flex_block *block) {
   return record->start_time + block->model->offset + (double)record->next * block->model->sample_time;
 }
 
+int flex_block_tick(flex_block *block) {
+  if (!block->record->is_due)
+    return flex_refuse(block->message, "the clock ticks at %.9g s next, not at %.9g s", next_instant(block), block->record->time);
+  block->record->is_open = 1;
+  return 0;
+}
+
 int flex_block_begin(flex_block *block) {
   flex_block_record *record = block->record;
   if (take_sample(block)) return 1;

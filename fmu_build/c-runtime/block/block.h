@@ -61,6 +61,9 @@ void flex_block_input_set(flex_block *block);
 /* ends initialisation */
 int flex_block_begin(flex_block *block);
 
+/* the importer says that the present time is a sample's instant, whose inputs are there or set next */
+int flex_block_tick(flex_block *block);
+
 /* from t0 to t1, inputs as their polynomials say; after a failure the block stands at the sample that failed */
 int flex_block_advance(flex_block *block, double t0, double t1);
 

@@ -31,6 +31,10 @@ size_t flex_backend_size(void) {
   return arena.used + flex_block_size(&flex_the_block);
 }
 
+static int tick(flex_backend *backend) {
+  return flex_block_tick(block_of(backend));
+}
+
 flex_backend *flex_backend_create(void *memory) {
   flex_arena arena = {memory, 0};
   block_backend *whole = flex_take(&arena, sizeof *whole);
@@ -40,6 +44,7 @@ flex_backend *flex_backend_create(void *memory) {
   whole->base.state_size = block->state_size;
   whole->base.time = &block->record->time;
   whole->base.message = block->message;
+  whole->base.tick = tick;
   whole->base.n_inputs = (unsigned)flex_the_block.n_inputs;
   whole->base.n_settable = (unsigned)(flex_the_block.n_inputs + flex_the_block.n_parameters);
   whole->base.n_outputs = (unsigned)flex_the_block.n_outputs;

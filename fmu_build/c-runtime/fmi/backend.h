@@ -8,7 +8,7 @@
 #include <stddef.h>
 
 /* what every kind begins with; only the kind itself writes here */
-typedef struct {
+typedef struct flex_backend {
   void *state; /* numeric state without pointers, so that saving and restoring it is a copy */
   size_t state_size;
   const double *time;  /* present time [s], within the state */
@@ -16,6 +16,7 @@ typedef struct {
   unsigned n_inputs;   /* real variables below this value reference are inputs */
   unsigned n_settable; /* real variables below this value reference are inputs and parameters */
   unsigned n_outputs;  /* so many after them are outputs */
+  int (*tick)(struct flex_backend *backend); /* FMI 3.0: its clock ticks; NULL without one. 0, or 1 with a sentence in `message` */
 } flex_backend;
 
 /* what changes of known variables make of unknown ones */

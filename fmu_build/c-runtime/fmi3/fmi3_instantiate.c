@@ -26,7 +26,6 @@ static flex_instance *create(void) {
 static fmi3Instance instantiate(fmi3String name, flex_kind kind, fmi3String token, int logging, int has_events,
                                 int returns_early, flex_callbacks callbacks) {
   const char *why_not = flex_obstacle(name, kind, token);
-  if (!why_not && has_events && !flex_backend_has_model_exchange()) why_not = "this FMU has no event mode (hasEventMode = false)";
   flex_instance *instance = why_not ? NULL : create();
   if (!why_not && !instance) why_not = "out of memory";
   if (why_not) {

@@ -32,6 +32,7 @@
   X(fmi3DeserializeFMUState, BOTH, ANY_PHASE)                                   \
   X(fmi3GetDirectionalDerivative, BOTH, READABLE_PHASE | OUTPUT_UPDATE)         \
   X(fmi3GetAdjointDerivative, BOTH, READABLE_PHASE | OUTPUT_UPDATE)             \
+  X(fmi3SetClock, BOTH, EVENT_MODE)                                             \
   X(fmi3UpdateDiscreteStates, BOTH, EVENT_MODE)                                 \
   X(fmi3EnterContinuousTimeMode, EXCHANGE, EVENT_MODE)                          \
   X(fmi3CompletedIntegratorStep, EXCHANGE, CONTINUOUS_TIME_MODE)                \

@@ -91,6 +91,22 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
   return status;
 }
 
+// a tick of the one clock; what is sampled is completed when time goes on
+fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        const fmi3Clock values[]) {
+  const flex_call_id call = call_fmi3SetClock;
+  flex_instance *ours = flex_checked(instance, call);
+  if (!ours || flex_lacks(ours, call, "value references", valueReferences, nValueReferences) ||
+      flex_lacks(ours, call, "values", values, nValueReferences))
+    return fmi3Error;
+  for (size_t i = 0; i < nValueReferences; i++) {
+    if (!ours->backend->tick || valueReferences[i] != FLEX_CLOCK << 28)
+      return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is no clock", valueReferences[i]);
+    if (values[i] && ours->backend->tick(ours->backend)) return flex_log_refusal(ours);
+  }
+  return fmi3OK;
+}
+
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
                                     fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
                                     fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,

@@ -1,4 +1,4 @@
-/* Functions for what this FMU doesn't have: variables of other types, clocks, structural parameters. */
+/* Functions for what this FMU doesn't have: variables of other types, clocks but periodic ones, structural parameters. */
 #include "instance.h"
 
 #if defined(__GNUC__)
@@ -32,16 +32,15 @@ MISSING_TYPE(Boolean)
 MISSING_TYPE(String)
 MISSING(fmi3GetBinary, "variables of type Binary", size_t valueSizes[], fmi3Binary values[], size_t nValues)
 MISSING(fmi3SetBinary, "variables of type Binary", const size_t valueSizes[], const fmi3Binary values[], size_t nValues)
-MISSING(fmi3GetClock, "clocks", fmi3Clock values[])
-MISSING(fmi3SetClock, "clocks", const fmi3Clock values[])
-MISSING(fmi3GetIntervalDecimal, "clocks", fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
-MISSING(fmi3GetIntervalFraction, "clocks", fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
-MISSING(fmi3GetShiftDecimal, "clocks", fmi3Float64 shifts[])
-MISSING(fmi3GetShiftFraction, "clocks", fmi3UInt64 counters[], fmi3UInt64 resolutions[])
-MISSING(fmi3SetIntervalDecimal, "clocks", const fmi3Float64 intervals[])
-MISSING(fmi3SetIntervalFraction, "clocks", const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
-MISSING(fmi3SetShiftDecimal, "clocks", const fmi3Float64 shifts[])
-MISSING(fmi3SetShiftFraction, "clocks", const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+MISSING(fmi3GetClock, "output clocks", fmi3Clock values[])
+MISSING(fmi3GetIntervalDecimal, "clocks whose interval changes", fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
+MISSING(fmi3GetIntervalFraction, "clocks whose interval changes", fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
+MISSING(fmi3GetShiftDecimal, "clocks whose interval changes", fmi3Float64 shifts[])
+MISSING(fmi3GetShiftFraction, "clocks whose interval changes", fmi3UInt64 counters[], fmi3UInt64 resolutions[])
+MISSING(fmi3SetIntervalDecimal, "clocks whose interval changes", const fmi3Float64 intervals[])
+MISSING(fmi3SetIntervalFraction, "clocks whose interval changes", const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+MISSING(fmi3SetShiftDecimal, "clocks whose interval changes", const fmi3Float64 shifts[])
+MISSING(fmi3SetShiftFraction, "clocks whose interval changes", const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 
 #define MISSING_MODE(function, what) \
   fmi3Status function(fmi3Instance instance) { return missing(instance, 1, #function, what); }

@@ -16,7 +16,7 @@ typedef struct {
 
 /* The upper bits of a value reference tell what it is, the lower ones which: reals and integers by the backend's own numbers, of an
  * input an array with its derivatives of orders 1, 2, .. */
-enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVES };
+enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVES, FLEX_CLOCK };
 
 #define FLEX_SORT_OF(reference) ((reference) >> 28)
 #define FLEX_INDEX_OF(reference) ((reference) & 0x0fffffffu)
