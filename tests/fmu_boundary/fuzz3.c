@@ -115,6 +115,10 @@ static fmi3Status call(fmi3Instance one, flex_call_id id, fmi3FMUState *state) {
     case call_fmi3GetNominalsOfContinuousStates: return fmi3GetNominalsOfContinuousStates(one, results, flex_backend_states());
     case call_fmi3GetNumberOfEventIndicators: return fmi3GetNumberOfEventIndicators(one, draw(32) ? &length : NULL);
     case call_fmi3GetNumberOfContinuousStates: return fmi3GetNumberOfContinuousStates(one, &length);
+    case call_fmi3SetClock: {
+      const fmi3ValueReference clock = FLEX_CLOCK << 28 | !draw(8);
+      return fmi3SetClock(one, &clock, 1, flags);
+    }
     case call_fmi3EnterStepMode: return fmi3EnterStepMode(one);
     case call_fmi3GetOutputDerivatives: return fmi3GetOutputDerivatives(one, where, count, orders, results, size);
     case call_fmi3DoStep: {
@@ -144,7 +148,7 @@ int main(int argc, char **argv) {
   for (int number = 0; number < sequences; number++) {
     seed = (unsigned long long)number + 1;
     flex_kind kind = N_STATES && draw(2) ? EXCHANGE : STEPPING;
-    fmi3Instance one = made(kind, N_STATES ? draw(4) : 0);
+    fmi3Instance one = made(kind, draw(N_STATES ? 4 : 2));
     fmi3FMUState state = NULL;
     for (int i = 0; i < 150; i++) {
       unsigned id = draw(sizeof calls / sizeof *calls);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Iterator
+from ctypes import c_bool, c_uint
 from pathlib import Path
 from typing import Any
 
@@ -232,6 +233,40 @@ def test_intermediate_updates_are_as_good_as_derivatives(tmp_path: Path) -> None
     assert calls == 50 * [*4 * [(True, False, False, False)], (False, True, True, False)]
     assert error("fx") < 1e-9
     assert len(calls) == 905
+
+
+def test_blocks_sample_at_ticks(tmp_path: Path) -> None:
+    """A block's outputs in a tick are those of the inputs that are set in it, however often. A tick
+    between its instants is refused."""
+    path = BUILD["block"]("3")
+    description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path), str(tmp_path))
+    reference = {each.name: each.valueReference for each in description.modelVariables}
+    clock, identifier = reference["clock"], description.coSimulation.modelIdentifier
+    slave = FMU3Slave(guid=description.guid, modelIdentifier=identifier, unzipDirectory=folder, instanceName="block")
+    slave.instantiate(eventModeUsed=True, logMessage=lambda *_: None)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+
+    def output(value: float) -> float:
+        slave.fmi3SetClock(slave.component, (c_uint * 1)(clock), 1, (c_bool * 1)(True))
+        slave.setFloat64([reference["in1"]], [value])
+        return float(slave.getFloat64([reference["out1"]])[0])
+
+    gain = output(1.0)
+    for k in range(3):
+        assert output(k) == pytest.approx(k * gain)
+        slave.updateDiscreteStates()
+        slave.enterStepMode()
+        slave.doStep(k * STEP, STEP)
+        assert slave.getInt32([reference["statistics.samples"]]) == [k + 1]
+        slave.enterEventMode()
+    slave.updateDiscreteStates()
+    slave.enterStepMode()
+    slave.doStep(3 * STEP, 0.5 * STEP)
+    slave.enterEventMode()
+    with pytest.raises(fmpy.fmi1.FMICallException, match="error"):
+        output(1.0)
+    slave.freeInstance()
 
 
 LEGAL = {
