@@ -69,7 +69,7 @@ static fmi3Status call(fmi3Instance one, flex_call_id id, fmi3FMUState *state) {
   fmi3Float64 values[16 * MOST], results[16 * MOST];
   fmi3Int32 orders[MOST], small[MOST];
   fmi3Int64 large[MOST];
-  fmi3Boolean flags[5];
+  fmi3Boolean flags[5] = {draw(2)};
   size_t count = draw(4), size = count, length = 0;
   static fmi3Byte bytes[1 << 20];
   for (size_t i = 0; i < MOST; i++) vr[i] = reference(), orders[i] = (int)draw(4), small[i] = (int)draw(9) - 1, large[i] = small[i];
