@@ -112,8 +112,8 @@ class Interface:
         }
 
 
-FIRST_INTEGER, TIME, FIRST_INDICATOR, FIRST_DERIVATIVES, CLOCK = (sort << 28 for sort in range(1, 6))
-"""First value references of FMI 3.0, where they are unique: of Integers, the time, event indicators, the derivatives of inputs, and the clock;
+FIRST_INTEGER, TIME, FIRST_INDICATOR, FIRST_DERIVATIVES, CLOCK, STATES = (sort << 28 for sort in range(1, 7))
+"""First value references of FMI 3.0, where they are unique: of Integers, the time, event indicators, the derivatives of inputs, the clock, and all states;
 Reals begin at 0. See ``c-runtime/fmi3/fmi3_version.h``."""
 
 
@@ -126,7 +126,7 @@ class UniqueInterface:
 
     Attributes:
         variables: in the order of FMI 2.0, then those that only FMI 3.0 has: the time, event indicators, for each input an array
-            with its time derivatives of orders 1, 2, .., and the clock of a block.
+            with its time derivatives of orders 1, 2, .., the clock of a block, and arrays of all states and of their derivatives.
         references: name → value reference, also of the aliases.
         indicators: value references of the event indicators.
     """
@@ -170,7 +170,24 @@ def unique_interface(
         if each.causality == "input" and max_input_order
     ]
     clock = FmiVariable("clock", CLOCK, "Clock", "Ticks at the sample instants", "input", "discrete")
-    more = (time, *indicators, *derivatives, *[clock] * has_clock)
+    count = len(interface.derivatives)
+    states = [
+        FmiVariable(
+            name,
+            STATES + k,
+            "Real",
+            f"{what}, in the order of the model structure",
+            "local",
+            "continuous",
+            "calculated",
+            size=count,
+        )
+        for k, (name, what) in enumerate(
+            {"states": "All continuous states", "der(states)": "Their time derivatives"}.items()
+        )
+        if count
+    ]
+    more = (time, *indicators, *derivatives, *[clock] * has_clock, *states)
     further = replace(interface, variables=(*interface.variables, *more))
     numbered = [
         replace(each, value_reference=each.value_reference + FIRST_INTEGER) if each.kind == "Integer" else each

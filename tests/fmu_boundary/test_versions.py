@@ -222,7 +222,9 @@ def test_intermediate_updates_are_as_good_as_derivatives(tmp_path: Path) -> None
             assert is_early == (len(calls) > 900)
             if is_early:
                 break
-        value = slave.getFloat64([reference["x"]])[0]
+        value, rate, acceleration = slave.getFloat64([reference[each] for each in ("x", "der(x)", "der(x,2)")])
+        arrays = slave.getFloat64([reference["states"], reference["der(states)"]], 4)
+        assert arrays == [value, rate, rate, acceleration]
         slave.freeInstance()
         return abs(value - exact(reached))
 

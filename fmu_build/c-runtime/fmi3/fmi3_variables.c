@@ -5,7 +5,8 @@
 #include "instance.h"
 
 static size_t size_of(fmi3ValueReference reference) {
-  return FLEX_SORT_OF(reference) == FLEX_INPUT_DERIVATIVES ? (size_t)flex_backend_max_input_order() : 1;
+  unsigned sort = FLEX_SORT_OF(reference);
+  return sort == FLEX_INPUT_DERIVATIVES ? (size_t)flex_backend_max_input_order() : sort == FLEX_STATES ? flex_backend_states() : 1;
 }
 
 // 1 after logging it, if value references or values are missing, or their numbers don't fit
@@ -27,7 +28,7 @@ static size_t plain(const fmi3ValueReference *vr, size_t nvr) {
 static int has_output(const flex_instance *ours, const fmi3ValueReference *vr, size_t nvr) {
   unsigned first = ours->backend->n_settable, end = first + ours->backend->n_outputs;
   for (size_t i = 0; i < nvr; i++)
-    if (vr[i] >= first && vr[i] < end) return 1;
+    if ((vr[i] >= first && vr[i] < end) || FLEX_SORT_OF(vr[i]) == FLEX_STATES) return 1;
   return 0;
 }
 
@@ -35,7 +36,7 @@ static fmi3Status unknown(const flex_instance *ours, fmi3ValueReference referenc
   return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is unknown, or its variable is of another type", reference);
 }
 
-// the time, an event indicator or the derivatives of an input
+// the time, an event indicator, the derivatives of an input or all states
 static fmi3Status get_other(flex_instance *ours, fmi3ValueReference reference, fmi3Float64 *values) {
   flex_backend *backend = ours->backend;
   unsigned sort = FLEX_SORT_OF(reference), index = FLEX_INDEX_OF(reference);
@@ -47,6 +48,9 @@ static fmi3Status get_other(flex_instance *ours, fmi3ValueReference reference, f
   } else if (sort == FLEX_INPUT_DERIVATIVES && index < backend->n_inputs) {
     for (int order = flex_backend_max_input_order(); order > 0; order--)
       values[order - 1] = flex_backend_input_derivative(backend, index, order);
+  } else if (sort == FLEX_STATES && index < 2 && flex_backend_states() > 0) {
+    int refused = index ? flex_backend_get_state_rates(backend, values) : flex_backend_get_states(backend, values);
+    if (refused) return flex_log_refusal(ours);
   } else {
     return unknown(ours, reference);
   }

@@ -15,8 +15,8 @@ typedef struct {
 } flex_callbacks;
 
 /* The upper bits of a value reference tell what it is, the lower ones which: reals and integers by the backend's own numbers, of an
- * input an array with its derivatives of orders 1, 2, .. */
-enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVES, FLEX_CLOCK };
+ * input an array with its derivatives of orders 1, 2, .., arrays with all states and with their derivatives */
+enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVES, FLEX_CLOCK, FLEX_STATES };
 
 #define FLEX_SORT_OF(reference) ((reference) >> 28)
 #define FLEX_INDEX_OF(reference) ((reference) & 0x0fffffffu)
