@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from flexfmu.cosim.engine.fmu.calls import APERIODIC, INTERVAL_CHANGED, OK, PERIODIC, TRIGGERED, FmuMode
+from flexfmu.cosim.engine.fmu.calls import INTERVAL_CHANGED, OK, PERIODIC, TRIGGERED, FmuMode
 from flexfmu.cosim.engine.fmu.exchange import MOST_ROUNDS
 from flexfmu.cosim.engine.fmu.variables import Handle
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
@@ -144,34 +144,35 @@ class Clocks:
         return columns, [self.places[handles[k].reference, handles[k].place] for k in columns]
 
     def begin(self, time: float) -> None:
-        """Set clocked inputs and plan the first ticks, in initialisation mode."""
+        """Set clocked inputs, read clocked outputs and plan the first ticks, in initialisation mode."""
         self.now = time
-        for _, is_output, call in self._transfers:
-            if not is_output:
+        for _, is_output, call in sorted(self._transfers, key=lambda each: each[1]):
+            if is_output:
+                self._instance.accepts(call)
+            else:
                 self._instance.check("setting clocked inputs", call)
-        for each in self._clocks.values():
+        for reference, each in self._clocks.items():
+            place = self.places.get((reference, 0))
             if each.variability in PERIODIC and each.interval is not None:
-                self._plan[each.reference] = time + each.shift, 0, each.interval
+                self._plan[reference] = time + each.shift, 0, each.interval
                 if each.variability != "constant":
-                    self._instance.accepts(partial(self._call, "SetIntervalDecimal", each, c_double(each.interval)))
-            elif each.variability in (*PERIODIC, *APERIODIC):
+                    where = byref(c_uint(reference)), 1, byref(c_double(each.interval))
+                    self._instance.accepts(partial(self._instance.call, "SetIntervalDecimal", *where))
+            elif each.variability != TRIGGERED:
                 self._ask(each, first=True)
-
-    def _call(self, function: str, clock: FmiClock, *results: Any) -> int:
-        """Call a function for one clock."""
-        where = byref(c_uint(clock.reference)), 1, *map(byref, results)
-        return int(self._instance.call(function, *where))
+            elif not each.is_output and place is not None and self.values[place]:
+                self._plan[reference] = time, 0, 0.0
 
     def _ask(self, clock: FmiClock, *, first: bool = False) -> None:
         """Plan the next tick of a clock whose interval the FMU knows."""
         interval, qualifier, shift = c_double(), c_int(), c_double()
-        self._instance.check(
-            "the interval of a clock", lambda: self._call("GetIntervalDecimal", clock, interval, qualifier)
-        )
+        where = byref(c_uint(clock.reference)), 1
+        must = self._instance.must
+        must("the interval of a clock", "GetIntervalDecimal", *where, byref(interval), byref(qualifier))
         changes = qualifier.value == INTERVAL_CHANGED
         if clock.variability in PERIODIC and (changes or first):
             if first:
-                self._instance.check("the shift of a clock", lambda: self._call("GetShiftDecimal", clock, shift))
+                must("the shift of a clock", "GetShiftDecimal", *where, byref(shift))
             self._plan[clock.reference] = self.now + (shift if first else interval).value, 0, interval.value
         elif changes or (clock.variability == "changing" and qualifier.value):
             self._plan[clock.reference] = self.now + interval.value, 0, 0.0
@@ -194,7 +195,7 @@ class Clocks:
         return self._activate(ticking)
 
     def tick(self, time: float, near: float = 0.0) -> int:
-        """Let the clocks tick that are due at ``time`` [s], at the start also those set before; return the status."""
+        """Let the clocks tick that are due at ``time`` [s]; return the status."""
         self.now, due = time, []
         for reference, (first, count, interval) in [*self._plan.items()]:
             if first + count * interval <= time + near:
@@ -203,12 +204,6 @@ class Clocks:
                 if not interval:
                     del self._plan[reference]
         return self._activate(due)
-
-    def tick_at_start(self) -> int:
-        """Let those clocks tick that are due at the start, and those set before; return the status."""
-        triggered = [r for r, each in self._clocks.items() if each.variability == TRIGGERED and not each.is_output]
-        set_before = [r for r in triggered if (r, 0) in self.places and self.values[self.places[r, 0]] != 0.0]
-        return max(self.tick(self.now), self._activate(set_before))
 
     def _activate(self, references: list[int]) -> int:
         """Activate clocks in event mode; model partitions of scheduled execution wait for their inputs."""
@@ -222,7 +217,7 @@ class Clocks:
 
     def refresh(self) -> int:
         """Set the inputs of active clocks and read their outputs, in event mode; return the worst status."""
-        if self._instance.mode is FmuMode.STEP:
+        if self._instance.mode not in (FmuMode.EVENT, FmuMode.OPEN_EVENT):
             return OK
         statuses = [call() for of, is_output, call in self._transfers if not is_output and of & self.active]
         # model partitions, those included whose countdown ends at once

@@ -236,7 +236,7 @@ class ContinuousTime:
 
     def _call(self, function: str, *arguments: Any) -> None:
         """Call a function that must succeed."""
-        self._instance.check(function, lambda: self._instance.call(function, *arguments))
+        self._instance.must(function, function, *arguments)
 
     def _error(self, outcome: int) -> SlaveError:
         """Return the error of an integration that doesn't go on."""

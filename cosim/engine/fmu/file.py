@@ -142,9 +142,7 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the annotation is invalid.
         """
-        own = _annotation(
-            self.path, self.folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"]))
-        )
+        own = self.annotation("Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"])))
         if own is not None or len(self.clocks) != 1 or self.kind != "CoSimulation":
             return own
         clock = self.clocks[0]
@@ -153,6 +151,24 @@ class UnpackedFmu:
             return None
         return (clock.interval, clock.shift) if clock.interval else None
 
+    def annotation(self, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
+        """Return the parsed attributes of an annotation of our own FMUs; None if there is no such annotation.
+
+        Raises:
+            FmuFileError: the annotation is invalid.
+        """
+        root = attempt(self.path, lambda: parsed(self.folder))
+        places = "VendorAnnotations/Tool[@name='flexfmu']", "Annotations/Annotation[@type='flexfmu']"
+        found = next((each for place in places if (each := root.find(f"{place}//{element}")) is not None), None)
+        if found is None:
+            return None
+        try:
+            return parse(found.attrib)
+        except (KeyError, ValueError) as error:
+            raise FmuFileError(
+                f"{self.path} is a broken FMU: its {element} are {found.attrib}; build it again"
+            ) from error
+
     @property
     def breakpoints(self) -> tuple[float, ...] | None:
         """Breakpoints [s] of an exported trajectory, ascending; None for any other FMU.
@@ -160,7 +176,7 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the annotation is invalid.
         """
-        return _annotation(self.path, self.folder, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
+        return self.annotation("Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
 
     @property
     def is_ours(self) -> bool:
@@ -198,7 +214,7 @@ class UnpackedFmu:
         interpolates = bool(getattr(self.interface, "canInterpolateInputs", False))
         if not interpolates and not (self.is_fmi3 and self.is_ours):
             return 0
-        stated = _annotation(self.path, self.folder, "InputDerivatives", lambda at: int(at["maxOrder"]))
+        stated = self.annotation("InputDerivatives", lambda at: int(at["maxOrder"]))
         return INTERPOLATION_ORDER * interpolates if stated is None else stated
 
     @property
@@ -299,10 +315,11 @@ def _unpack(digest: str, path: Path) -> _Content:
                     "0 to 4294967295"
                 )
         # annotations of our own FMUs
-        if str(description.generationTool).startswith("flexfmu "):
+        fmu = UnpackedFmu(path, content, description)
+        if fmu.is_ours:
             # structured names instead of flat ones, as in scenes and connections
-            structured: Mapping[str, str] = _annotation(path, folder, NAMES, dict) or {}
-            numbered = _annotation(path, folder, ANNOTATION, _numbered) or {}
+            structured: Mapping[str, str] = fmu.annotation(NAMES, dict) or {}
+            numbered = fmu.annotation(ANNOTATION, _numbered) or {}
             for variable in description.modelVariables:
                 variable.name = structured.get(variable.name, variable.name)
                 # names of numbered choices, declared like the items of an enumeration
@@ -310,9 +327,9 @@ def _unpack(digest: str, path: Path) -> _Content:
                     items = [Item(name, str(value)) for name, value in numbered[variable.name].items()]
                     variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
         # FMI 3.0: one scalar variable per array element
-        if description.fmiVersion.startswith("3."):
+        if fmu.is_fmi3:
             # input derivatives of our own FMUs, which aren't signals
-            if str(description.generationTool).startswith("flexfmu "):
+            if fmu.is_ours:
                 description.modelVariables = [
                     each for each in description.modelVariables if each.valueReference < FIRST_DERIVATIVES
                 ]
@@ -376,29 +393,6 @@ def _check(fmu: UnpackedFmu) -> None:
 def parsed(folder: Path) -> ElementTree.ElementTree[Any]:
     """The model description of an unpacked FMU, as XML."""
     return ElementTree.parse(folder / "modelDescription.xml")
-
-
-def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
-    """Return the parsed content of an annotation of our own FMUs; None if there is no such annotation.
-
-    Args:
-        path: the FMU file.
-        folder: folder of the unpacked FMU.
-        element: name of the annotation.
-        parse: function that parses the attributes.
-
-    Raises:
-        FmuFileError: the annotation is invalid.
-    """
-    root = attempt(path, lambda: parsed(folder))
-    places = "VendorAnnotations/Tool[@name='flexfmu']", "Annotations/Annotation[@type='flexfmu']"
-    found = next((each for place in places if (each := root.find(f"{place}//{element}")) is not None), None)
-    if found is None:
-        return None
-    try:
-        return parse(found.attrib)
-    except (KeyError, ValueError) as error:
-        raise FmuFileError(f"{path} is a broken FMU: its {element} are {found.attrib}; build it again") from error
 
 
 def _number(text: str) -> float:

@@ -177,7 +177,7 @@ class Instance(ABC):
         self._start, self._tolerance = start_time, tolerance
         self._experiment = tolerance is not None, tolerance or 0.0, start_time, True, stop_time
         if self.version is FMI2:
-            self.check("fmi2SetupExperiment", lambda: self.call("SetupExperiment", *self._experiment))
+            self.must("fmi2SetupExperiment", "SetupExperiment", *self._experiment)
 
     def initialize(self, meanwhile: Call) -> None:
         """Initialise, with ``meanwhile`` called in initialisation mode, and handle the events at the start.
@@ -187,13 +187,13 @@ class Instance(ABC):
         """
         self.mode = FmuMode.INITIALIZATION
         experiment = self._experiment if self.version is FMI3 else ()
-        self.check("initialisation", lambda: self.call("EnterInitializationMode", *experiment))
+        self.must("initialisation", "EnterInitializationMode", *experiment)
         meanwhile()
         self.clocks.begin(self._start)
-        self.check("initialisation", lambda: self.call("ExitInitializationMode"))
+        self.must("initialisation", "ExitInitializationMode")
         # an FMU with event mode is in it now, and stays there for the clocks that tick
         self.mode = FmuMode.OPEN_EVENT
-        self.check("activating clocks", self.clocks.tick_at_start)
+        self.check("activating clocks", lambda: self.clocks.tick(self._start))
         if not self.clocks.active:
             self._leave_events(self._start)
 
@@ -229,7 +229,7 @@ class Instance(ABC):
     def open_event(self) -> None:
         """Enter event mode, unless the FMU is in it, until the next step begins."""
         if self.at_events:
-            self.check("an event", lambda: self.call("EnterEventMode"))
+            self.must("an event", "EnterEventMode")
         self.mode = FmuMode.OPEN_EVENT
 
     def event(self, time: float, end: float, near: float) -> bool:
@@ -246,7 +246,7 @@ class Instance(ABC):
         """Change discrete inputs at an event, or directly without event mode; return the status of the change."""
         if not self.at_events:
             return change()
-        self.check("an event", lambda: self.call("EnterEventMode"))
+        self.must("an event", "EnterEventMode")
         self.mode = FmuMode.EVENT
         status = change()
         if status <= fmi.WARNING:
@@ -268,7 +268,7 @@ class Instance(ABC):
         info, clocks, states_changed = self.event_info, self.clocks, False
         for _ in range(MOST_ROUNDS):
             self.check("reading clocked variables", clocks.refresh)
-            self.check("an event", lambda: self.call(self.version.update, *self._update_arguments))
+            self.must("an event", self.version.update, *self._update_arguments)
             if info.ends:
                 raise self.ended(time)
             states_changed = states_changed or bool(info.states_changed or info.nominals_changed)
@@ -281,7 +281,7 @@ class Instance(ABC):
         info.states_changed = states_changed
         self.next_event = min(info.time if info.timed else inf, clocks.next)
         mode = "EnterStepMode" if self.exchange is None else "EnterContinuousTimeMode"
-        self.check("an event", lambda: self.call(mode))
+        self.must("an event", mode)
 
     def ended(self, time: float | None) -> SlaveEnded:
         """Return the error of an FMU that requests the end of the simulation."""
@@ -323,6 +323,10 @@ class Instance(ABC):
         if (status := call()) > fmi.WARNING:
             raise self.error(what, status)
 
+    def must(self, what: str, function: str, *arguments: Any) -> None:
+        """Call a function, its name without prefix, that must succeed; see `check`."""
+        self.check(what, lambda: self.call(function, *arguments))
+
     def error(self, what: str, status: int, time: float | None = None) -> SlaveError:
         """Return the error with the FMU's message, or with the status if it gave none."""
         self._fatal = self._fatal or status == fmi.FATAL
@@ -333,7 +337,7 @@ class Instance(ABC):
         """Return the complete state, in the memory of a released state if there is one; valid as long as the instance."""
         state = self._spare.pop() if self._spare else c_void_p()
         try:
-            self.check("saving the state", lambda: self.call(f"Get{self.version.state}", byref(state)))
+            self.must("saving the state", f"Get{self.version.state}", byref(state))
         finally:
             # even after a failure, its memory must be freed at the end
             if state.value is not None and not any(each is state for each in self._states):
@@ -353,7 +357,7 @@ class Instance(ABC):
         saved = cast(c_void_p, state)
         self.next_event, self.mode, self._has_begun, memory, ticks = self._saved[saved.value]
         self.epoch += 1
-        self.check("restoring a state", lambda: self.call(f"Set{self.version.state}", saved))
+        self.must("restoring a state", f"Set{self.version.state}", saved)
         if self.exchange is not None:
             self.exchange.restore(memory)
         self.clocks.restore(ticks)

@@ -6,8 +6,8 @@ A trial instance shows which of its stated output derivatives an FMU of another 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -247,26 +247,28 @@ class FmuSlave:
         if not self._running:
             self._presets.update(zip(indices.tolist(), values.tolist(), strict=True))
         else:
-            self.bind_set(indices, np.ascontiguousarray(values))()
+            self._transferred(self.bind_set, indices, values)
 
     def get(self, indices: Indices, values: RealArray) -> None:
         """Read variables."""
-        self._check_running()
-        buffer = np.empty(values.shape)
-        self.bind_get(indices, buffer)()
-        values[:] = buffer
+        values[:] = self._transferred(self.bind_get, indices, values)
 
     def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Set derivatives of inputs."""
-        self._check_running()
-        self.bind_set_derivatives(indices, np.ascontiguousarray(derivatives))()
+        self._transferred(self.bind_set_derivatives, indices, derivatives)
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Read derivatives of outputs."""
+        derivatives[:] = self._transferred(self.bind_get_derivatives, indices, derivatives)
+
+    def _transferred(
+        self, bind: Callable[[Indices, RealArray], Call], indices: Indices, values: RealArray
+    ) -> RealArray:
+        """Make a transfer once with a contiguous copy of the buffer, and return that."""
         self._check_running()
-        buffer = np.empty(derivatives.shape)
-        self.bind_get_derivatives(indices, buffer)()
-        derivatives[:] = buffer
+        buffer = np.array(values, order="C")
+        bind(indices, buffer)()
+        return buffer
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that sets inputs from the buffer (n,)."""
@@ -310,8 +312,7 @@ class FmuSlave:
         for row, each in zip(found, known, strict=True):
             one = np.array([each])
             arguments = address(references), len(references), address(one), 1, address(seed), address(row)
-            function = partial(instance.call, "GetDirectionalDerivative", *arguments)
-            instance.check("reading directional derivatives", function)
+            instance.must("reading directional derivatives", "GetDirectionalDerivative", *arguments)
         return found.T
 
     def _tidied(self, read: Call, indices: Indices, derivatives: RealArray) -> Call:
